@@ -1,0 +1,79 @@
+# make help says what there is. Everything runs in .venv, which make prepares itself.
+
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin/python
+STAMPS := $(VENV)/.stamps
+MESSAGES := src/twinmatch_msgs
+PYTEST_ARGS ?= -n auto --dist loadfile
+SESSION ?=
+
+# One thread per process: the matrices are small, and sums keep their order from run to run.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_ROOT_USER_ACTION := ignore
+
+# A sourced ROS 2 or another environment's Python must not leak into this one.
+unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION RMW_IMPLEMENTATION
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+
+PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
+
+.PHONY: help setup test check demo clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13)"
+	@echo "make test                 setup, then every check and test (PYTEST_ARGS='tests/plant -x' picks some)"
+	@echo "make check                setup, then only ruff, mypy and import-linter"
+	@echo "make demo                 setup, then run the twin on a sample session (SESSION=path picks another)"
+	@echo "make clean                remove $(VENV) and everything built"
+
+setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/compiled
+	@:
+
+test: setup
+	$(RUN) -m pytest $(PYTEST_ARGS)
+
+check: setup
+	$(RUN) -m pytest -q tests/packaging/test_house.py
+
+demo: setup
+	$(RUN) launch_scripts/demo.py $(SESSION)
+
+clean:
+	rm -rf $(VENV) build install log dist $(MESSAGES)/build src/*.egg-info $(MESSAGES)/*.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests launch_scripts benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamps say what .venv holds; each is written after its step has succeeded.
+$(STAMPS)/venv:
+	@$(PYTHON) .ci/check_machine.py
+	@echo "setup: making $(VENV) with $$($(PYTHON) --version)"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) --upgrade pip
+	@mkdir -p $(STAMPS) && touch $@
+
+$(STAMPS)/dependencies: pyproject.toml setup.py setup.cfg package.xml $(wildcard config/*) | $(STAMPS)/venv
+	@echo "setup: installing twinmatch with ROS 2 and the test tools (a minute or two)"
+	@$(PIP) --editable '.[ros,test]'
+	@touch $@
+
+$(STAMPS)/messages: $(wildcard $(MESSAGES)/msg/*.msg) $(addprefix $(MESSAGES)/,setup.py pyproject.toml package.xml) $(STAMPS)/dependencies
+	@echo "setup: building the ROS messages (half a minute)"
+	@$(RUN) .ci/check_machine.py
+	@$(PIP) --no-build-isolation --no-deps --force-reinstall ./$(MESSAGES)
+	@touch $@
+
+$(STAMPS)/board: .ci/board_tools.sh | $(STAMPS)/venv
+	@sh .ci/board_tools.sh
+	@touch $@
+
+# numba keeps what it compiles; done here, no first run has to wait for it.
+$(STAMPS)/compiled: $(shell grep -rl njit src/twinmatch --include=*.py) $(STAMPS)/messages
+	@echo "setup: compiling the inner loops (a minute)"
+	@$(RUN) -m twinmatch.cli replay bags/four_setpoints >/dev/null
+	@touch $@
+	@echo "setup: done"

@@ -1,0 +1,80 @@
+"""See twinmatch work.
+
+    python launch_scripts/demo.py                 # the live graph on a virtual rig, faster than real time
+    python launch_scripts/demo.py SESSION         # a recorded session through the ROS graph
+
+The first records what happens, judges the recording again, and draws the verdict.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+
+PROJECT = Path(__file__).resolve().parents[1]
+SPEED = 10.0
+"""Of the virtual rig; it falls behind by itself on a slower machine."""
+LONGEST = 60.0
+"""Seconds the playing of a recorded session may take."""
+
+
+def live(speed: float) -> int:
+    """Run the virtual rig through its set-points; returns the exit code."""
+    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
+
+    session = PROJECT / "out" / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
+    plan = LivePlan(
+        config=PROJECT / "config" / "demo.yaml", session=session, virtual=VirtualPlan(speed=speed)
+    )
+    run = Live(plan)
+    code = run_live(run)
+    return code or look_back(session)
+
+
+def look_back(session: Path) -> int:
+    """Judge the recording again, and draw the verdict."""
+    from twinmatch.replay import judge_session  # noqa: PLC0415
+    from twinmatch.verify import verify_session  # noqa: PLC0415
+    from twinmatch.views.figures import draw_verdict  # noqa: PLC0415
+
+    found = verify_session(session)
+    if found.identical:
+        print(f"judged again from the recording: {found.verdicts} verdicts identical, bit for bit")
+    else:
+        print(f"judged again from the recording: NOT identical, {found.difference}")
+    picture = session.with_suffix(".png")
+    judgement = judge_session(session)
+    draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, picture)
+    print(f"picture: {picture.relative_to(Path.cwd()) if picture.is_relative_to(Path.cwd()) else picture}")
+    return 0 if found.identical else 1
+
+
+def recorded(session: Path) -> int:
+    """Play a session fast enough to watch it to its end; returns the exit code."""
+    from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
+    from twinmatch.sessions import open_any  # noqa: PLC0415
+
+    rate = min(1000.0, max(50.0, open_any(session).duration / LONGEST))
+    return play(Replay(session, rate))
+
+
+def main() -> int:
+    """Parse the command line and show what was asked for."""
+    parser = argparse.ArgumentParser(description="See twinmatch work.")
+    parser.add_argument("session", type=Path, nargs="?", help="a session or recording to play instead")
+    parser.add_argument("--speed", type=float, default=SPEED, help="of the virtual rig, times real time")
+    options = parser.parse_args()
+    try:
+        return live(options.speed) if options.session is None else recorded(options.session)
+    except TwinmatchError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

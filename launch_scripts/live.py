@@ -1,0 +1,61 @@
+"""Run the twin beside a rig: bridges, controller, twin and recorder, until Ctrl-C or the profile's end.
+
+    python launch_scripts/live.py --config config/rig.yaml [--session FOLDER]
+    python launch_scripts/live.py --virtual [--speed 20] [--fault drive-lost@300]
+
+Exit code: 0 ended as asked, 2 something given cannot be used, 3 the rig's process was lost (the output is
+off then).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+
+PROJECT = Path(__file__).resolve().parents[1]
+
+
+def main() -> int:
+    """Parse the command line and run."""
+    parser = argparse.ArgumentParser(description="Run the twin beside a live rig.")
+    parser.add_argument(
+        "--config", type=Path, default=PROJECT / "config" / "rig.yaml", help="parameters of the rig's nodes"
+    )
+    parser.add_argument("--twin-config", type=Path, metavar="FILE", help="parameters of the twin's nodes")
+    parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
+    parser.add_argument("--session", type=Path, metavar="FOLDER", help="record here (sessions/<time>)")
+    parser.add_argument("--no-record", action="store_true", help="record nothing")
+    parser.add_argument("--virtual", action="store_true", help="a virtual rig instead of the real one")
+    parser.add_argument("--speed", type=float, default=1.0, help="of the virtual rig, times real time")
+    parser.add_argument("--fault", action="append", default=[], help="of the virtual rig: KIND@SECONDS")
+    parser.add_argument("--board", default="auto", help="of the virtual rig: simavr, python or auto")
+    parser.add_argument("--seed", type=int, default=0, help="of the virtual rig's camera noise")
+    options = parser.parse_args()
+    if not options.virtual and (options.speed != 1.0 or options.fault or options.board != "auto"):
+        parser.error("--speed, --fault and --board are for a rig that is --virtual")
+    try:
+        from twinmatch.launching.live import Live, refuse_existing, run_live  # noqa: PLC0415 — needs ROS
+        from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
+
+        session = options.session or Path("sessions") / time.strftime("%Y-%m-%d_%H-%M-%S")
+        refuse_existing(None if options.no_record else session)
+        virtual = VirtualPlan(options.speed, tuple(options.fault), options.board, options.seed)
+        plan = LivePlan(
+            config=options.config,
+            session=None if options.no_record else session,
+            twin_config=options.twin_config,
+            virtual=virtual if options.virtual else None,
+            candidates=options.candidates,
+        )
+        return run_live(Live(plan))
+    except TwinmatchError as error:
+        print(f"live: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

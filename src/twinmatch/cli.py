@@ -1,0 +1,210 @@
+"""The command line of `twinmatch`: `import`, `replay`, `verify`, `repair`, `virtual-rig`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinmatch import __version__
+from twinmatch.emulation import virtual_rig_program
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+
+if TYPE_CHECKING:
+    from twinmatch.replay import Judgement
+
+__all__ = ["main"]
+
+EXIT_INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0 done, 2 a mistake the user can mend, 130 interrupted."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    command: Callable[[argparse.Namespace], int] = options.command
+    try:
+        return command(options)
+    except TwinmatchError as error:
+        print(f"twinmatch: {error}", file=sys.stderr)
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        print("twinmatch: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader has gone; Python would complain about the flush at exit
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="twinmatch", description="Which digital twin to trust, and how far, while the plant runs."
+    )
+    parser.add_argument("--version", action="version", version=f"twinmatch {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    importing = commands.add_parser("import", help="turn a rig recording (.mat or .csv) into an MCAP session")
+    importing.add_argument(
+        "recording", type=Path, help=".mat with a matrix 'simout', or .csv with named columns"
+    )
+    importing.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="SESSION", help="folder to write"
+    )
+    importing.add_argument("--overwrite", action="store_true", help="replace a session that is already there")
+    importing.set_defaults(command=_import)
+
+    replaying = commands.add_parser("replay", help="judge a recorded session offline, as fast as it goes")
+    replaying.add_argument(
+        "session", type=Path, help="session folder, .mcap file, or a recording (.mat, .csv)"
+    )
+    replaying.add_argument("--json", type=Path, metavar="OUT", help="write every verdict to this file")
+    replaying.add_argument("--figure", type=Path, metavar="OUT", help="draw the verdict (.png, .svg or .pdf)")
+    replaying.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
+    replaying.add_argument(
+        "--config", type=Path, metavar="FILE", help="parameters (.yaml), as the nodes take them"
+    )
+    replaying.set_defaults(command=_replay)
+
+    verifying = commands.add_parser(
+        "verify", help="judge a recorded session again and compare the verdicts, bit for bit"
+    )
+    verifying.add_argument("session", type=Path, help="session folder or .mcap file")
+    verifying.add_argument("--topic", metavar="TOPIC", help="the samples, if the session has several rigs")
+    verifying.add_argument(
+        "--config", type=Path, metavar="FILE", help="parameters (.yaml) instead of the recorded ones"
+    )
+    verifying.add_argument(
+        "--candidates", type=Path, metavar="FILE", help="candidates (.yaml) instead of the recorded ones"
+    )
+    verifying.set_defaults(command=_verify)
+
+    repairing = commands.add_parser("repair", help="make a session whole whose recorder was killed")
+    repairing.add_argument("session", type=Path, help="session folder")
+    repairing.set_defaults(command=_repair)
+
+    rig = commands.add_parser("virtual-rig", help="the rig without the rig: board, camera and plate emulated")
+    virtual_rig_program.add_options(rig)
+    rig.set_defaults(command=virtual_rig_program.run)
+    return parser
+
+
+def _import(options: argparse.Namespace) -> int:
+    from twinmatch.sessions import read_recording, samples_of, write_session  # noqa: PLC0415 — keeps --help fast
+
+    window = read_recording(options.recording)
+    write_session(options.output, samples_of(window), overwrite=options.overwrite)
+    print(
+        f"{options.output}: {len(window)} samples, {len(window) * window.period:.0f} s, "
+        f"from {options.recording.name}"
+    )
+    return 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from twinmatch.replay import judge_session  # noqa: PLC0415
+    from twinmatch.views import document, sentence  # noqa: PLC0415
+
+    _check_writable(options.json, options.figure)
+    with _Progress() as progress:
+        judgement = judge_session(
+            options.session, candidates=options.candidates, config=options.config, watch=progress.advance
+        )
+    _print_verdicts(judgement)
+    for note in judgement.summary.notes:
+        print(f"Note: {note}")
+    print(sentence(judgement.summary))
+    if options.json is not None:
+        entry = document(judgement.name, judgement.verdicts, judgement.summary)
+        options.json.write_text(json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    if options.figure is not None:
+        from twinmatch.views.figures import draw_verdict  # noqa: PLC0415 — matplotlib is slow to import
+
+        draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, options.figure)
+    return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    """0 identical, 1 different; what cannot be verified is an error (2)."""
+    from twinmatch.verify import verify_session  # noqa: PLC0415
+
+    with _Progress() as progress:
+        found = verify_session(
+            options.session,
+            topic=options.topic,
+            config=options.config,
+            candidates=options.candidates,
+            watch=progress.advance,
+        )
+    for note in found.notes:
+        print(f"Note: {note}")
+    compared = f"{found.verdicts} verdicts and {found.matches} matches on {found.samples} samples"
+    if found.identical:
+        print(f"{found.name}: {compared} are identical, bit for bit")
+        return 0
+    print(f"{found.name}: {compared} are not identical. First difference: {found.difference}")
+    return 1
+
+
+def _repair(options: argparse.Namespace) -> int:
+    from twinmatch.sessions.repair import repair_session  # noqa: PLC0415
+
+    found = repair_session(options.session)
+    held = f"{found.messages} messages over {found.duration:.1f} s"
+    if not found.faults:
+        print(f"{options.session}: is whole, {held}; nothing to repair")
+        return 0
+    print(f"{options.session}: repaired ({'; '.join(found.faults)}); {held} were saved")
+    if found.original is not None:
+        print(f"There was damage before the end, so the original was kept: {found.original}")
+    return 0
+
+
+def _check_writable(*outputs: Path | None) -> None:
+    for output in outputs:
+        if output is not None and not output.absolute().parent.is_dir():
+            msg = f"{output}: there is no folder {output.parent} to write into; create it first"
+            raise TwinmatchError(msg)
+
+
+def _print_verdicts(judgement: Judgement) -> None:
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    from twinmatch.views import COLUMNS, STYLES, news, row  # noqa: PLC0415
+
+    console = Console()
+    table = Table(*COLUMNS, title=f"Verdicts on {judgement.name}", box=None, pad_edge=False)
+    shown = news(judgement.verdicts)
+    for verdict in shown:
+        table.add_row(*row(verdict, judgement.settings.period), style=STYLES[verdict.level])
+    console.print(table)
+    hidden = len(judgement.verdicts) - len(shown)
+    if hidden:
+        console.print(f"({hidden} more verdicts changed nothing: the last one stood at the same level)")
+
+
+class _Progress:
+    """A progress bar on standard error; silent where that is no terminal."""
+
+    def __enter__(self) -> _Progress:
+        from rich.console import Console  # noqa: PLC0415
+        from rich.progress import Progress  # noqa: PLC0415
+
+        console = Console(stderr=True)
+        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task("judging", total=None)
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def advance(self, done: int, total: int) -> None:
+        self._bar.update(self._task, completed=done, total=total)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

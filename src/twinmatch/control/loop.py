@@ -1,0 +1,160 @@
+"""One tick of the loop after the other: the newest temperature and the time in, a sample out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from twinmatch.control.errors import ControlError
+from twinmatch.plant import Pid, PidGains, PidState
+from twinmatch.signals import Sample
+
+__all__ = ["Loop"]
+
+NANOSECONDS = 1_000_000_000
+
+
+class Loop:
+    """The PID on a grid of ticks, one period apart.
+
+    The first tick that has a temperature and a set-point begins the grid and is sample 0. A tick without
+    (none yet, or the newest temperature is too old) makes no sample and switches the output off; a tick
+    that is late by a period or more means that others were missed. Neither is filled in: the next
+    sample's index is the number of its tick on the grid, so a gap in the indices is a gap in time, and
+    whoever works on windows of samples begins anew behind it. So does the controller: it goes on from
+    the output that stands, without a jump.
+
+    A tick a little before its time moves the grid: those before it were late. One that is early by half
+    a period or more is none: a busy machine makes up for a late call with a second one at once. A clock
+    that was set back begins the grid anew behind a gap.
+    """
+
+    def __init__(
+        self, gains: PidGains | None = None, *, max_age: float = 2.0, state: PidState | None = None
+    ) -> None:
+        """Begin with the output off and nothing seen.
+
+        Args:
+            gains: of the controller; its period is that of the ticks.
+            max_age: age from which a temperature is not used any more, s.
+            state: what the controller starts with at sample 0; without it, it starts so that its output
+                continues from zero.
+
+        Raises:
+            ControlError: the age is not positive.
+        """
+        if not (math.isfinite(max_age) and max_age > 0):
+            msg = f"loop: max_age is {max_age} s; it must be positive"
+            raise ControlError(msg)
+        self.pwm = 0.0
+        """The output that stands, −255 to 255."""
+        self.trouble = "no tick yet"
+        """Why the output is off; empty while samples are made."""
+        self.missed = 0
+        """Ticks that were missed since sample 0."""
+        self.idle = 0
+        """Ticks since sample 0 at which there was no usable temperature or set-point."""
+        self.refused = 0
+        """Temperatures that were not finite."""
+        self.jitter = 0.0
+        """How late the newest tick was, s."""
+        self._pid = Pid(gains, state)
+        self._restart = state is None
+        self._period = round(self._pid.gains.period * NANOSECONDS)
+        self._max_age = round(max_age * NANOSECONDS)
+        self._temperature = math.nan
+        self._measured: int | None = None
+        self._number: int | None = None  # of the newest tick on the grid
+        self._newest = 0  # its time, ns
+        self._origin = 0  # when tick 0 was due, ns
+
+    @property
+    def time(self) -> float:
+        """Seconds from sample 0 to the newest tick, counted in periods; 0 before."""
+        return (self._number or 0) * self._pid.gains.period
+
+    @property
+    def running(self) -> bool:
+        """Whether the newest tick made a sample."""
+        return not self.trouble
+
+    def measure(self, temperature: float, stamp: int) -> None:
+        """Take a temperature (°C) measured at `stamp` (ns); one that is not finite is only counted."""
+        if math.isfinite(temperature):
+            self._temperature, self._measured = temperature, stamp
+        else:
+            self.refused += 1
+
+    def tick(self, now: int, profile: Callable[[float], float | None]) -> Sample | None:
+        """Take the time of a tick; return its sample, if there is one.
+
+        Without one, `trouble` says why the output is off, or nothing has changed.
+
+        Args:
+            now: the time, ns.
+            profile: gives the set-point (°C), or None, at a time in seconds since sample 0, counted in
+                periods so that a late tick moves no step of the set-point.
+        """
+        number = self._place(now)
+        if number is None:
+            return None
+        self._newest = now
+        reference = profile(number * self._pid.gains.period)
+        trouble = self._doubt(now, reference)
+        if trouble or reference is None:
+            self.trouble, self.pwm, self._restart = trouble, 0.0, True
+            if self._number is not None:
+                self.idle += 1
+                self._number = number
+            return None
+        if self._number is None:
+            self._origin, number = now, 0
+        elif number != self._number + 1:
+            self._restart = True
+        self._number, self.trouble = number, ""
+        if self._restart:
+            self._continue(reference)
+        self.pwm = self._pid.step(reference, self._temperature)
+        return Sample(number, now, reference, self._temperature, self.pwm)
+
+    def _place(self, now: int) -> int | None:
+        """Number of this tick on the grid; None if it is none."""
+        if self._number is None:
+            return 0
+        expected = self._number + 1
+        late = now - self._origin - expected * self._period
+        if now < self._newest:  # the clock was set back
+            self._origin = now - (expected + 1) * self._period
+            self._measured = None  # by the old clock; it would seem fresh until the new one caught up
+            self.missed += 1
+            self.jitter = 0.0
+            return expected + 1
+        if late <= -self._period // 2:
+            return None
+        if late < 0:
+            self._origin += late
+            late = 0
+        skipped, rest = divmod(late, self._period)
+        self.missed += skipped
+        self.jitter = rest / NANOSECONDS
+        return expected + skipped
+
+    def _doubt(self, now: int, reference: float | None) -> str:
+        """Why there can be no sample now; empty if there can."""
+        if self._measured is None:
+            return "no temperature yet; is the camera up?"
+        if now - self._measured > self._max_age:
+            age = (now - self._measured) / NANOSECONDS
+            return f"the newest temperature is {age:.1f} s old; is the camera up?"
+        if reference is None:
+            return "no set-point yet"
+        if not math.isfinite(reference):
+            return f"the set-point is {reference}"
+        return ""
+
+    def _continue(self, reference: float) -> None:
+        """Give the controller the state in which its output is the one that stands."""
+        error = reference - self._temperature
+        integral = self.pwm - self._pid.gains.proportional * error
+        self._pid.state = PidState(integral, error)
+        self._restart = False

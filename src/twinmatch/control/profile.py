@@ -1,0 +1,112 @@
+"""Which set-point is asked for at which time."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import accumulate
+
+from twinmatch.control.errors import ControlError
+
+__all__ = ["HIGHEST", "LOWEST", "Profile"]
+
+LOWEST = 0.0
+"""Lowest set-point that is accepted unless told otherwise, °C: below it the plate ices."""
+HIGHEST = 100.0
+"""Highest one, °C: the Peltier element's solder softens at 138 °C, and the loop overshoots."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Levels one after the other, each held for its time.
+
+    With a ramp the set-point moves to a level at that rate, beginning when the level's time begins; the
+    first level is there from the start.
+
+    Raises:
+        ControlError: no level, as many levels as times are not given, a level outside the safe range, a
+            time or rate that is not possible, a ramp that takes longer than the level's time.
+    """
+
+    levels: tuple[float, ...]
+    """Set-points, °C."""
+    holds: tuple[float, ...]
+    """How long each is asked for, s."""
+    repeat: bool = False
+    """Begin again at the end."""
+    ramp: float = 0.0
+    """Rate of change, °C/s; 0: at once."""
+    lowest: float = LOWEST
+    """Lower end of the safe range, °C."""
+    highest: float = HIGHEST
+    """Upper end, °C."""
+
+    def __post_init__(self) -> None:
+        if not self.lowest < self.highest:
+            msg = f"profile: the range {self.lowest:g} to {self.highest:g} °C is empty"
+            raise ControlError(msg)
+        if not self.levels or len(self.levels) != len(self.holds):
+            msg = (
+                f"profile: {len(self.levels)} levels and {len(self.holds)} times are given; "
+                "give one time per level, and at least one level"
+            )
+            raise ControlError(msg)
+        for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True), 1):
+            if not self.lowest <= level <= self.highest:
+                allowed = f"{self.lowest:g} to {self.highest:g} °C"
+                msg = f"profile: level {number} is {level:g} °C; the safe range is {allowed}"
+                raise ControlError(msg)
+            if not (math.isfinite(hold) and hold > 0):
+                msg = f"profile: level {number} is to be held for {hold:g} s; give a positive time"
+                raise ControlError(msg)
+        self._check_ramp()
+
+    def _check_ramp(self) -> None:
+        if not (math.isfinite(self.ramp) and self.ramp >= 0):
+            msg = f"profile: the ramp is {self.ramp:g} °C/s; give a positive rate, or 0 for steps"
+            raise ControlError(msg)
+        if self.ramp == 0:
+            return
+        for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True)):
+            if number == 0 and not self.repeat:
+                continue
+            needed = abs(level - self.levels[number - 1]) / self.ramp
+            if needed > hold:
+                msg = (
+                    f"profile: the ramp to level {number + 1} takes {needed:g} s, longer than the {hold:g} s "
+                    "of that level; hold it longer or choose a faster ramp"
+                )
+                raise ControlError(msg)
+
+    @property
+    def duration(self) -> float:
+        """Seconds until the last level's time is over; infinite for a profile that repeats."""
+        return math.inf if self.repeat else sum(self.holds)
+
+    def ended(self, time: float) -> bool:
+        """Whether the profile is over at this time (s since its start)."""
+        return time >= self.duration
+
+    def reference(self, time: float) -> float:
+        """The set-point, °C, at a time (s since the start); after the end that of the last level.
+
+        Raises:
+            ControlError: the time is not finite.
+        """
+        if not math.isfinite(time):
+            msg = f"profile: the set-point at t = {time} s was asked for"
+            raise ControlError(msg)
+        round_ = sum(self.holds)
+        first_round = not self.repeat or time < round_
+        at = max(time, 0.0) if not self.repeat else max(time, 0.0) % round_
+        starts = [0.0, *accumulate(self.holds[:-1])]
+        number = bisect_right(starts, at) - 1
+        level = self.levels[number]
+        if self.ramp == 0 or (number == 0 and first_round):
+            return level
+        before = self.levels[number - 1]
+        moved = self.ramp * (at - starts[number])
+        if moved >= abs(level - before):
+            return level
+        return before + math.copysign(moved, level - before)

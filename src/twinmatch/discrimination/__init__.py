@@ -1,0 +1,54 @@
+"""Which model explains the plant best, and how far apart two models are.
+
+`code_length` and `information_gain` price what a model leaves unexplained in characters. `naic`, `bic` and
+`mdl` price its prediction errors against its parameters. `nu_gap` is the distance between two models that
+counts for feedback: small where one controller serves both.
+
+On these rests the judgement of a `Family` of candidates: `twin_response` runs a candidate's twin on its
+window, `identify` finds Box–Jenkins models of it, `score` holds them against the measured window, and
+`nominal_of` names the candidate nearest to all others. A `Verdict` carries all of it.
+"""
+
+from twinmatch.discrimination.code_length import InformationGain, code_length, information_gain
+from twinmatch.discrimination.criteria import aic, bic, loss, mdl, mdl_as_printed, naic, naic_as_printed
+from twinmatch.discrimination.errors import DiscriminationError
+from twinmatch.discrimination.family import Candidate, Family
+from twinmatch.discrimination.graph_symbol import GraphSymbol, graph_symbol
+from twinmatch.discrimination.models import SimoModel, identify, twin_response
+from twinmatch.discrimination.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
+from twinmatch.discrimination.score import Criteria, OrderScore, choose_order, common_order, score
+from twinmatch.discrimination.verdict import CandidateScore, TrustLevel, Verdict, nominal_of
+
+__all__ = [
+    "Candidate",
+    "CandidateScore",
+    "Criteria",
+    "DiscriminationError",
+    "Family",
+    "GraphSymbol",
+    "InformationGain",
+    "OrderScore",
+    "SimoModel",
+    "TrustLevel",
+    "Verdict",
+    "aic",
+    "bic",
+    "choose_order",
+    "chordal_distance",
+    "code_length",
+    "common_order",
+    "graph_symbol",
+    "identify",
+    "information_gain",
+    "loss",
+    "mdl",
+    "mdl_as_printed",
+    "naic",
+    "naic_as_printed",
+    "nominal_of",
+    "nu_gap",
+    "nu_gap_matrix",
+    "nu_gap_of",
+    "score",
+    "twin_response",
+]

@@ -1,0 +1,63 @@
+"""The family: parameter sets matched at different operating points, one of which is to be nominal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from twinmatch.plant import RigParameters
+from twinmatch.signals import Window
+
+__all__ = ["Candidate", "Family"]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One parameter set of the family."""
+
+    name: str
+    operating_point: float
+    """Set-point at the end of the window it was matched on, °C."""
+    parameters: RigParameters
+    window: Window | None
+    """The window it was matched on; None for one that was given, not matched."""
+
+
+class Family:
+    """At most `most` candidates, one per set-point regime; the newest match of a regime stands."""
+
+    def __init__(self, most: int = 8, regime_width: float = 10.0) -> None:
+        """Begin empty.
+
+        Args:
+            most: how many candidates are kept; the one matched longest ago leaves first.
+            regime_width: operating points closer than half of this, in °C, are one regime.
+        """
+        self.most = most
+        self.regime_width = regime_width
+        self._candidates: list[Candidate] = []
+
+    def __len__(self) -> int:
+        return len(self._candidates)
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """In the order of their operating points."""
+        return tuple(sorted(self._candidates, key=lambda c: (c.operating_point, c.name)))
+
+    def standing_at(self, operating_point: float) -> Candidate | None:
+        """The candidate whose regime holds this set-point (°C), if there is one."""
+        near = [
+            c for c in self._candidates if abs(c.operating_point - operating_point) < self.regime_width / 2
+        ]
+        return min(near, key=lambda c: (abs(c.operating_point - operating_point), c.name), default=None)
+
+    def admit(self, candidate: Candidate) -> Candidate | None:
+        """Take a candidate in; return the one that has to leave for it, if any."""
+        namesakes = [c for c in self._candidates if c.name == candidate.name]
+        leaving = namesakes[0] if namesakes else self.standing_at(candidate.operating_point)
+        if leaving is None and len(self._candidates) >= self.most:
+            leaving = self._candidates[0]
+        if leaving is not None:
+            self._candidates.remove(leaving)
+        self._candidates.append(candidate)
+        return leaving

@@ -1,0 +1,104 @@
+"""From a window to its Box–Jenkins models, set-point → temperature and set-point → control.
+
+Where the paper's text is open, this is where the reading is taken; `docs/method.md` gives the reasons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.discrimination.graph_symbol import GraphSymbol
+from twinmatch.identification import ORDERS, BoxJenkins, estimate_ladder
+from twinmatch.plant import Camera, PidGains, RigParameters, simulate_window
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Level", "SimoModel", "ahead", "deviations", "identify", "operating_level", "twin_response"]
+
+LEAD = 20
+"""Samples before the first step whose mean is the window's steady control."""
+
+
+class Level(NamedTuple):
+    """The steady state a window starts from; models describe deviations from it."""
+
+    temperature: float
+    """°C, of reference and temperature alike: the integral action makes them equal at rest."""
+    pwm: float
+
+
+@dataclass(frozen=True, eq=False)
+class SimoModel:
+    """One input, the set-point; two outputs, temperature and control."""
+
+    order: str
+    y: BoxJenkins
+    """r[k] → y[k]."""
+    u: BoxJenkins
+    """r[k+1] → u[k]; see `ahead`."""
+
+    @cached_property
+    def symbol(self) -> GraphSymbol:
+        """Graph symbol of [y/r; u/r], for the ν-gap; y in °C, u in PWM counts, as in the paper."""
+        control = self.u.B[1:]  # without the delay that `ahead` put in
+        return GraphSymbol.of_fractions([(self.y.B, self.y.F), (control, self.u.F)], period=self.y.period)
+
+
+def operating_level(window: Window) -> Level:
+    """What to subtract so that the window begins at zero.
+
+    The set-point before the first step stands for reference and temperature; for the control the mean
+    of the last samples before that step, when the loop has come to rest even if the window began in
+    a transient.
+    """
+    moved = np.flatnonzero(window.reference != window.reference[0])
+    step = int(moved[0]) if moved.size else len(window)
+    lead = window.pwm[max(0, step - LEAD) : step]
+    return Level(float(window.reference[0]), float(np.mean(lead)))
+
+
+def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Reference, temperature and control of a window as deviations from `level`, shape (N,) each."""
+    return (
+        window.reference - level.temperature,
+        window.temperature - level.temperature,
+        window.pwm - level.pwm,
+    )
+
+
+def ahead(reference: FloatArray) -> FloatArray:
+    """The set-point one tick early, shape (N,): what the control's model is driven with.
+
+    The controller answers a set-point in the same tick, so u[k] depends on r[k]; orders with nk = 1 know
+    no such thing and would take the whole kick at a step for noise. Counted from the tick in which the
+    set-point was decided, the delay is one.
+    """
+    return np.append(reference[1:], reference[-1])
+
+
+def identify(window: Window, orders: Sequence[str] = ORDERS) -> tuple[SimoModel, ...]:
+    """Box–Jenkins models of every order from a window's set-point to its temperature and control.
+
+    Raises:
+        IdentificationError: the set-point does not move, or there are too few samples.
+    """
+    r, y, u = deviations(window, operating_level(window))
+    y_models = estimate_ladder(r, y, orders=orders, period=window.period)
+    u_models = estimate_ladder(ahead(r), u, orders=orders, period=window.period)
+    return tuple(SimoModel(o, y_models[o], u_models[o]) for o in orders)
+
+
+def twin_response(
+    parameters: RigParameters, window: Window, gains: PidGains, camera: Camera, seed: int
+) -> Window:
+    """The closed-loop twin on a window's reference, seen through the camera.
+
+    It starts from the window's third sample: the first two give the controller's state.
+    """
+    response = simulate_window(parameters, window, gains=gains, camera=camera, seed=seed)
+    reference = window.reference[2:]
+    return Window(reference, response.temperature, response.pwm, window.first + 2, window.period)

@@ -1,0 +1,111 @@
+"""The four criteria of a model on measured data, per output and in total, and the order they choose."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinmatch.discrimination.code_length import information_gain
+from twinmatch.discrimination.criteria import bic, mdl, naic
+from twinmatch.discrimination.models import SimoModel, ahead, deviations, operating_level
+from twinmatch.identification import BoxJenkins
+from twinmatch.signals import KELVIN, FloatArray, Window
+
+__all__ = ["Criteria", "OrderScore", "choose_order", "common_order", "score"]
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """What the criteria say of one output, or of both together."""
+
+    trivial_length: int
+    """l(t), characters: the program that reads the measured table."""
+    model_length: int
+    """l(p), characters: the model's program and the table of what it leaves unexplained."""
+    gain: int
+    """Information gain l(t) − l(p), characters; larger is better."""
+    explanation: float
+    """gain / l(t), at most 1; negative when the model is worse than the bare table."""
+    naic: float
+    """Normalised Akaike criterion; smaller is better, as for the two below."""
+    bic: float
+    mdl: float
+
+    def __add__(self, other: Criteria) -> Criteria:
+        """Both outputs together: lengths and criteria add, as in the paper's table."""
+        trivial = self.trivial_length + other.trivial_length
+        gain = self.gain + other.gain
+        return Criteria(
+            trivial_length=trivial,
+            model_length=self.model_length + other.model_length,
+            gain=gain,
+            explanation=gain / trivial,
+            naic=self.naic + other.naic,
+            bic=self.bic + other.bic,
+            mdl=self.mdl + other.mdl,
+        )
+
+
+@dataclass(frozen=True)
+class OrderScore:
+    """One Box–Jenkins order of one candidate."""
+
+    order: str
+    y: Criteria
+    u: Criteria
+    total: Criteria
+
+
+def score(model: SimoModel, window: Window, decimals: int = 2) -> OrderScore:
+    """Judge a model on a measured window, whichever data it was identified on.
+
+    Args:
+        model: set-point to temperature and to control.
+        window: measured samples.
+        decimals: places the tables of the information gain are written with; temperatures in kelvin,
+            as the published lengths show (paper, table IV).
+    """
+    level = operating_level(window)
+    r, y, u = deviations(window, level)
+    on_y = _criteria(model.y, r, y, level.temperature + KELVIN, decimals)
+    on_u = _criteria(model.u, ahead(r), u, level.pwm, decimals)
+    return OrderScore(model.order, on_y, on_u, on_y + on_u)
+
+
+def choose_order(scores: Sequence[OrderScore]) -> str:
+    """The order most criteria prefer in total; of equals the lowest, as Occam would have it."""
+    best = [max(scores, key=lambda s: s.total.gain).order]
+    for name in ("naic", "bic", "mdl"):
+        best.append(min(scores, key=lambda s: float(getattr(s.total, name))).order)
+    return common_order(best)
+
+
+def common_order(chosen: Sequence[str]) -> str:
+    """The order most candidates chose, of equals the lowest.
+
+    Models of different orders differ by more than their twins do, so the ν-gap compares one order
+    throughout, as the paper does.
+    """
+    votes = Counter(chosen)
+    return min(votes, key=lambda order: (-votes[order], order))
+
+
+def _criteria(model: BoxJenkins, r: FloatArray, output: FloatArray, offset: float, decimals: int) -> Criteria:
+    copied = len(model.F)
+    simulated = model.simulate(r, outputs=output[:copied])
+    gain = information_gain(output + offset, simulated + offset, decimals=decimals, copied=copied)
+    errors = model.prediction_errors(r, output)
+    loss = float(np.mean(errors**2))
+    n, count = model.n_parameters, len(output)
+    return Criteria(
+        trivial_length=gain.trivial_length,
+        model_length=gain.model_length,
+        gain=gain.gain,
+        explanation=gain.explanation,
+        naic=naic(loss, n, count),
+        bic=bic(loss, n, count),
+        mdl=mdl(loss, n, count),
+    )

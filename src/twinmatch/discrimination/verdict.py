@@ -1,0 +1,91 @@
+"""What is published: the family's scores, the nominal candidate, and how far to trust it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from twinmatch.discrimination.score import Criteria, OrderScore
+from twinmatch.plant import RigParameters
+
+__all__ = ["CandidateScore", "TrustLevel", "Verdict", "nominal_of"]
+
+
+class TrustLevel(Enum):
+    """How far to trust the nominal twin, from the newest window."""
+
+    UNKNOWN = "unknown"
+    """There is no candidate yet."""
+    TRUSTED = "trusted"
+    """The twin does what the plant does, within the noise it is known to have."""
+    DOUBTFUL = "doubtful"
+    """The twin and the plant differ by more than they used to."""
+    FAULT = "fault"
+    """No parameters explain what the plant does; look at the plant."""
+
+
+@dataclass(frozen=True)
+class CandidateScore:
+    """One candidate of the family at the moment of a verdict."""
+
+    name: str
+    operating_point: float
+    """°C"""
+    parameters: RigParameters
+    first: int
+    """First sample of the window it was matched on; equal to `last` + 1 for one that was given."""
+    last: int
+    orders: tuple[OrderScore, ...]
+    """Every order, scored on the measured window the candidate was matched on."""
+    chosen_order: str
+    nu_gap_sum: float
+    """Column sum of the family's ν-gap matrix."""
+    newest: Criteria | None
+    """The family's order scored on the newest window that excited the loop, both outputs together."""
+    nu_gap_to_plant: float | None
+    """ν-gap to the model of the same order identified on that newest measured window."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One judgement of the family."""
+
+    sample: int
+    """Index of the sample that set it off."""
+    first: int
+    last: int
+    """The window it looked at."""
+    level: TrustLevel
+    stands: bool
+    """True when the window identified nothing and the scores are those of the verdict before."""
+    nominal: str | None
+    """Name of the candidate with the smallest ν-gap sum."""
+    reason: str
+    """One plain sentence."""
+    decimals: int
+    """Decimal places of the tables in the information gain."""
+    candidates: tuple[CandidateScore, ...]
+    order: str | None
+    """The order most candidates chose; the ν-gap compares their models of this order."""
+    nu_gap: tuple[tuple[float, ...], ...]
+    """ν-gap between the candidates, in the order of `candidates`."""
+    residual_y: float
+    """RMS over the newest samples of measured minus driven-twin temperature, °C; NaN without a nominal."""
+    residual_u: float
+    """RMS over the same samples of measured minus closed-loop-twin control, PWM; NaN without a nominal."""
+
+
+def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:
+    """The candidate nearest to the whole family.
+
+    The smallest ν-gap sum names it (paper, section IV-C). Of equal sums (two candidates always have
+    equal ones) the one nearest to the plant as it is now.
+    """
+    if not candidates:
+        return None
+
+    def rank(candidate: CandidateScore) -> tuple[float, float, str]:
+        to_plant = 1.0 if candidate.nu_gap_to_plant is None else candidate.nu_gap_to_plant
+        return candidate.nu_gap_sum, to_plant, candidate.name
+
+    return min(candidates, key=rank).name

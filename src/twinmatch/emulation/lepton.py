@@ -1,0 +1,165 @@
+"""A FLIR Lepton 2.5 without the camera: images of a plate whose temperature is given.
+
+What matters to a loop closed through the camera is here: 9 new images a second, noise that pixels share
+and noise that they do not, a plate that is not at one temperature, drift between flat-field corrections,
+and the corrections themselves, during which the image stands still and says so. Not here: optics,
+emissivity, and corrections asked for by a change of the sensor's temperature.
+
+An image is a function of the settings, the seed, the plate and the time since power-on alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.links.thermal_frame import LEPTON_SHAPE, CountArray, Exposure, FlatField, FrameFlags
+from twinmatch.links.thermal_region import Region
+from twinmatch.signals import KELVIN, FloatArray
+
+__all__ = ["PLATE", "EmulatedLepton", "LeptonError", "LeptonSettings"]
+
+PLATE = Region(row=14, column=22, rows=32, columns=36)
+"""Where the plate lies in the emulated image."""
+
+_SENSOR_WARMING = 8.0
+_SENSOR_TIME = 300.0
+
+
+class LeptonError(TwinmatchError):
+    """Settings, a temperature or a time that no camera could have."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeptonSettings:
+    """Properties of the emulated camera and its scene.
+
+    Raises:
+        LeptonError: a value is not finite, or out of its range.
+    """
+
+    rate: float = 9.0
+    """New images per second."""
+    ambient: float = 23.0
+    """Temperature of everything but the plate, °C."""
+    gradient: float = 0.02
+    """Share of the plate's excess over ambient that is lost from its centre to its corners."""
+    pixel_noise: float = 0.05
+    """Standard deviation of the noise of each pixel, K."""
+    common_noise: float = 0.08
+    """Standard deviation of the noise that all pixels of an image share, K."""
+    drift: float = 0.02
+    """Rise of all temperatures per minute since the last flat-field correction, K/min."""
+    resolution: float = 0.01
+    """Kelvin per count."""
+    flat_field_period: float = 180.0
+    """Seconds between the starts of flat-field corrections; the first is at power-on."""
+    flat_field_duration: float = 0.9
+    """Seconds for which the image stands still."""
+    flat_field_warning: float = 2.0
+    """Seconds before a correction during which it is announced."""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not math.isfinite(value) or (value < 0 and item.name not in {"ambient", "drift"}):
+                msg = f"emulated Lepton: {item.name} is {value}; it must be finite and not negative"
+                raise LeptonError(msg)
+        if not (self.rate > 0 and self.resolution > 0):
+            msg = f"emulated Lepton: rate {self.rate} and resolution {self.resolution} must be positive"
+            raise LeptonError(msg)
+        if self.flat_field_duration + self.flat_field_warning >= self.flat_field_period:
+            msg = (
+                f"emulated Lepton: a flat-field correction every {self.flat_field_period} s has no room for "
+                f"a warning of {self.flat_field_warning} s and a duration of {self.flat_field_duration} s"
+            )
+            raise LeptonError(msg)
+
+
+class EmulatedLepton:
+    """One camera since its power-on."""
+
+    def __init__(self, settings: LeptonSettings = LeptonSettings(), seed: int = 0) -> None:
+        self.settings = settings
+        self._seed = seed
+        self._shape_of_plate = _shape_of_plate(settings.gradient)
+        self._counter = 0
+        self._tick = -1
+        self._image: CountArray = self._counts(np.full(LEPTON_SHAPE, settings.ambient))
+
+    def expose(self, plate: float, elapsed: float, stamp: int) -> Exposure:
+        """The camera's output `elapsed` seconds after power-on.
+
+        Asked again within 1/rate seconds, or during a flat-field correction, it repeats its last image and
+        frame counter.
+
+        Args:
+            plate: temperature of the plate's centre, °C.
+            elapsed: seconds since power-on, never less than at the call before.
+            stamp: the monotonic clock to write into the exposure, ns.
+
+        Raises:
+            LeptonError: the temperature is not finite, or time goes back.
+        """
+        if not math.isfinite(plate):
+            msg = f"emulated Lepton: the plate is {plate} °C; only a finite temperature can be seen"
+            raise LeptonError(msg)
+        # A tick asked for at its very start must not fall into the one before by rounding.
+        tick = math.floor(elapsed * self.settings.rate + 1e-6)
+        if tick < self._tick or tick < 0:
+            msg = f"emulated Lepton: {elapsed} s since power-on after {self._tick / self.settings.rate} s"
+            raise LeptonError(msg)
+        state, since = self._flat_field(tick / self.settings.rate)
+        if tick > self._tick and state is not FlatField.RUNNING:
+            self._image = self._look(plate, tick, since)
+            self._counter += 1
+        self._tick = tick
+        return Exposure(
+            image=self._image,
+            stamp=stamp,
+            resolution=self.settings.resolution,
+            frame_counter=self._counter % 2**32,
+            flat_field=state,
+            flat_field_age=round(since * 1000),
+            sensor_temperature=self._sensor(elapsed),
+            flags=FrameFlags.EMULATED,
+        )
+
+    def _flat_field(self, elapsed: float) -> tuple[FlatField, float]:
+        """State of the correction and seconds since the last one began."""
+        settings = self.settings
+        since = elapsed % settings.flat_field_period
+        if since < settings.flat_field_duration:
+            return FlatField.RUNNING, since
+        if since >= settings.flat_field_period - settings.flat_field_warning:
+            return FlatField.IMMINENT, since
+        return FlatField.COMPLETE, since
+
+    def _look(self, plate: float, tick: int, since: float) -> CountArray:
+        settings = self.settings
+        rng = np.random.default_rng((self._seed, tick))
+        scene = settings.ambient + (plate - settings.ambient) * self._shape_of_plate
+        common = settings.common_noise * rng.standard_normal() + settings.drift * since / 60.0
+        return self._counts(scene + common + settings.pixel_noise * rng.standard_normal(LEPTON_SHAPE))
+
+    def _counts(self, degrees: FloatArray) -> CountArray:
+        counts = np.rint((degrees + KELVIN) / self.settings.resolution)
+        return np.clip(counts, 0, 65535).astype(np.uint16)
+
+    def _sensor(self, elapsed: float) -> int:
+        degrees = self.settings.ambient + _SENSOR_WARMING * -math.expm1(-elapsed / _SENSOR_TIME)
+        return round((degrees + KELVIN) * 100)
+
+
+def _shape_of_plate(gradient: float) -> FloatArray:
+    """Excess over ambient per pixel, relative to the plate's centre; shape (rows, columns)."""
+    rows = (np.arange(PLATE.rows) - (PLATE.rows - 1) / 2) / (PLATE.rows / 2)
+    columns = (np.arange(PLATE.columns) - (PLATE.columns - 1) / 2) / (PLATE.columns / 2)
+    shape = np.zeros(LEPTON_SHAPE)
+    shape[PLATE.row : PLATE.row + PLATE.rows, PLATE.column : PLATE.column + PLATE.columns] = (
+        1.0 - gradient * (rows[:, None] ** 2 + columns**2) / 2
+    )
+    return shape

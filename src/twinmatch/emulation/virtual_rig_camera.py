@@ -1,0 +1,213 @@
+"""The virtual rig's camera: the real camera program as a child, and what may take its place."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import math
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from collections import deque
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["Serving", "VirtualCamera", "VirtualCameraError"]
+
+_RATE = 9.0
+"""New images per second of plant time, as a Lepton has them."""
+_PATIENCE = 30.0
+"""Longest start of the camera program, s."""
+_GARBAGE = 512
+"""Bytes of noise in place of an image."""
+_SOURCES = Path(__file__).resolve().parents[3] / "camera_server" / "src"
+
+
+class VirtualCameraError(TwinmatchError):
+    """The camera program is missing, does not start, or has ended by itself."""
+
+
+class Serving(Enum):
+    """Who answers at the camera's address."""
+
+    CAMERA = "camera"
+    NOBODY = "nobody"
+    GARBAGE = "garbage"
+
+
+class VirtualCamera:
+    """A camera that sees the plate nine times a second of plant time.
+
+    Its program is led through its standard input, so it ends with this process, however that ends.
+
+    Raises:
+        VirtualCameraError: the program is missing or does not start.
+    """
+
+    def __init__(self, *, ambient: float, seed: int = 0) -> None:
+        self.frozen = False
+        """Whether the sensor repeats itself."""
+        self._ambient = ambient
+        self._seed = seed
+        self._starts = 0
+        self._tick = -1
+        self._line = b""
+        self._serving = Serving.CAMERA
+        self._process: subprocess.Popen[bytes] | None = None
+        self._said: deque[str] = deque(maxlen=20)
+        self._garbage: _Garbage | None = None
+        self._environment = _environment()
+        self.address = ("127.0.0.1", 0)
+        """Host and port."""
+        self._start()
+        try:
+            self.address = ("127.0.0.1", self._wait_for_port())
+        except VirtualCameraError:
+            self.close()
+            raise
+
+    def see(self, elapsed: float, plate: float, stamp: int) -> None:
+        """Make an image if it is time for one.
+
+        Args:
+            elapsed: plant time since the start, s.
+            plate: the plate's temperature, °C.
+            stamp: plant time as the image tells it, ns.
+        """
+        tick = math.floor(elapsed * _RATE + 1e-6)
+        if tick == self._tick:
+            return
+        self._tick = tick
+        if not (self.frozen and self._line):
+            self._line = b"%.9f %.6f" % (tick / _RATE, plate)
+        if self._garbage is not None:
+            self._garbage.send()
+        if self._process is not None:
+            self._lead(self._process, b"%s %d\n" % (self._line, stamp))
+
+    def serve(self, who: Serving) -> None:
+        """Change who answers at the camera's address."""
+        if who is self._serving:
+            return
+        self._serving = who
+        self._end_program()
+        if self._garbage is not None:
+            self._garbage.close()
+            self._garbage = None
+        if who is Serving.CAMERA:
+            self._start()
+        elif who is Serving.GARBAGE:
+            self._garbage = _Garbage(self.address, self._seed)
+
+    def close(self) -> None:
+        """End whatever serves."""
+        self.serve(Serving.NOBODY)
+
+    def _start(self) -> None:
+        host, port = self.address
+        command = [sys.executable, "-m", "twinmatch_camera", "emulated", "--feed", "-"]
+        command += ["--listen", f"{host}:{port}", "--ambient", f"{self._ambient:g}"]
+        command += ["--seed", str(self._seed + self._starts)]
+        self._starts += 1
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=self._environment,
+            bufsize=0,
+            start_new_session=True,  # Ctrl-C is for us; we end it
+        )
+        for pipe in (self._process.stdin, self._process.stderr):
+            os.set_blocking(_pipe(pipe).fileno(), False)
+
+    def _wait_for_port(self) -> int:
+        deadline = time.monotonic() + _PATIENCE
+        while time.monotonic() < deadline:
+            self._listen()
+            for line in self._said:
+                if found := re.search(r"serving .*:(\d+)$", line):
+                    return int(found[1])
+            time.sleep(0.01)
+        raise VirtualCameraError(f"virtual camera: its program says nothing within {_PATIENCE:g} s")
+
+    def _lead(self, process: subprocess.Popen[bytes], line: bytes) -> None:
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # it is slow, or about to be noticed
+            _pipe(process.stdin).write(line)
+        self._listen()
+
+    def _listen(self) -> None:
+        """Read what the program says, and notice its end."""
+        process = self._process
+        if process is None:
+            return
+        said = _pipe(process.stderr).read()
+        if said:
+            self._said.extend(said.decode(errors="replace").splitlines())
+        elif said == b"" or process.poll() is not None:
+            last = " / ".join(list(self._said)[-3:])
+            raise VirtualCameraError(f"virtual camera: its program has ended by itself: {last}")
+
+    def _end_program(self) -> None:
+        """As a pulled plug does: with no chance to say good-bye."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        for pipe in (process.stdin, process.stderr):
+            with contextlib.suppress(OSError):
+                _pipe(pipe).close()
+
+
+class _Garbage:
+    """Another program at the camera's address, which sends noise."""
+
+    def __init__(self, address: tuple[str, int], seed: int) -> None:
+        self._listener = socket.create_server(address)
+        self._listener.setblocking(False)
+        self._clients: list[socket.socket] = []
+        self._random = np.random.default_rng(seed)
+
+    def send(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self._clients.append(self._listener.accept()[0])
+                self._clients[-1].setblocking(False)
+        for client in list(self._clients):
+            try:
+                client.send(self._random.bytes(_GARBAGE))
+            except BlockingIOError:
+                continue
+            except OSError:
+                self._clients.remove(client)
+                client.close()
+
+    def close(self) -> None:
+        for ours in (*self._clients, self._listener):
+            ours.close()
+
+
+def _environment() -> dict[str, str]:
+    """The environment of the camera program; in a checkout it need not be installed."""
+    environment = dict(os.environ)
+    if _SOURCES.is_dir():
+        paths = [str(_SOURCES), environment.get("PYTHONPATH", "")]
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
+    elif importlib.util.find_spec("twinmatch_camera") is None:
+        msg = "virtual camera: the camera program is not installed; pip install ./camera_server"
+        raise VirtualCameraError(msg)
+    return environment
+
+
+def _pipe(pipe: object) -> io.FileIO:
+    if not isinstance(pipe, io.FileIO):  # bufsize=0 gives no other
+        raise TypeError(f"{pipe!r} is no unbuffered pipe")
+    return pipe

@@ -1,0 +1,165 @@
+"""What can be made to go wrong on the virtual rig, when, and for how long.
+
+A fault is written `KIND@SECONDS`, to the end, or `KIND@SECONDS+SECONDS`, the second number being how long
+it lasts. Seconds are of plant time, from the start of the rig.
+"""
+
+from __future__ import annotations
+
+import difflib
+import heapq
+import math
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["KINDS", "Change", "Fault", "FaultError", "Schedule", "parse_fault", "parse_faults"]
+
+KINDS: Final = {
+    "drive-lost": "a wire to the plate breaks: no current, whatever the board does",
+    "driver-fault": "the motor driver pulls its fault flag",
+    "board-hung": "the firmware hangs once; its watchdog starts it anew",
+    "cable-pulled": "the board's USB cable is pulled; the board keeps its power",
+    "garbage-serial": "another program talks on the serial line and takes replies away",
+    "camera-gone": "the camera's program is killed; at the end it is started anew",
+    "garbage-camera": "another program answers at the camera's address and sends noise",
+    "sensor-frozen": "the camera repeats its last image and frame counter",
+    "fan-failed": "the fan stops: the heat sink keeps a tenth of its convection",
+    "ambient-step": "the surroundings become 10 °C warmer",
+}
+"""Every fault and what it does."""
+
+
+class FaultError(TwinmatchError):
+    """A fault that does not exist or has no possible time."""
+
+
+class Fault(NamedTuple):
+    """One fault."""
+
+    kind: str
+    start: float
+    """Plant time at which it begins, s."""
+    duration: float = math.inf
+    """How long it lasts, s."""
+
+
+class Change(NamedTuple):
+    """The beginning or the end of a fault."""
+
+    time: float
+    """Plant time, s."""
+    number: int
+    """Counts changes, so that those of one time keep their order."""
+    kind: str
+    begins: bool
+
+
+def parse_fault(text: str) -> Fault:
+    """A fault from `KIND@SECONDS` or `KIND@SECONDS+SECONDS`.
+
+    Raises:
+        FaultError: no such kind, or times that are none.
+    """
+    kind, at, times = text.strip().partition("@")
+    check_kind(kind)
+    start, plus, duration = times.partition("+")
+    if not at:
+        raise FaultError(f"fault {text!r}: when? Write {kind}@SECONDS or {kind}@SECONDS+DURATION")
+    return Fault(kind, _seconds(text, start, 0.0), _seconds(text, duration, 1e-3) if plus else math.inf)
+
+
+def parse_faults(text: str) -> tuple[Fault, ...]:
+    """Faults from a list with commas.
+
+    Raises:
+        FaultError: as for `parse_fault`.
+    """
+    return tuple(parse_fault(part) for part in text.split(","))
+
+
+def parse_now(text: str, now: float) -> Fault:
+    """A fault that begins `now`, from `KIND` or `KIND+SECONDS`.
+
+    Raises:
+        FaultError: no such kind, or a duration that is none.
+    """
+    kind, plus, duration = text.strip().partition("+")
+    check_kind(kind)
+    return Fault(kind, now, _seconds(text, duration, 1e-3) if plus else math.inf)
+
+
+def check_kind(kind: str) -> str:
+    """The kind, if there is such a fault.
+
+    Raises:
+        FaultError: there is not.
+    """
+    if kind not in KINDS:
+        near = difflib.get_close_matches(kind, KINDS, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(KINDS)}"
+        raise FaultError(f"fault {kind!r} does not exist; {hint}")
+    return kind
+
+
+def _seconds(text: str, number: str, least: float) -> float:
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= least):
+        raise FaultError(f"fault {text!r}: {number!r} is no time; give seconds of plant time")
+    return value
+
+
+class Schedule:
+    """Faults to come, and those that are on."""
+
+    def __init__(self, faults: Iterable[Fault] = ()) -> None:
+        self._changes: list[Change] = []
+        self._count = 0
+        self._on: dict[str, int] = {}
+        for fault in faults:
+            self.add(fault)
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Kinds that are on, in the order in which they began."""
+        return tuple(self._on)
+
+    def add(self, fault: Fault) -> None:
+        """Put a fault on the schedule."""
+        self._push(fault.start, fault.kind, begins=True)
+        if math.isfinite(fault.duration):
+            self._push(fault.start + fault.duration, fault.kind, begins=False)
+
+    def end(self, kind: str, now: float) -> None:
+        """End every fault of a kind that has begun or is to come.
+
+        Raises:
+            FaultError: no such kind.
+        """
+        check_kind(kind)
+        self._changes = [change for change in self._changes if change.kind != kind]
+        heapq.heapify(self._changes)
+        if kind in self._on:
+            self._on[kind] = 1
+            self._push(now, kind, begins=False)
+
+    def due(self, now: float) -> list[Change]:
+        """Kinds that go on or off by this time. Of two overlapping faults of one kind the last end counts."""
+        turned = []
+        while self._changes and self._changes[0].time <= now + 1e-9:
+            change = heapq.heappop(self._changes)
+            before = self._on.get(change.kind, 0)
+            self._on[change.kind] = before + (1 if change.begins else -1)
+            if not self._on[change.kind]:
+                del self._on[change.kind]
+            if bool(before) != (change.kind in self._on):
+                turned.append(change)
+        return turned
+
+    def _push(self, time: float, kind: str, *, begins: bool) -> None:
+        self._count += 1
+        heapq.heappush(self._changes, Change(time, self._count, kind, begins))

@@ -1,0 +1,116 @@
+"""The virtual rig as a program: its options, what it prints, how it ends.
+
+Each line it prints is `key: value`; `ready` alone stands on its own line once everything can be used.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import select
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+from twinmatch.emulation.virtual_rig_control import tell
+from twinmatch.emulation.virtual_rig_faults import KINDS, Change, parse_faults
+from twinmatch.errors import TwinmatchError
+
+if TYPE_CHECKING:
+    from twinmatch.emulation.virtual_rig import VirtualRig
+
+__all__ = ["EXIT_LOST", "add_options", "run"]
+
+EXIT_LOST = 1
+"""Exit code after a part of the rig has ended by itself."""
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `twinmatch virtual-rig`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    width = max(map(len, KINDS))
+    parser.epilog = "faults:\n" + "\n".join(f"  {kind:{width}}  {text}" for kind, text in KINDS.items())
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="N", help="plant time per wall time, at most (1)"
+    )
+    parser.add_argument(
+        "--board",
+        default="auto",
+        metavar="KIND",
+        help="simavr: the firmware image on a simulated processor; python: a stand-in; "
+        "auto: the first if it can be had",
+    )
+    parser.add_argument(
+        "--fault", action="append", default=[], metavar="KIND@S[+S],…", help="what fails when, for how long"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the camera's noise (0)")
+    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="plant time to run for")
+    parser.add_argument(
+        "--tell",
+        nargs=2,
+        metavar=("CONTROL", "LINE"),
+        help="say a line to a rig that runs: KIND[+S], 'end KIND', state, stop",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a virtual rig until its duration is over or a signal ends it; or talk to one.
+
+    Returns:
+        The exit code: 0 ended as asked, `EXIT_LOST` when the board or the camera ended by itself.
+
+    Raises:
+        TwinmatchError: an option cannot be followed, or a part of the rig cannot be made.
+    """
+    if options.tell is not None:
+        print(tell(*options.tell))
+        return 0
+    from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig  # noqa: PLC0415 — keeps --help fast
+
+    faults = tuple(fault for text in options.fault for fault in parse_faults(text))
+    settings = RigSettings(
+        speed=options.speed, board=options.board, seed=options.seed, faults=faults, duration=options.duration
+    )
+    stopping: list[int] = []
+    before = {number: signal.signal(number, lambda n, _: stopping.append(n)) for number in _STOPS}
+    try:
+        with VirtualRig(settings) as rig:
+            for number in _STOPS:
+                signal.signal(number, lambda *_: rig.request_stop())
+            return 0 if stopping else _run(rig)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _run(rig: VirtualRig) -> int:
+    rig.on_change = lambda change: _say("fault", _told(change))
+    _say("board", f"{rig.board_kind} ({rig.board_remark})")
+    for name, address in rig.addresses.items():
+        _say(name, address)
+    print("ready", flush=True)
+    try:
+        rig.run(lambda: rig.request_stop() if _reader_gone() else None)
+    except TwinmatchError as error:  # a part of the rig is lost; not a mistake of the user
+        print(f"twinmatch: {error}", file=sys.stderr)
+        return EXIT_LOST
+    wall, speed = rig.achieved()
+    if not _reader_gone():
+        _say("ended", f"{rig.elapsed:.1f} s of plant time in {wall:.1f} s, {speed:.2f} times the wall clock")
+    return 0
+
+
+def _reader_gone() -> bool:
+    """Whether nobody is left who could read what we print: whoever started us was killed."""
+    look = select.poll()
+    look.register(sys.stdout, 0)  # errors are told unasked
+    return any(event & select.POLLERR for _, event in look.poll(0))
+
+
+def _told(change: Change) -> str:
+    return f"{change.kind} {'begins' if change.begins else 'ends'} at {change.time:.2f} s"
+
+
+def _say(key: str, value: Any) -> None:
+    print(f"{key}: {value}", flush=True)

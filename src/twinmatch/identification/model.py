@@ -1,0 +1,240 @@
+"""The Box–Jenkins model: what an estimate returns, and what can be done with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinmatch.identification.data import checked_pair, checked_signal
+from twinmatch.identification.errors import IdentificationError
+from twinmatch.identification.kernels import (
+    Polynomials,
+    all_pole,
+    best_start,
+    continue_outputs,
+    errors_of,
+    fir,
+)
+from twinmatch.identification.order import Order
+from twinmatch.identification.residuals import ResidualTest, examine_residuals
+from twinmatch.signals import FloatArray
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["BoxJenkins"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxJenkins:
+    """y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t), polynomials in q⁻¹, one sample per `period`."""
+
+    order: Order
+    """nb, nc, nd, nf, nk."""
+    B: FloatArray
+    """Numerator with its nk leading zeros, shape (nk + nb,)."""
+    C: FloatArray
+    """Monic numerator of the noise, shape (nc + 1,)."""
+    D: FloatArray
+    """Monic denominator of the noise, shape (nd + 1,)."""
+    F: FloatArray
+    """Monic denominator, shape (nf + 1,)."""
+    variance: float
+    """V, mean squared one-step prediction error of the data it was estimated on; NaN when unknown."""
+    covariance: FloatArray
+    """Of the coefficients in the order B (without leading zeros), C, D, F (without their ones)."""
+    initial_state: FloatArray
+    """Initial conditions of the predictor on those data: m of C F e = D F y − D B u + Σ mⱼ δ(t−j)."""
+    n_samples: int
+    """N of those data; 0 for a model that was not estimated."""
+    period: float = 1.0
+    """Sample time, s."""
+    converged: bool = True
+    """Whether the search ended because there was nothing left to gain."""
+    iterations: int = 0
+    """Steps taken by the search that won."""
+
+    def __post_init__(self) -> None:
+        for name in ("B", "C", "D", "F", "covariance", "initial_state"):
+            values = np.array(getattr(self, name), dtype=np.float64)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    @classmethod
+    def from_transfer_function(
+        cls,
+        system: control.TransferFunction,
+        *,
+        C: Sequence[float] = (1.0,),
+        D: Sequence[float] = (1.0,),
+        variance: float = math.nan,
+    ) -> BoxJenkins:
+        """The model whose B/F is a discrete transfer function; white output noise unless C, D say else.
+
+        Raises:
+            IdentificationError: more than one input or output, continuous time, or not proper.
+        """
+        if system.ninputs != 1 or system.noutputs != 1:
+            msg = (
+                f"transfer function: {system.ninputs} inputs and {system.noutputs} outputs; give one of each"
+            )
+            raise IdentificationError(msg)
+        if system.dt is None or not system.dt > 0:
+            msg = f"transfer function: sample time {system.dt}; discretise it first"
+            raise IdentificationError(msg)
+        numerator = np.trim_zeros(np.atleast_1d(np.asarray(system.num[0][0], dtype=np.float64)), "f")
+        denominator = np.trim_zeros(np.atleast_1d(np.asarray(system.den[0][0], dtype=np.float64)), "f")
+        if numerator.size > denominator.size:
+            msg = "transfer function: more zeros than poles; it would need inputs that are yet to come"
+            raise IdentificationError(msg)
+        delay = denominator.size - max(numerator.size, 1)
+        B = np.concatenate((np.zeros(delay), numerator if numerator.size else np.zeros(1))) / denominator[0]
+        order = Order(B.size - delay, len(C) - 1, len(D) - 1, denominator.size - 1, delay)
+        return cls(
+            order=order,
+            B=B,
+            C=np.asarray(C, dtype=np.float64),
+            D=np.asarray(D, dtype=np.float64),
+            F=denominator / denominator[0],
+            variance=variance,
+            covariance=np.full((order.coefficients, order.coefficients), math.nan),
+            initial_state=np.zeros(order.predictor_state),
+            n_samples=0,
+            period=1.0 if system.dt is True else float(system.dt),
+        )
+
+    @property
+    def polynomials(self) -> Polynomials:
+        """B, C, D and F, as copies that may be written: kernels are compiled for such arrays only."""
+        return Polynomials(self.B.copy(), self.C.copy(), self.D.copy(), self.F.copy())
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """The free coefficients in the order of `covariance`, shape (n_parameters,)."""
+        return np.concatenate((self.B[self.order.nk :], self.C[1:], self.D[1:], self.F[1:]))
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of coefficients; initial conditions are not counted."""
+        return self.order.coefficients
+
+    @property
+    def standard_errors(self) -> FloatArray:
+        """One standard deviation of each of `coefficients`, shape (n_parameters,)."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def transfer_function(self) -> control.TransferFunction:
+        """B/F as a discrete transfer function in z with dt = period."""
+        return _transfer_function(self.B, self.F, self.period)
+
+    @property
+    def noise_transfer_function(self) -> control.TransferFunction:
+        """C/D as a discrete transfer function in z with dt = period."""
+        return _transfer_function(self.C, self.D, self.period)
+
+    @property
+    def process_state(self) -> FloatArray:
+        """Initial conditions s of B/F on the data of the estimate, F w = B u + Σ sⱼ δ(t−j).
+
+        They follow from `initial_state` = F n − D s, with n those of the noise filter; where D and F
+        share a root the division between the two is arbitrary and the smallest is taken.
+        """
+        s_count, n_count = self.order.process_state, max(self.order.nc, self.order.nd)
+        columns = np.zeros((self.initial_state.size, s_count + n_count))
+        for j in range(s_count):
+            columns[j : j + self.D.size, j] = -self.D
+        for j in range(n_count):
+            columns[j : j + self.F.size, s_count + j] = self.F
+        solution = np.linalg.lstsq(columns, self.initial_state, rcond=1e-10)[0]
+        return np.asarray(solution[:s_count], dtype=np.float64)
+
+    def simulate(
+        self, u: ArrayLike, *, state: ArrayLike | None = None, outputs: ArrayLike | None = None
+    ) -> FloatArray:
+        """The output of B/F alone for input u, without noise; shape (N,).
+
+        It starts from rest, or from the initial conditions `state` (see `process_state`), or from recorded
+        outputs: then the first len(outputs) samples are `outputs` and the difference equation goes
+        on from them. The paper's information gain copies max(len(F)) samples in this way.
+
+        Raises:
+            IdentificationError: u is no signal, both starts are given, or outputs are longer than u.
+        """
+        input_ = checked_signal(u, "input u")
+        if outputs is None:
+            driven = np.asarray(fir(self.B.copy(), input_))
+            if state is not None:
+                start: FloatArray = np.asarray(state, dtype=np.float64)[: input_.size]
+                driven[: start.size] += start
+            return np.asarray(all_pole(self.F.copy(), driven))
+        if state is not None:
+            raise IdentificationError("simulate: give either a state or recorded outputs, not both")
+        recorded = checked_signal(outputs, "recorded outputs")
+        if recorded.size > input_.size:
+            msg = f"simulate: {recorded.size} recorded outputs for {input_.size} inputs"
+            raise IdentificationError(msg)
+        return np.asarray(continue_outputs(self.B.copy(), self.F.copy(), input_, recorded))
+
+    def prediction_errors(
+        self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate"
+    ) -> FloatArray:
+        """One-step prediction errors on any data; shape (N,).
+
+        Args:
+            u: input, shape (N,).
+            y: output, shape (N,).
+            initial: "estimate" (initial conditions by least squares on these data), "zero" (rest), or
+                initial conditions such as `initial_state`.
+
+        Raises:
+            IdentificationError: data that are no pair of signals, or an unknown `initial`.
+        """
+        u, y = checked_pair(u, y)
+        if isinstance(initial, str):
+            if initial not in ("estimate", "zero"):
+                msg = f'initial: {initial!r} is unknown; use "estimate", "zero" or an array'
+                raise IdentificationError(msg)
+            m = np.zeros(0)
+            if initial == "estimate":
+                m = best_start(u, y, self.polynomials, self.order.predictor_state)
+        else:
+            m = np.array(initial, dtype=np.float64)
+        return np.asarray(errors_of(u, y, self.polynomials, m))
+
+    def predict(self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate") -> FloatArray:
+        """One-step predictions ŷ(t|t−1); arguments and errors as `prediction_errors`."""
+        return np.asarray(y, dtype=np.float64) - self.prediction_errors(u, y, initial)
+
+    def loss(self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate") -> float:
+        """Mean squared prediction error on any data; arguments as `prediction_errors`."""
+        return float(np.mean(self.prediction_errors(u, y, initial) ** 2))
+
+    def examine(
+        self, u: ArrayLike, y: ArrayLike, *, lags: int = 25, confidence: float = 0.99
+    ) -> ResidualTest:
+        """Whiteness and input cross-correlation of the prediction errors on any data.
+
+        Raises:
+            IdentificationError: data that are no pair of signals, or too short for the lags.
+        """
+        errors = self.prediction_errors(u, y)
+        return examine_residuals(
+            errors, u, fitted=self.order.nc + self.order.nd, lags=lags, confidence=confidence
+        )
+
+
+def _transfer_function(numerator: FloatArray, denominator: FloatArray, period: float) -> Any:
+    import control  # noqa: PLC0415  (slow to import, and only these properties need it)
+
+    size = max(numerator.size, denominator.size)
+    return control.TransferFunction(
+        np.pad(numerator, (0, size - numerator.size)),
+        np.pad(denominator, (0, size - denominator.size)),
+        period,
+    )

@@ -1,0 +1,270 @@
+"""The twin beside a live rig: start everything, look after it, stop it with the heat off first."""
+
+from __future__ import annotations
+
+import re
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rich.console import Console
+from rich.markup import escape
+
+from twinmatch.discrimination import Verdict
+from twinmatch.launching.plan import LivePlan
+from twinmatch.launching.processes import LaunchError, Processes
+from twinmatch.nodes.conversions import match_from, sample_from, verdict_from
+from twinmatch.nodes.diagnostics import Level
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.nodes.twin_parameters import read_settings
+from twinmatch.signals import Sample
+from twinmatch.twin import MatchReport, Schedule, TwinSettings
+from twinmatch.views import News, Summary, print_header, print_line, sentence, summarise
+from twinmatch_msgs.msg import LoopSample, Match, ModelScore
+
+__all__ = ["EXIT_LOST", "Live", "run_live"]
+
+EXIT_LOST = 3
+"""Exit code when a process that cannot be restarted was lost; the output is off then."""
+
+READERS = "twin_simulator matcher discriminator live_watch"
+"""Nodes that must have every sample, and the recorder if there is one."""
+
+POLL = 0.1
+DISCOVERY = 1.0
+"""Seconds in which a graph that runs already is found."""
+SETTLE = 60.0
+"""Longest wait for the verdicts that are still due when the profile has ended, s."""
+VIRTUAL_RIG_START = 90.0
+"""A first build of firmware and board takes its time, s."""
+STOP_ORDER = ("rig", "twin", "recorder", "plant_clock", "virtual_rig")
+"""Heat off first; the recorder outlives what it records."""
+RESTARTS = 3
+"""How often a process that may be restarted is."""
+
+
+@dataclass
+class Live:
+    """A live run and what came of it."""
+
+    plan: LivePlan
+    console: Console = field(default_factory=lambda: Console(soft_wrap=True))
+    samples: list[Sample] = field(default_factory=list)
+    matches: list[MatchReport] = field(default_factory=list)
+    verdicts: list[Verdict] = field(default_factory=list)
+    sessions: list[Path] = field(default_factory=list)
+    """Folders recorded into; more than one if the recorder had to be restarted."""
+    killed: list[str] = field(default_factory=list)
+    """Processes that did not end when asked."""
+    summary: Summary | None = None
+    ending: str = "stopped by the operator"
+
+
+def run_live(live: Live) -> int:
+    """Run until the profile ends, Ctrl-C, or a loss; returns the exit code.
+
+    Raises:
+        TwinmatchError: a file or option cannot be used.
+    """
+    settings = read_settings(live.plan.twin_config)
+    code = run([_watch_class(live, settings)], ["live"])
+    if live.samples:
+        live.summary = summarise(live.samples, live.matches, live.verdicts, settings.gains)
+        live.console.print(sentence(live.summary))
+    for name in live.killed:
+        live.console.print(f"{name} did not end by itself and was killed")
+    for session in live.sessions:
+        live.console.print(f"recorded: {session}", highlight=False)
+    live.console.print(f"ended: {live.ending}; {len(live.samples)} samples, {len(live.verdicts)} verdicts")
+    return code
+
+
+_DIGITS = re.compile(r"[\d.,]+")
+
+
+class _Events:
+    """Errors on /diagnostics, each told once while it lasts, however its figures grow."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._standing: dict[str, str] = {}
+
+    def take(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            level = int.from_bytes(status.level, "little")
+            if level < Level.ERROR:
+                if self._standing.pop(status.name, None) is not None:
+                    self._console.print(f"[green]{escape(status.name)}: well again[/]")
+            elif self._standing.get(status.name) != (kind := _DIGITS.sub("", status.message)):
+                self._standing[status.name] = kind
+                self._console.print(f"[red]{escape(status.name)}: {escape(status.message)}[/]")
+
+
+class _Supervision:
+    """Which processes there are, and what happens when one ends."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        self._plan = live.plan
+        self._addresses: dict[str, str] = {}
+        self._ready = threading.Event()
+        self._restarts: dict[str, int] = {}
+        self.processes = Processes(self._show)
+
+    def start(self) -> None:
+        """Start everything; the rig last, when all that listens is on its way."""
+        plan = self._plan
+        if plan.virtual is not None:
+            self._live.console.print("starting the virtual rig", highlight=False)
+            command = [sys.executable, "-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments]
+            self.processes.start("virtual_rig", command)
+            self.processes.wait_for_line("virtual_rig", self._ready, VIRTUAL_RIG_START)
+            self._start("plant_clock")
+        self._start("twin")
+        if plan.session is not None:
+            self._start("recorder")
+        self._start("rig")
+
+    def look(self) -> tuple[int, str] | None:
+        """Restart what may be; the exit code and its reason when it is over."""
+        for name, code in self.processes.ended.items():
+            if name == "rig" and code == 0:
+                return 0, "the profile has come to its end"
+            if name == "virtual_rig" and code == 0:
+                return 0, "the virtual rig has come to its end"
+            if code == 2:
+                return 2, f"{name} could not work with what it was given; its own words are above"
+            if name in ("rig", "virtual_rig") or self._restarts.get(name, 0) >= RESTARTS:
+                return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
+            self._restarts[name] = self._restarts.get(name, 0) + 1
+            self._live.console.print(f"[yellow]{name} ended with code {code}; starting it again[/]")
+            self._start(name)
+        return None
+
+    def stop(self) -> None:
+        """End all, heat off first."""
+        self._live.killed += self.processes.stop(STOP_ORDER)
+
+    def _start(self, name: str) -> None:
+        plan = self._plan
+        if name == "plant_clock":
+            address = f"address:={self._addresses['clock']}"
+            self.processes.start_module(name, "twinmatch.nodes.plant_clock", "--ros-args", "-p", address)
+        elif name == "twin":
+            self.processes.start_module(name, "twinmatch.nodes.twin", *plan.twin_arguments())
+        elif name == "recorder":
+            session = self._next_session()
+            self._live.sessions.append(session)
+            self.processes.start_module(name, "twinmatch.nodes.recorder", *plan.recorder_arguments(session))
+        elif name == "rig":
+            readers = READERS if plan.session is None else f"{READERS} recorder"
+            arguments = plan.rig_arguments(self._addresses)
+            wait = ["-p", f"controller:readers:={readers}", "-p", "controller:wait_timeout:=30.0"]
+            self.processes.start_module(name, "twinmatch.nodes.rig", *arguments, *wait)
+
+    def _next_session(self) -> Path:
+        first = self._plan.session or Path("session")
+        number = len(self._live.sessions)
+        return first if number == 0 else first.with_name(f"{first.name}_{number + 1}")
+
+    def _show(self, line: str) -> None:
+        if line.startswith("[virtual_rig] ") and not self._ready.is_set():
+            key, _, value = line.removeprefix("[virtual_rig] ").partition(": ")
+            if key == "ready":
+                self._ready.set()
+            elif value:
+                self._addresses[key] = value
+        self._live.console.print(line, markup=False, highlight=False)
+
+
+def _watch_class(live: Live, settings: TwinSettings) -> type[TwinmatchNode]:
+    """The node of this process, bound to one run."""
+
+    class Watch(TwinmatchNode):
+        """Starts the other processes, shows what happens, ends them in the safe order."""
+
+        NAME: ClassVar = "live_watch"
+        CLOSING: ClassVar = 90
+
+        def open(self) -> None:
+            """Subscribe, then start the processes."""
+            self._news, self._events = News(), _Events(live.console)
+            self._schedule = Schedule(settings.schedule, settings.period)
+            self._due: int | None = None
+            """Sample of the newest trigger; its verdict ends a run whose profile has ended."""
+            self._over: tuple[int, str] | None = None
+            self._over_at = 0.0
+            self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
+            self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
+            self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._events.take, 100)
+            self._supervision = _Supervision(live)
+            self._refuse_company()
+            self._supervision.start()
+            print_header(live.console)
+            self.create_timer(POLL, self._look)
+
+        def close(self) -> bool:
+            """End the other processes."""
+            self._supervision.stop()
+            return True
+
+        def _refuse_company(self) -> None:
+            """Two controllers on one topic would fight over the plate."""
+            time.sleep(DISCOVERY)
+            if self.count_publishers("plant/sample"):
+                msg = (
+                    f"live: somebody publishes {self.resolve_topic_name('plant/sample')} already; end that "
+                    "graph first, or set another ROS_DOMAIN_ID or namespace for this one"
+                )
+                raise LaunchError(msg)
+
+        def _on_sample(self, message: LoopSample) -> None:
+            sample = sample_from(message)
+            live.samples.append(sample)
+            trigger = self._schedule.push(sample)
+            if trigger is not None:
+                self._due = trigger.sample
+
+        def _on_match(self, message: Match) -> None:
+            live.matches.append(match_from(message))
+
+        def _on_score(self, message: ModelScore) -> None:
+            verdict = verdict_from(message)
+            live.verdicts.append(verdict)
+            if self._news.worth_telling(verdict):
+                print_line(live.console, verdict, settings.period)
+
+        def _look(self) -> None:
+            if self.exit_code is not None:
+                return
+            if self._over is None:
+                self._over = self._supervision.look()
+                self._over_at = time.monotonic()
+            if self._over is None:
+                return
+            code, reason = self._over
+            judged = self._due is None or any(v.sample >= self._due for v in live.verdicts[-3:])
+            if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE:
+                return
+            live.ending = reason
+            self.exit_code = code
+
+    return Watch
+
+
+def refuse_existing(session: Path | None) -> None:
+    """A session is never recorded over another.
+
+    Raises:
+        LaunchError: the folder is there already.
+    """
+    if session is not None and session.exists():
+        msg = f"{session} exists already; give another folder with --session"
+        raise LaunchError(msg)

@@ -1,0 +1,162 @@
+"""Child processes: started, watched, ended in order, never left behind.
+
+Each child gets a process group of its own, so that Ctrl-C reaches only the parent, which ends the
+children in the order it knows to be safe. Should the parent die without doing so (kill -9), the kernel
+sends each child SIGTERM.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import IO
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["Child", "LaunchError", "Processes"]
+
+PATIENCE = 12.0
+"""Seconds a child has to end when asked before it is killed."""
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
+
+
+class LaunchError(TwinmatchError):
+    """A process could not be started, or ended when it should not have."""
+
+
+class Child:
+    """One child process; its output appears line by line behind its name."""
+
+    def __init__(self, name: str, command: Sequence[str], show: Callable[[str], None]) -> None:
+        """Start it.
+
+        Raises:
+            LaunchError: the program cannot be started.
+        """
+        self.name = name
+        parent = os.getpid()
+
+        def follow_parent() -> None:
+            if _LIBC is not None:
+                _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+            if os.getppid() != parent:  # it died before the line above
+                os._exit(1)
+
+        try:
+            self.process = subprocess.Popen(
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                env=_environment(),
+                start_new_session=True,
+                preexec_fn=follow_parent,  # noqa: PLW1509 — one prctl, nothing that takes a lock
+            )
+        except OSError as error:
+            msg = f"{name}: {command[0]} cannot be started: {error.strerror}"
+            raise LaunchError(msg) from error
+        self._reader = threading.Thread(target=self._pass_on, args=(show,), daemon=True)
+        self._reader.start()
+
+    @property
+    def code(self) -> int | None:
+        """Exit code once it has ended; negative: the signal that ended it."""
+        return self.process.poll()
+
+    def ask(self, number: int) -> None:
+        """Send a signal, if it still runs."""
+        if self.code is None:
+            self.process.send_signal(number)
+
+    def wait(self, seconds: float) -> bool:
+        """Whether it has ended within the time; its last lines have been shown then."""
+        try:
+            self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        self._reader.join(1.0)
+        return True
+
+    def _pass_on(self, show: Callable[[str], None]) -> None:
+        stream: IO[str] | None = self.process.stdout
+        for line in stream or ():
+            show(f"[{self.name}] {line.rstrip()}")
+        if stream is not None:
+            stream.close()
+
+
+class Processes:
+    """The children of one launch script."""
+
+    def __init__(self, show: Callable[[str], None] = print) -> None:
+        """Begin with none; their output goes to `show`, line by line."""
+        self._show = show
+        self._children: dict[str, Child] = {}
+
+    def start(self, name: str, command: Sequence[str]) -> Child:
+        """Start a child under a name; raises as `Child`."""
+        child = Child(name, command, self._show)
+        self._children[name] = child
+        return child
+
+    def start_module(self, name: str, module: str, *arguments: str) -> Child:
+        """Start `python -m module arguments` with this interpreter."""
+        return self.start(name, [sys.executable, "-m", module, *arguments])
+
+    def __getitem__(self, name: str) -> Child:
+        """The child of that name."""
+        return self._children[name]
+
+    @property
+    def ended(self) -> Mapping[str, int]:
+        """Exit codes of the children that have ended."""
+        codes = {name: child.code for name, child in self._children.items()}
+        return {name: code for name, code in codes.items() if code is not None}
+
+    def stop(self, order: Sequence[str] = (), patience: float = PATIENCE) -> list[str]:
+        """End all children, those of `order` first, the others latest first.
+
+        Returns:
+            The names of those that had to be killed.
+        """
+        rest = [name for name in reversed(self._children) if name not in order]
+        killed = []
+        for name in [*(n for n in order if n in self._children), *rest]:
+            child = self._children[name]
+            child.ask(signal.SIGTERM)  # as good as SIGINT to our nodes, and quiet while they import
+            if child.wait(patience):
+                continue
+            child.ask(signal.SIGKILL)
+            child.wait(patience)
+            killed.append(name)
+        return killed
+
+    def wait_for_line(self, name: str, ready: threading.Event, seconds: float) -> None:
+        """Wait until `ready` is set by whoever reads a child's output.
+
+        Raises:
+            LaunchError: the child ended first, or the time is over.
+        """
+        deadline = time.monotonic() + seconds
+        while not ready.wait(0.05):
+            if self[name].code is not None:
+                msg = f"{name} ended with code {self[name].code} before it was ready; its own words are above"
+                raise LaunchError(msg)
+            if time.monotonic() > deadline:
+                msg = f"{name} was not ready after {seconds:g} s"
+                raise LaunchError(msg)
+
+
+def _environment() -> dict[str, str]:
+    """Ours, with Python's output unbuffered so that lines come when they are written."""
+    return {**os.environ, "PYTHONUNBUFFERED": "1"}

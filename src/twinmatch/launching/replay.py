@@ -1,0 +1,168 @@
+"""A recorded session through the ROS graph: player, twin simulator, matcher, discriminator."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+from rich.console import Console
+
+from twinmatch.discrimination import Verdict
+from twinmatch.launching.processes import LaunchError, Processes
+from twinmatch.nodes.conversions import match_from, verdict_from
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.nodes.twin_parameters import at_period, read_settings
+from twinmatch.sessions import Session, open_any, samples_of, write_session
+from twinmatch.twin import MatchReport, Schedule, TwinSettings
+from twinmatch.views import News, Summary, print_header, print_line, sentence, summarise
+from twinmatch_msgs.msg import Match, ModelScore
+
+__all__ = ["Replay", "play"]
+
+EXIT_INTERRUPTED = 130
+READERS = "twin_simulator matcher discriminator"
+"""Nodes that must have every sample."""
+POLL = 0.2
+"""Seconds between two looks at the children."""
+STALLED = 120.0
+"""Seconds without a verdict, after the last sample was played, that are an error."""
+
+
+@dataclass
+class Replay:
+    """What to play, and what comes of it."""
+
+    session: Path
+    rate: float = 50.0
+    """Recorded seconds per second; 0: as fast as it goes."""
+    candidates: Path | None = None
+    config: Path | None = None
+    console: Console = field(default_factory=Console)
+    verdicts: list[Verdict] = field(default_factory=list)
+    matches: list[MatchReport] = field(default_factory=list)
+    summary: Summary | None = None
+
+
+def play(replay: Replay) -> int:
+    """Run the graph until the last verdict or Ctrl-C; returns the exit code.
+
+    Raises:
+        TwinmatchError: the session or one of the files cannot be used.
+    """
+    session = open_any(replay.session)
+    settings = at_period(read_settings(replay.config), session.period, replay.config)
+    triggers = _triggers(session, settings)
+    with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
+        playable = _playable(session, Path(folder))
+        watch = _watch_class(replay, session, settings, playable, triggers)
+        code = run([watch], ["replay"])
+    if code == 0 and triggers and (not replay.verdicts or replay.verdicts[-1].sample < triggers[-1]):
+        replay.console.print(f"interrupted after {len(replay.verdicts)} of {len(triggers)} verdicts")
+        return EXIT_INTERRUPTED
+    if code == 0:
+        replay.summary = summarise(
+            session.samples, replay.matches, replay.verdicts, settings.gains, session.notes
+        )
+        for note in replay.summary.notes:
+            replay.console.print(f"Note: {note}")
+        replay.console.print(sentence(replay.summary))
+    return code
+
+
+def _playable(session: Session, folder: Path) -> Path:
+    """The session's own folder, or one made of a recording."""
+    if session.path.is_dir() or session.path.suffix == ".mcap":
+        return session.path
+    return write_session(folder / session.name, samples_of(session.window()))
+
+
+def _triggers(session: Session, settings: TwinSettings) -> list[int]:
+    """The samples that will set off a verdict."""
+    schedule = Schedule(settings.schedule, settings.period)
+    return [t.sample for t in map(schedule.push, session.samples) if t is not None]
+
+
+def _watch_class(
+    replay: Replay, session: Session, settings: TwinSettings, playable: Path, triggers: list[int]
+) -> type[TwinmatchNode]:
+    """The node of this process, bound to one replay."""
+
+    class Watch(TwinmatchNode):
+        """Starts the other processes, prints the verdicts, ends when the last one is there."""
+
+        NAME: ClassVar = "replay_watch"
+        CLOSING: ClassVar = 30
+
+        def open(self) -> None:
+            """Subscribe, then start the twin and the player."""
+            self._processes = Processes(replay.console.print)
+            self._news = News()
+            self._changed = time.monotonic()
+            self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
+            self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
+            self.create_timer(POLL, self._look)
+            replay.console.print(
+                f"{session.name}: {len(session.samples)} samples at {replay.rate:g} times their speed, "
+                f"{len(triggers)} verdicts to come"
+            )
+            print_header(replay.console)
+            options = ["--ros-args", "-p", f"period:={settings.period}"]
+            if replay.config is not None:
+                options += ["--params-file", str(replay.config)]
+            if replay.candidates is not None:
+                options += ["-p", f"discriminator:candidates:={replay.candidates}"]
+            self._processes.start_module("twin", "twinmatch.nodes.twin", *options)
+            self._playing = False
+
+        def _play(self) -> None:
+            """Start the player, once the twin's verdicts would be heard here."""
+            self._playing = True
+            self._processes.start_module(
+                "player",
+                "twinmatch.nodes.player",
+                *("--ros-args", "-p", f"session:={playable}", "-p", f"rate:={float(replay.rate)}"),
+                *("-p", f"readers:={READERS}", "-p", "wait_timeout:=60.0"),
+            )
+
+        def close(self) -> bool:
+            """End the other processes."""
+            killed = self._processes.stop(("player", "twin"))
+            for name in killed:
+                replay.console.print(f"{name} did not end by itself and was killed")
+            return True
+
+        def _on_score(self, message: ModelScore) -> None:
+            verdict = verdict_from(message)
+            replay.verdicts.append(verdict)
+            self._changed = time.monotonic()
+            if self._news.worth_telling(verdict):
+                print_line(replay.console, verdict, settings.period)
+            if verdict.sample >= triggers[-1]:
+                self.exit_code = 0
+
+        def _on_match(self, message: Match) -> None:
+            replay.matches.append(match_from(message))
+
+        def _look(self) -> None:
+            if self.exit_code is not None:
+                return
+            if not self._playing and self.count_publishers("twin/model_score"):
+                self._play()
+            ended = self._processes.ended
+            for name, code in ended.items():
+                if name == "twin" or code != 0:
+                    msg = f"replay: {name} ended with code {code}; its own words are above"
+                    raise LaunchError(msg)
+            if not triggers and "player" in ended:
+                self.exit_code = 0
+            elif "player" in ended and time.monotonic() - self._changed > STALLED:
+                came = f"{len(replay.verdicts)} of {len(triggers)}"
+                msg = f"replay: only {came} verdicts came; look at /diagnostics"
+                raise LaunchError(msg)
+
+    return Watch

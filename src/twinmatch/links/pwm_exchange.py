@@ -1,0 +1,104 @@
+"""One request and its reply over a serial port, with repetitions, and an error for each way to fail."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import time
+
+import serial
+
+from twinmatch.links.pwm_errors import (
+    PwmCorruptReplyError,
+    PwmLinkError,
+    PwmPortLostError,
+    PwmRejectedError,
+    PwmStaleReplyError,
+    PwmTimeoutError,
+)
+from twinmatch.links.pwm_messages import SEQUENCES, Reply, Verb
+from twinmatch.links.pwm_port import WIRE_ERRORS, LinkSettings, open_port
+from twinmatch.links.pwm_protocol import Conversation
+
+__all__ = ["Exchange"]
+
+
+class Exchange:
+    """An open port and the conversation on it.
+
+    Raises:
+        PwmPortMissingError, PwmPortBusyError: the port cannot be had.
+    """
+
+    def __init__(self, port: str, settings: LinkSettings) -> None:
+        self.port = port
+        self.settings = settings
+        self._wire: serial.Serial | None = open_port(port, settings.timeout)
+        # A number nobody can guess, so that replies meant for a session before are not taken for ours.
+        self._talk = Conversation(secrets.randbelow(SEQUENCES))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is still held."""
+        return self._wire is not None
+
+    def ask(self, verb: Verb, pwm: int = 0) -> Reply:
+        """Send a request and give its reply, repeating it under the same number where that may help.
+
+        Raises:
+            PwmPortLostError: the port is or was lost; it is closed now.
+            PwmTimeoutError, PwmCorruptReplyError, PwmStaleReplyError, PwmRejectedError: no sound reply came.
+        """
+        line = self._talk.ask(verb, pwm)
+        for attempt in range(self.settings.retries + 1):
+            if attempt:
+                line = self._talk.repeat()
+            reply = self._attempt(line)
+            if reply is not None:
+                return reply
+        raise self._unanswered(verb)
+
+    def close(self) -> None:
+        """Let go of the port, whatever state it is in."""
+        if self._wire is not None:
+            with contextlib.suppress(*WIRE_ERRORS):
+                self._wire.close()
+        self._wire = None
+
+    def _attempt(self, line: bytes) -> Reply | None:
+        """Send a line and wait for its reply; None when none came in time or it was damaged."""
+        if self._wire is None:
+            msg = f"PWM link: {self.port} was lost; reopen() it"
+            raise PwmPortLostError(msg)
+        try:
+            self._wire.write(line)
+            end = time.monotonic() + self.settings.timeout
+            while (left := end - time.monotonic()) > 0 and not self._talk.spoiled:
+                self._wire.timeout = left
+                reply = self._talk.hear(self._wire.read(max(1, self._wire.in_waiting)))
+                if reply is not None:
+                    return reply
+        except serial.SerialTimeoutException:
+            return None  # the board takes no bytes: as good as no answer
+        except WIRE_ERRORS as error:
+            self.close()
+            msg = f"PWM link: {self.port} was lost ({error}); check the cable, then reopen()"
+            raise PwmPortLostError(msg) from error
+        return None
+
+    def _unanswered(self, verb: Verb) -> PwmLinkError:
+        talk, tries = self._talk, self.settings.retries + 1
+        what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
+        if talk.refused_line is not None:
+            code = talk.refused_line.code
+            return PwmRejectedError(
+                f"{what}: our lines reach it damaged ({code.value}); check the cable", code
+            )
+        if talk.damaged:
+            return PwmCorruptReplyError(f"{what}: {talk.damaged} came damaged; check the cable")
+        if talk.stale:
+            return PwmStaleReplyError(
+                f"{what}: {talk.stale} came to earlier requests; is the machine overloaded?"
+            )
+        wait = f"{self.settings.timeout:g} s"
+        return PwmTimeoutError(f"{what} of {wait}; is this the right port, does the board run?")

@@ -1,0 +1,251 @@
+"""The PWM board behind a serial port.
+
+The board trips when it hears no new set-point for its deadline (`Banner.deadline_ms`, one second), so
+whoever holds a `PwmLink` sends the current set-point again a few times each second, changed or not. That is
+the point: a program that hangs or dies stops doing so, and the plate is let go.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import NoReturn
+
+from twinmatch.links.pwm_errors import (
+    PwmLatchedError,
+    PwmLinkError,
+    PwmPortLostError,
+    PwmRangeError,
+    PwmRejectedError,
+    PwmResetError,
+    PwmVersionError,
+)
+from twinmatch.links.pwm_exchange import Exchange
+from twinmatch.links.pwm_messages import (
+    PROTOCOL,
+    Banner,
+    Code,
+    Flags,
+    Refusal,
+    Reply,
+    Status,
+    Verb,
+)
+from twinmatch.links.pwm_port import LinkSettings
+from twinmatch.signals import PWM_LIMIT
+
+__all__ = ["AMPERES_PER_COUNT", "Applied", "PwmLink"]
+
+AMPERES_PER_COUNT = 5.0 / 1024 / 0.525
+"""The converter has 1024 counts in 5 V; the driver gives 0.525 V for each ampere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What the board does after a request."""
+
+    pwm: int
+    """Set-point on the pins, −255 to 255."""
+    current: float
+    """Magnitude of the driver's current, A, averaged over the PWM's on and off times."""
+    flags: Flags
+    device_time: float
+    """Seconds on the board's own clock; it counts from its start and wraps after 49.7 days."""
+
+
+class PwmLink:
+    """Commands the PWM board at `port`, one request at a time; may be shared by threads.
+
+    Used as a context manager it opens on entry and closes, with the output at zero, on exit. After opening
+    the board's output is off and latched: `clear()` it once, then `command()`.
+    """
+
+    def __init__(self, port: str, settings: LinkSettings | None = None) -> None:
+        self.port = port
+        self.settings = settings or LinkSettings()
+        self.restarts = 0
+        """Restarts of the board noticed so far."""
+        self._lock = threading.RLock()
+        self._exchange: Exchange | None = None
+        self.banner: Banner | None = None
+        """What the board said of itself when it was last greeted."""
+        self._known_restarts: int | None = None
+        self._cleared = False
+
+    def __enter__(self) -> PwmLink:
+        """Open the port."""
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Set zero and close the port."""
+        self.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is held."""
+        return self._exchange is not None and self._exchange.is_open
+
+    def open(self) -> Banner:
+        """Take the port for ourselves alone and greet the board; output goes to zero.
+
+        Raises:
+            PwmPortMissingError, PwmPortBusyError: the port cannot be had.
+            PwmVersionError: the board speaks another protocol; the port is closed again.
+            PwmLinkError: the board does not answer; the port is closed again.
+        """
+        with self._lock:
+            self._drop()
+            self._exchange = Exchange(self.port, self.settings)
+            self._cleared = False
+            try:
+                banner = self._greet()
+            except PwmLinkError:
+                self._drop()
+                raise
+            if self._known_restarts not in (None, banner.restarts):
+                self.restarts += 1
+            self.banner, self._known_restarts = banner, banner.restarts
+            return banner
+
+    def reopen(
+        self,
+        patience: float = 10.0,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> Banner:
+        """Open the port anew, trying again and again for `patience` seconds, with growing pauses.
+
+        Raises:
+            PwmVersionError: at once, since waiting does not mend it.
+            PwmLinkError: the last attempt's, when patience is over.
+        """
+        start, pause = clock(), self.settings.first_pause
+        while True:
+            try:
+                return self.open()
+            except PwmVersionError:
+                raise
+            except PwmLinkError:
+                if clock() - start + pause > patience:
+                    raise
+            sleep(pause)
+            pause = min(2 * pause, self.settings.longest_pause)
+
+    def command(self, pwm: float) -> Applied:
+        """Set the output to `pwm`, −255 to 255, rounded to a whole number; positive heats.
+
+        Raises:
+            PwmRangeError: not finite or out of range; nothing was sent.
+            PwmLatchedError: the board has tripped; clear() it when the cause is known.
+            PwmResetError: the board restarted since it was cleared.
+            PwmLinkError: any other failure of the link; see its tree.
+        """
+        if not (math.isfinite(pwm) and abs(pwm) <= PWM_LIMIT):
+            msg = f"PWM link: {pwm} is no set-point; give a number from -{PWM_LIMIT:g} to {PWM_LIMIT:g}"
+            raise PwmRangeError(msg)
+        with self._lock:
+            reply = self._ask(Verb.SET, round(pwm))
+            latched = isinstance(reply, Refusal) and reply.code is Code.LATCHED
+            status = self._status(Verb.QUERY) if latched else self._expect_status(reply)
+            if status.flags & Flags.TRIPPED:
+                self._tripped(status.flags)
+            return _applied(status)
+
+    def query(self) -> Applied:
+        """Ask what the board does; does not feed its deadline.
+
+        Raises:
+            PwmResetError: the board restarted since it was cleared.
+            PwmLinkError: any other failure of the link; see its tree.
+        """
+        with self._lock:
+            status = self._status(Verb.QUERY)
+            self._notice_reset(status.flags)
+            return _applied(status)
+
+    def clear(self) -> Applied:
+        """Let go of what tripped the board; its output is zero until the next command.
+
+        Raises:
+            PwmLinkError: the link failed; see its tree.
+        """
+        with self._lock:
+            status = self._status(Verb.CLEAR)
+            self._cleared = True
+            return _applied(status)
+
+    def close(self) -> None:
+        """Set the output to zero, if the board still listens, and let go of the port. Never fails."""
+        with self._lock:
+            if self.is_open:
+                with contextlib.suppress(PwmLinkError):
+                    self._ask(Verb.SET, 0)
+            self._drop()
+
+    def _greet(self) -> Banner:
+        reply = self._ask(Verb.HELLO)
+        if isinstance(reply, Refusal):
+            raise self._refused(reply)
+        if not isinstance(reply, Banner) or reply.protocol != PROTOCOL:
+            msg = (
+                f"PWM link: the board at {self.port} answers {reply} and so speaks another protocol than "
+                f"{PROTOCOL}; load the firmware of this version"
+            )
+            raise PwmVersionError(msg)
+        return reply
+
+    def _status(self, verb: Verb) -> Status:
+        return self._expect_status(self._ask(verb))
+
+    def _expect_status(self, reply: Reply) -> Status:
+        if not isinstance(reply, Status):
+            raise self._refused(reply)
+        return reply
+
+    def _ask(self, verb: Verb, pwm: int = 0) -> Reply:
+        if self._exchange is None:
+            msg = f"PWM link: {self.port} is not open; open() or reopen() it"
+            raise PwmPortLostError(msg)
+        return self._exchange.ask(verb, pwm)
+
+    def _refused(self, reply: Reply) -> PwmRejectedError:
+        code = reply.code if isinstance(reply, Refusal) else Code.UNKNOWN
+        what = f"PWM link: the board at {self.port} refused with {code.value}"
+        return PwmRejectedError(f"{what}; do host and firmware match?", code)
+
+    def _tripped(self, flags: Flags) -> NoReturn:
+        self._notice_reset(flags)
+        causes = {
+            Flags.DEADLINE: "it heard no new set-point in time",
+            Flags.DRIVER: "the motor driver reported a fault (short circuit, heat, supply)",
+            Flags.RESET: "it has just started",
+        }
+        cause = " and ".join(text for flag, text in causes.items() if flags & flag)
+        msg = f"PWM link: the board at {self.port} is off because {cause}; clear() it when that is understood"
+        raise PwmLatchedError(msg, Code.LATCHED, flags)
+
+    def _notice_reset(self, flags: Flags) -> None:
+        if flags & Flags.RESET and self._cleared:
+            self._cleared = False
+            self._known_restarts = None  # this restart is counted
+            self.restarts += 1
+            msg = f"PWM link: the board at {self.port} restarted and is off; find out why, then clear() it"
+            raise PwmResetError(msg)
+
+    def _drop(self) -> None:
+        if self._exchange is not None:
+            self._exchange.close()
+        self._exchange = None
+
+
+def _applied(status: Status) -> Applied:
+    return Applied(status.applied, status.adc * AMPERES_PER_COUNT, status.flags, status.time_ms / 1000)

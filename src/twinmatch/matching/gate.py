@@ -1,0 +1,195 @@
+"""Whether a fit may be used: the gate between a window and the family of candidates.
+
+The questions are asked in this order, and the first that is answered badly names the status:
+
+1. Do the signals alone show a fault? Needs neither excitation nor a fit, and is the news that matters most.
+2. Did the set-point move, and early enough? Without that no fit is made.
+3. Can the best fit explain the window at all? If not, its parameters mean nothing, whatever the rest says.
+4. Did the fit converge? If not, bounds and covariance are those of a point on the way.
+5. Did a parameter end on its bound? Then the covariance, which knows no bounds, does not describe it.
+   A conductance of 0 is told apart in the reason, and may be let through by `Limits.may_be_zero`: it is
+   where physics ends and not a limit of ours, but it mostly says that the window does not show it.
+6. Are the parameters determined by this window?
+7. Do they predict what was held back no worse than the incumbent?
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from twinmatch.matching.bounds import SCALES, SINK_START, MatchingError
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "worst_stretch"]
+
+_WITHOUT_ZERO = frozenset({"ambient", SINK_START})
+"""Parameters whose zero means nothing: their error is compared with a typical difference instead."""
+
+
+class Status(Enum):
+    """What became of a match."""
+
+    ACCEPTED = "accepted"
+    PLANT_FAULT_SUSPECTED = "plant_fault_suspected"
+    NO_EXCITATION = "no_excitation"
+    DID_NOT_CONVERGE = "did_not_converge"
+    BOUNDS_HIT = "bounds_hit"
+    NOT_IDENTIFIABLE = "not_identifiable"
+    NOT_BETTER = "not_better"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where the gate closes.
+
+    The limits on the residuals come from hours of one rig: two-regime windows of a healthy plant leave
+    0.5 to 8, at the cold start of a session 12; their worst half minute leaves up to 45 and 60. A
+    window with a lost drive leaves 130 and more, its worst half minute 1000.
+
+    Raises:
+        MatchingError: a limit has no meaning.
+    """
+
+    chi2: float = 40.0
+    """Mean squared weighed residual above which the best fit does not explain the window."""
+    stretch_chi2: float = 200.0
+    """The same for its worst stretch: a fault that comes late in a window is diluted in the mean."""
+    stretch: int = 30
+    """Length of that stretch, samples."""
+    fit_y: float = 0.8
+    """Least NRMSE of the temperature."""
+    relative_error: float = 0.5
+    """Largest standard error of a free parameter in units of its value."""
+    condition: float = 1000.0
+    """Largest condition number of the scaled Jacobian."""
+    slack: float = 1.1
+    """Factor by which chance may make the held-back part worse than the incumbent leaves it."""
+    held_back: float = 0.3
+    """Part of the window that the test fit does not see."""
+    may_be_zero: tuple[str, ...] = ()
+    """Parameters for which a lower bound of 0 counts as an answer and not as a bound hit. On the rig
+    conductance ends there in two of five three-parameter windows that the fit otherwise explains."""
+    least_samples: int = 20
+    """Samples wanted between the first excitation and the held-back part, and in that part."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "chi2",
+            "stretch_chi2",
+            "stretch",
+            "relative_error",
+            "condition",
+            "slack",
+            "least_samples",
+        ):
+            if not getattr(self, name) > 0:
+                msg = f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
+                raise MatchingError(msg)
+        if not 0 < self.held_back < 1:
+            msg = f"gate: held_back is {self.held_back}; it is a part of the window between 0 and 1"
+            raise MatchingError(msg)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the gate looks at once a fit was made."""
+
+    free: tuple[str, ...]
+    values: FloatArray
+    standard_errors: FloatArray
+    condition: float
+    bounds_hit: tuple[str, ...]
+    converged: bool
+    chi2: float
+    stretch_chi2: float
+    fit_y: float
+    held_back_chi2: float
+    """Mean squared weighed residual of the test fit on the held-back part."""
+    incumbent_chi2: float
+    """The same of the incumbent, or of the start values if there is none."""
+
+
+def first_excited(window: Window, min_step: float) -> int | None:
+    """Position of the first sample by which the set-point has moved by `min_step` °C, or None."""
+    reference = window.reference[1:]
+    if not reference.size:
+        return None
+    span = np.maximum.accumulate(reference) - np.minimum.accumulate(reference)
+    moved = np.flatnonzero(span >= min_step)
+    return int(moved[0]) + 1 if moved.size else None
+
+
+def worst_stretch(residuals: FloatArray, length: int) -> float:
+    """Largest mean square of weighed residuals, shape (2, M), over `length` neighbouring samples."""
+    each = np.mean(np.square(residuals), axis=0)
+    length = min(length, each.size)
+    sums = np.concatenate([[0.0], np.cumsum(each)])
+    return float(np.max(sums[length:] - sums[:-length]) / length)
+
+
+def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
+    """The status of a fit and one sentence why."""
+    fault = _unexplained(evidence, limits)
+    if fault:
+        return Status.PLANT_FAULT_SUSPECTED, fault
+    if not evidence.converged:
+        return Status.DID_NOT_CONVERGE, "least squares was still moving when its evaluations ran out"
+    named = dict(zip(evidence.free, evidence.values.tolist(), strict=True))
+    zeros = {name for name in evidence.bounds_hit if name in limits.may_be_zero and named[name] == 0.0}
+    if set(evidence.bounds_hit) - zeros:
+        return Status.BOUNDS_HIT, _bounds_sentence(evidence)
+    loose = _undetermined(evidence, limits, zeros)
+    if loose:
+        return Status.NOT_IDENTIFIABLE, loose
+    if not evidence.held_back_chi2 <= limits.slack * evidence.incumbent_chi2:
+        return Status.NOT_BETTER, (
+            f"on the held-back samples the fit leaves {evidence.held_back_chi2:.3g} times the noise "
+            f"variance, the parameters that stand only {evidence.incumbent_chi2:.3g}"
+        )
+    return Status.ACCEPTED, (
+        f"explains the window down to {evidence.chi2:.3g} times the noise variance and predicts what was "
+        f"held back ({evidence.held_back_chi2:.3g}, the parameters before: {evidence.incumbent_chi2:.3g})"
+    )
+
+
+def _unexplained(evidence: Evidence, limits: Limits) -> str | None:
+    # Written so that residuals that are not numbers count as unexplained.
+    if not evidence.chi2 <= limits.chi2:
+        return (
+            f"even the best fit leaves {evidence.chi2:.3g} times the noise variance, more than "
+            f"{limits.chi2:g}: the plant did something the model cannot"
+        )
+    if not evidence.stretch_chi2 <= limits.stretch_chi2:
+        return (
+            f"the worst {limits.stretch} samples leave {evidence.stretch_chi2:.3g} times the noise variance, "
+            f"more than {limits.stretch_chi2:g}: the plant did something there the model cannot"
+        )
+    if not evidence.fit_y >= limits.fit_y:
+        return f"the best fit of the temperature is {evidence.fit_y:.2f} NRMSE, less than {limits.fit_y:g}"
+    return None
+
+
+def _bounds_sentence(evidence: Evidence) -> str:
+    named = dict(zip(evidence.free, evidence.values.tolist(), strict=True))
+    ends = ", ".join(f"{name} ended on its bound at {named[name]:.3g}" for name in evidence.bounds_hit)
+    if evidence.bounds_hit == ("conductance",) and named["conductance"] < SCALES["conductance"]:
+        return f"{ends}: this window does not tell conduction from the Seebeck effect"
+    return ends
+
+
+def _undetermined(evidence: Evidence, limits: Limits, zeros: set[str]) -> str | None:
+    if not evidence.condition <= limits.condition:
+        return (
+            f"the condition number {evidence.condition:.3g} is above {limits.condition:g}: "
+            "some combination of the free parameters hardly shows in this window"
+        )
+    errors = evidence.standard_errors.tolist()
+    for name, value, error in zip(evidence.free, evidence.values.tolist(), errors, strict=True):
+        size = SCALES[name] if name in _WITHOUT_ZERO else abs(value)
+        if name not in zeros and not (math.isfinite(error) and error <= limits.relative_error * size):
+            return f"{name} is {value:.3g} ± {error:.1g}: this window does not determine it"
+    return None

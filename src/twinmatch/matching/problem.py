@@ -1,0 +1,180 @@
+"""The least squares problem that a window poses: what may vary, and how far the twin is off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twinmatch.matching.bounds import BOUNDS, SCALES, SINK_START, Bounds, MatchingError
+from twinmatch.plant import (
+    Driver,
+    PidGains,
+    PidState,
+    Response,
+    RigParameters,
+    controller_state,
+    noise_sensitivity,
+    simulate_closed_loop,
+)
+from twinmatch.signals import KELVIN, FloatArray, Window
+
+__all__ = ["Noise", "Problem"]
+
+
+_STEP = 1e-5
+"""Finite difference in units of the scale: truncation near 1e-10, rounding near 1e-8 of a residual."""
+_NOISE_STEP = 1e-3
+"""Finite difference of the start, °C."""
+_SKIPPED = 2
+"""A twin starts at the third sample, where the controller's memory is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations by which residuals are weighed; the defaults are the healthy rig's.
+
+    Raises:
+        MatchingError: one is not finite and positive.
+    """
+
+    temperature: float = 0.1
+    """Of the temperature, °C."""
+    pwm: float = 7.0
+    """Of the PWM command."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("temperature", self.temperature), ("pwm", self.pwm)):
+            if not (math.isfinite(value) and value > 0):
+                msg = f"noise: {name} is {value}; it must be finite and positive"
+                raise MatchingError(msg)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The closed-loop twin on one window as a function of the free parameters.
+
+    The twin gets the window's reference from the third sample on. It starts with the plate as it was
+    measured there and with the controller as the first two samples leave it.
+    """
+
+    window: Window
+    free: tuple[str, ...]
+    """Names that vary, in the order of every array of values; `SINK_START` among them or not."""
+    base: RigParameters
+    """Values of all that does not vary."""
+    noise: Noise
+    gains: PidGains
+    driver: Driver
+    bounds: Bounds = field(default_factory=lambda: BOUNDS)
+    controller: PidState = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controller", controller_state(self.window, self.gains))
+
+    @property
+    def temperature(self) -> FloatArray:
+        """Measured temperature against which the twin is held, °C, shape (N − 2,)."""
+        return self.window.temperature[_SKIPPED:]
+
+    @property
+    def pwm(self) -> FloatArray:
+        """Measured command against which the twin is held, shape (N − 2,)."""
+        return self.window.pwm[_SKIPPED:]
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower bounds of the free parameters."""
+        return np.array([self.bounds[name][0] for name in self.free])
+
+    @property
+    def upper(self) -> FloatArray:
+        """Upper bounds of the free parameters."""
+        return np.array([self.bounds[name][1] for name in self.free])
+
+    @property
+    def scales(self) -> FloatArray:
+        """Typical sizes of the free parameters."""
+        return np.array([SCALES[name] for name in self.free])
+
+    def values_of(self, parameters: RigParameters, sink_start: float | None = None) -> FloatArray:
+        """The free parameters of a rig as an array, moved inside the bounds."""
+        start = parameters.ambient if sink_start is None else sink_start
+        values = [start if name == SINK_START else getattr(parameters, name) for name in self.free]
+        return np.clip(np.array(values, dtype=np.float64), self.lower, self.upper)
+
+    def parameters_at(self, values: FloatArray) -> RigParameters:
+        """The rig with these values of the free parameters."""
+        named = dict(zip(self.free, values.tolist(), strict=True))
+        named.pop(SINK_START, None)
+        return self.base.replace(**named)
+
+    def sink_start_at(self, values: FloatArray) -> float | None:
+        """The sink's first temperature among the values, K; None when it starts at ambient."""
+        return float(values[self.free.index(SINK_START)]) if SINK_START in self.free else None
+
+    def simulate(
+        self, parameters: RigParameters, sink_start: float | None = None, plate: float | None = None
+    ) -> Response:
+        """The twin's answer to the window's reference, from the third sample on.
+
+        Its sink starts at `sink_start` (K) or else at ambient, its plate at `plate` (K) or else where
+        the third sample measured it.
+        """
+        return simulate_closed_loop(
+            parameters,
+            self.window.reference[_SKIPPED:],
+            plate=float(self.window.temperature[_SKIPPED]) + KELVIN if plate is None else plate,
+            sink=sink_start,
+            controller=self.controller,
+            gains=self.gains,
+            driver=self.driver,
+        )
+
+    def weigh(self, response: Response) -> FloatArray:
+        """Measured minus simulated in units of the noise, shape (2, N − 2): temperature, PWM."""
+        return np.stack(
+            [
+                (self.temperature - response.temperature) / self.noise.temperature,
+                (self.pwm - response.pwm) / self.noise.pwm,
+            ]
+        )
+
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """Weighed residuals of both outputs in a row, shape (2(N − 2),)."""
+        return self.weigh(self.simulate(self.parameters_at(values), self.sink_start_at(values))).ravel()
+
+    def jacobian(self, values: FloatArray) -> FloatArray:
+        """Derivatives of the residuals, shape (2(N − 2), n); central, one-sided at a bound."""
+        columns = []
+        for i, scale in enumerate(self.scales):
+            above, below = values.copy(), values.copy()
+            above[i] = min(values[i] + _STEP * scale, self.upper[i])
+            below[i] = max(values[i] - _STEP * scale, self.lower[i])
+            change = self.residuals(above) - self.residuals(below)
+            columns.append(change / (above[i] - below[i]))
+        return np.stack(columns, axis=1)
+
+    def noise_left(self, values: FloatArray) -> FloatArray:
+        """Residuals that the nominal noise of each sample alone would leave, shape (N − 2, 2(N − 2)).
+
+        Noise of the first reading also misplaces the start of the twin, which knows no better.
+        """
+        parameters, sink = self.parameters_at(values), self.sink_start_at(values)
+        start = float(self.window.temperature[_SKIPPED]) + KELVIN
+        loop = noise_sensitivity(
+            parameters,
+            self.window.reference[_SKIPPED:],
+            plate=start,
+            sink=sink,
+            controller=self.controller,
+            gains=self.gains,
+            driver=self.driver,
+        )
+        misplaced = self.simulate(parameters, sink, start + _NOISE_STEP)
+        quiet = self.simulate(parameters, sink)
+        loop[0, 0] -= (misplaced.temperature - quiet.temperature) / _NOISE_STEP
+        loop[0, 1] -= (misplaced.pwm - quiet.pwm) / _NOISE_STEP
+        weights = np.array([1.0, self.noise.temperature / self.noise.pwm])
+        return np.reshape(loop * weights[:, None], (loop.shape[0], -1))

@@ -1,0 +1,230 @@
+"""Brings the thermal stream into the ROS graph: images, and the temperature of the plate."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image, Temperature
+from std_msgs.msg import Float64
+
+from twinmatch.links.thermal_client import ThermalClient
+from twinmatch.links.thermal_frame import DEFAULT_PORT, ThermalFrame
+from twinmatch.links.thermal_region import Region, RegionError, region
+from twinmatch.links.thermal_status import ClientSettings, LinkState, Received
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.past import RosPast
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.thermal_images import celsius_image, raw_image, time_message
+from twinmatch.signals import KELVIN
+
+__all__ = ["CameraBridge", "main"]
+
+PATIENCE = 0.2
+"""Seconds the thread waits for a frame before it looks whether it is to end."""
+
+SAME_CLOCK = 60_000_000_000
+"""Stamps of a simulated camera that are as near to simulated time as this are of that clock, ns."""
+
+
+class CameraBridge(TwinmatchNode):
+    """Publishes the newest frame of a camera server, and what it says of the plate.
+
+    A temperature comes only with a new image: while the shutter is closed, or the camera repeats itself,
+    there is none, so that age tells the truth. Closed, `thermal/image` is all NaN.
+    """
+
+    NAME = "camera_bridge"
+    PARAMETERS: ClassVar = (
+        Parameter("host", "127.0.0.1", "Computer on which the camera server runs."),
+        Parameter("port", DEFAULT_PORT, "Its TCP port.", "", 1, 65535),
+        Parameter(
+            "stall_timeout", 2.0, "A connection without a frame for so long is given up.", "s", 0.1, 60.0
+        ),
+        Parameter("stale_after", 3.0, "An error is reported when the newest image is older.", "s", 0.1, 60.0),
+        Parameter("roi.x", 34, "Region whose mean is the temperature: first column.", "pixels", 0, 1023),
+        Parameter("roi.y", 24, "First row, 0 at the top.", "pixels", 0, 1023),
+        Parameter("roi.width", 12, "Columns.", "pixels", 1, 1024),
+        Parameter("roi.height", 12, "Rows.", "pixels", 1, 1024),
+        Parameter(
+            "plate.x", 22, "Region of the whole plate, for its uniformity: first column.", "pixels", 0, 1023
+        ),
+        Parameter("plate.y", 14, "First row.", "pixels", 0, 1023),
+        Parameter("plate.width", 36, "Columns.", "pixels", 1, 1024),
+        Parameter("plate.height", 32, "Rows.", "pixels", 1, 1024),
+        Parameter(
+            "temperature_rate", 0.0, "Most temperatures per second; 0: every new image.", "Hz", 0.0, 1000.0
+        ),
+        Parameter("image_rate", 10.0, "Most images per second by the wall clock; 0: all.", "Hz", 0.0, 1000.0),
+        Parameter("frame_id", "thermal_camera", "Frame of the images."),
+        Parameter("plate_frame_id", "plate", "Frame of the temperature."),
+    )
+
+    def read_parameters(self) -> None:
+        """Make of them regions and settings of the link."""
+        values = self.values
+        self._roi, self._plate = _region_from(values, "roi"), _region_from(values, "plate")
+        self._temperature_gap = 1e9 / values["temperature_rate"] if values["temperature_rate"] else 0.0
+        self._image_gap = 1e9 / values["image_rate"] if values["image_rate"] else 0.0
+        settings = ClientSettings(stall_timeout=values["stall_timeout"])
+        self._camera = ThermalClient(values["host"], values["port"], settings)
+        self._past = RosPast()
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._failure: Exception | None = None
+        self._measured_at: int | None = None  # stamp of the last temperature, ns
+        self._pictured_at: int | None = None  # when the last images were published, monotonic ns
+        self._counted = (0, time.monotonic())  # frames at the last report, and when that was
+
+    def open(self) -> None:
+        """Connect, and go on trying."""
+        self._raw = self.create_publisher(Image, "thermal/image_raw", qos_profile_sensor_data)
+        self._degrees = self.create_publisher(Image, "thermal/image", qos_profile_sensor_data)
+        self._temperature = self.create_publisher(Temperature, "plant/temperature", qos_profile_sensor_data)
+        self._uniformity = self.create_publisher(Float64, "plant/uniformity", qos_profile_sensor_data)
+        self.health.say("streaming")
+        self.report_on()
+        self._camera.start()
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+
+    @property
+    def failure(self) -> Exception | None:
+        """The defect that ended the thread."""
+        return self._failure
+
+    def close(self) -> bool:
+        """End the connection and the thread."""
+        self._ending.set()
+        self._camera.close(2.0)
+        if self._thread is None:
+            return True
+        self._thread.join(2.0)
+        return not self._thread.is_alive()
+
+    def report(self) -> Report:
+        """State of the link, pace and age of the images, state of the camera."""
+        health, status = self.health, self._camera.status
+        frames, now = status.frames, time.monotonic()
+        health.set("link", status.state.value)
+        health.set("frame rate", f"{(frames - self._counted[0]) / (now - self._counted[1]):.1f} Hz")
+        self._counted = (frames, now)
+        health.set("frames", frames)
+        health.set("repeated or frozen frames", status.frozen)
+        health.set("missed frames", status.missed)
+        health.set("reconnects", max(0, status.connections - 1))
+        health.set("restarts of the server", status.restarts)
+        for name, count in status.errors.items():
+            health.set(name, count)
+        bad = sum(n for name, n in status.errors.items() if name.startswith("Frame"))
+        health.set("bad frames", bad)
+        if status.state is LinkState.STREAMING and frames:
+            health.withdraw("link")
+        else:
+            message = str(status.last_error or "thermal camera: connecting")
+            health.complain("link", Level.ERROR, message)
+        self._report_age()
+        return super().report()
+
+    def _report_age(self) -> None:
+        health, newest, news = self.health, self._camera.newest(), self._camera.news()
+        if newest is not None:
+            frame = newest.frame
+            health.set(
+                "flat-field correction", "unknown" if frame.flat_field is None else frame.flat_field.name
+            )
+            if frame.sensor_temperature is not None:
+                health.set("sensor temperature", f"{frame.sensor_temperature / 100 - KELVIN:.1f} °C")
+        if news is None:
+            return
+        age = (time.monotonic_ns() - news.received) / 1e9
+        health.set("age of the newest image", f"{age:.2f} s")
+        if age > self.values["stale_after"]:
+            health.complain("age", Level.ERROR, f"no new image for {age:.0f} s; is the shutter stuck?")
+        else:
+            health.withdraw("age")
+
+    def _run(self) -> None:
+        number = 0
+        try:
+            while not self._ending.is_set():
+                received = self._camera.wait(number, PATIENCE)
+                if received is not None:
+                    number = received.number
+                    self._take(received)
+        except Exception as error:  # handed to the main thread, which ends the process with it
+            self._failure = error
+
+    def _take(self, received: Received) -> None:
+        frame = received.frame
+        if not (received.news or frame.frozen):
+            return  # the camera is asked more often than it has something new
+        stamp = self._stamp(received)
+        try:
+            self._publish_images(frame, stamp)
+            if received.news:
+                self._publish_temperature(frame, stamp)
+        except RegionError as error:
+            self.health.count("unusable frames")
+            self.health.complain("frame", Level.ERROR, str(error))
+        else:
+            self.health.withdraw("frame")
+
+    def _stamp(self, received: Received) -> int:
+        """When the image was taken, on the ROS clock, ns."""
+        clock = self.get_clock()
+        ros, wall = clock.now().nanoseconds, time.monotonic_ns()
+        if clock.ros_time_is_active and abs(ros - received.frame.stamp) < SAME_CLOCK:
+            return received.frame.stamp  # a simulated camera, which stamps in the time of its simulation
+        return self._past.at(received.taken, wall=wall, ros=ros, simulated=clock.ros_time_is_active)
+
+    def _publish_temperature(self, frame: ThermalFrame, stamp: int) -> None:
+        last = self._measured_at
+        if last is not None and 0 <= stamp - last < self._temperature_gap:
+            return
+        self._measured_at = stamp
+        found, plate = region(frame, self._roi), region(frame, self._plate)
+        message = Temperature(temperature=found.mean, variance=found.variance)
+        _fill(self.values["plate_frame_id"], stamp)(message.header)
+        self._temperature.publish(message)
+        self._uniformity.publish(Float64(data=plate.spread))
+        self.health.set("temperature", f"{found.mean:.2f} °C")
+        self.health.set("spread over the plate", f"{plate.spread:.2f} °C")
+
+    def _publish_images(self, frame: ThermalFrame, stamp: int) -> None:
+        now = time.monotonic_ns()
+        if self._pictured_at is not None and now - self._pictured_at < self._image_gap:
+            return
+        self._pictured_at = now
+        header = _fill(self.values["frame_id"], stamp)
+        degrees = celsius_image(frame, header)  # first, as it refuses counts that are no temperatures
+        self._raw.publish(raw_image(frame, header))
+        self._degrees.publish(degrees)
+
+
+def _region_from(values: dict[str, Any], name: str) -> Region:
+    column, row = values[f"{name}.x"], values[f"{name}.y"]
+    return Region(row=row, column=column, rows=values[f"{name}.height"], columns=values[f"{name}.width"])
+
+
+def _fill(frame_id: str, stamp: int) -> Callable[[Any], None]:
+    def fill(header: Any) -> None:
+        header.frame_id = frame_id
+        header.stamp = time_message(stamp)
+
+    return fill
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([CameraBridge]))
+
+
+if __name__ == "__main__":
+    main()

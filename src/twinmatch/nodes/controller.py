@@ -1,0 +1,197 @@
+"""Holds the plate: temperatures and the set-point in, commands and samples out, one per tick."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import ClassVar
+
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Float64
+
+from twinmatch.control import Loop, Profile
+from twinmatch.nodes.controller_parameters import CONTROLLER_PARAMETERS, profile_from
+from twinmatch.nodes.conversions import sample_message
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.node import TwinmatchNode, missing_readers
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.samples import LATCHED, RELIABLE
+from twinmatch.plant import Pid, PidGains
+from twinmatch_msgs.msg import LoopSample, PwmCommand
+
+__all__ = ["ControllerNode", "main"]
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For readings of which only the newest counts."""
+
+REMEMBER = 60
+"""Ticks for which a missed one is complained of."""
+
+
+class ControllerNode(TwinmatchNode):
+    """Runs the loop on the ROS clock.
+
+    Between ticks the standing command is repeated, because the bridge takes silence for a fault; while
+    there is no usable temperature it is zero, and there are no samples. The last word of the node, however
+    it ends, is one command of zero.
+    """
+
+    NAME = "controller"
+    PARAMETERS: ClassVar = CONTROLLER_PARAMETERS
+
+    def read_parameters(self) -> None:
+        """Make profile and loop.
+
+        Raises:
+            TwinmatchError: the profile cannot be run, or the gains no controller has.
+        """
+        values = self.values
+        self._profile: Profile | None = profile_from(values)
+        gains = {n.removeprefix("pid."): v for n, v in values.items() if n.startswith("pid.")}
+        self._gains = PidGains(period=values["period"], **gains)
+        self._loop = Loop(self._gains, max_age=values["max_age"])
+        self._asked: float | None = None
+        """Set-point published last, or heard last."""
+        self._waiting_until: float | None = time.monotonic() + values["wait_timeout"]
+        self._missed_at = (0, 0)  # count and index
+        self._commands = None
+
+    def open(self) -> None:
+        """Take temperatures and begin to tick."""
+        # Loading the compiled step takes a quarter of a second, which the first tick does not have.
+        Pid(self._gains).step(0.0, 0.0)
+        self._commands = self.create_publisher(PwmCommand, "plant/pwm_command", 10)
+        self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
+        self.create_subscription(Temperature, "plant/temperature", self._on_temperature, NEWEST)
+        if self._profile is None:
+            # A latched reader hears what was asked before it came, but nothing of who does not latch.
+            quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+            for qos in (LATCHED, RELIABLE):
+                self.create_subscription(
+                    Float64, "plant/reference", self._on_reference, qos, event_callbacks=quiet
+                )
+        else:
+            self._references = self.create_publisher(Float64, "plant/reference", LATCHED)
+        self.create_timer(self._gains.period, self._on_tick)
+        self.create_timer(self.values["command_period"], self._on_repeat)
+        self.health.say("waiting")
+        self.report_on()
+
+    def report(self) -> Report:
+        """Ticks, lateness, and why there are no samples."""
+        loop = self._loop
+        self.health.set("output", loop.pwm)
+        self.health.set("set-point", "none" if self._asked is None else f"{self._asked:g}")
+        self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
+        self.health.set("missed ticks", loop.missed)
+        self.health.set("ticks without sample", loop.idle)
+        self.health.set("temperatures that are no numbers", loop.refused)
+        return super().report()
+
+    def close(self) -> bool:
+        """Command zero and nothing more."""
+        if self._commands is not None:
+            self._command(0.0)
+            self._commands.wait_for_all_acked(Duration(seconds=0.2))
+            self._commands = None
+        return True
+
+    def _on_temperature(self, message: Temperature) -> None:
+        now = self._now()
+        stamp = Time.from_msg(message.header.stamp).nanoseconds
+        # A reading stamped in the time to come would never grow old; one without stamp is new.
+        self._loop.measure(message.temperature, min(stamp, now) if stamp else now)
+
+    def _on_reference(self, message: Float64) -> None:
+        low, high = self.values["profile.lowest"], self.values["profile.highest"]
+        if not low <= message.data <= high:
+            text = f"set-point {message.data:g} °C refused; the safe range is {low:g} to {high:g} °C"
+            self.health.complain("set-point", Level.ERROR, text)
+            return
+        self.health.withdraw("set-point")
+        self._asked = message.data
+
+    def _on_tick(self) -> None:
+        if not self._readers_there():
+            return
+        sample = self._loop.tick(self._now(), self._reference)
+        if self.exit_code is not None:
+            return
+        if sample is not None:
+            self._command(sample.pwm)
+            self._samples.publish(sample_message(sample))
+            self.health.set("sample", sample.index)
+            self.health.say("ticking")
+            self.health.withdraw("idle")
+        elif not self._loop.running:
+            self._command(0.0)
+            # Before sample 0 this is how every run begins.
+            level = Level.ERROR if self._loop.idle else Level.WARN
+            self.health.complain("idle", level, f"the output is off: {self._loop.trouble}")
+        self._watch_missed()
+
+    def _on_repeat(self) -> None:
+        if self._waiting_until is None and self.exit_code is None:
+            self._command(self._loop.pwm)
+
+    def _reference(self, at: float) -> float | None:
+        """The set-point at a time since sample 0; publishes it when it is another."""
+        if self._profile is None:
+            return self._asked
+        if self.values["exit_at_end"] and self._profile.ended(at):
+            self.get_logger().info("the profile has come to its end")
+            self.exit_code = 0
+            return None
+        asked = self._profile.reference(at)
+        if asked != self._asked:
+            self._asked = asked
+            self._references.publish(Float64(data=asked))
+        return asked
+
+    def _command(self, pwm: float) -> None:
+        if self._commands is not None:
+            message = PwmCommand(index=round(self._loop.time / self._gains.period), pwm=pwm)
+            message.header.stamp = self.get_clock().now().to_msg()
+            self._commands.publish(message)
+
+    def _readers_there(self) -> bool:
+        """Whether those who must not miss a sample listen, or were waited for long enough."""
+        if self._waiting_until is None:
+            return True
+        wanted, found = self.values["wait_for"], self._samples.get_subscription_count()
+        missing = missing_readers(self, self._samples.topic_name, self.values["readers"])
+        if (found < wanted or missing) and time.monotonic() < self._waiting_until:
+            return False
+        if found < wanted or missing:
+            text = f"only {found} of {wanted} readers of {self._samples.topic_name} came"
+            if missing:
+                text = f"{', '.join(missing)} did not come to read {self._samples.topic_name}"
+            self.get_logger().warning(text)
+            self.health.complain("readers", Level.WARN, text)
+        self._waiting_until = None
+        return True
+
+    def _watch_missed(self) -> None:
+        missed, number = self._loop.missed, round(self._loop.time / self._gains.period)
+        if missed != self._missed_at[0]:
+            self._missed_at = (missed, number)
+            text = f"ticks were missed, {missed} in all; windows begin anew"
+            self.health.complain("missed", Level.WARN, text)
+        elif number - self._missed_at[1] > REMEMBER:
+            self.health.withdraw("missed")
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([ControllerNode]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""The parameters of the controller, and the profile they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from twinmatch.control import ControlError, Profile
+from twinmatch.control.profile import HIGHEST, LOWEST
+from twinmatch.nodes.node import READERS
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS
+
+__all__ = ["CONTROLLER_PARAMETERS", "profile_from"]
+
+# The twin has to know the running PID, so both have the same defaults.
+_SHARED = tuple(p for p in TWIN_PARAMETERS if p.name == "period" or p.name.startswith("pid."))
+
+CONTROLLER_PARAMETERS: tuple[Parameter, ...] = (
+    *_SHARED,
+    Parameter(
+        "reference_source",
+        "profile",
+        "Where the set-point comes from: the profile below, or the topic plant/reference.",
+        choices=("profile", "topic"),
+    ),
+    Parameter(
+        "profile.levels", [30.0, 50.0, 70.0, 50.0], "Set-points, one after the other.", "°C", -50.0, 150.0
+    ),
+    Parameter("profile.holds", [300.0] * 4, "How long each of them is asked for.", "s", 0.1, 1e6),
+    Parameter("profile.repeat", True, "Begin again at the end; otherwise the last level stays."),
+    Parameter("profile.ramp", 0.0, "Rate at which the set-point moves; 0: at once.", "°C/s", 0.0, 100.0),
+    Parameter(
+        "profile.lowest",
+        LOWEST,
+        "Lowest set-point that is accepted, also from the topic.",
+        "°C",
+        -50.0,
+        150.0,
+    ),
+    Parameter("profile.highest", HIGHEST, "Highest set-point that is accepted.", "°C", -50.0, 150.0),
+    Parameter("exit_at_end", False, "End when the profile, not repeated, is over."),
+    Parameter("max_age", 2.0, "A temperature older than this switches the output off.", "s", 0.05, 10.0),
+    Parameter(
+        "command_period",
+        0.25,
+        "The command is repeated so often; the bridge takes silence for a fault.",
+        "s",
+        0.01,
+        1.0,
+    ),
+    Parameter("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
+    READERS,
+    Parameter("wait_timeout", 10.0, "Longest wait for them, by the wall's clock.", "s", 0.1, 3600.0),
+)
+"""Name, default, meaning, unit and range."""
+
+
+def profile_from(values: Mapping[str, Any]) -> Profile | None:
+    """The profile from checked parameter values; None if the set-point comes from the topic.
+
+    Raises:
+        ControlError: a profile that cannot be run, an empty range, an end that never comes.
+    """
+    low, high = values["profile.lowest"], values["profile.highest"]
+    if not low < high:
+        msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} °C"
+        raise ControlError(msg)
+    if values["reference_source"] == "topic":
+        if values["exit_at_end"]:
+            raise ControlError("controller: exit_at_end needs a profile; a topic has no end")
+        return None
+    if values["exit_at_end"] and values["profile.repeat"]:
+        raise ControlError(
+            "controller: exit_at_end waits for ever with profile.repeat; set one of them to false"
+        )
+    group = {n.removeprefix("profile."): v for n, v in values.items() if n.startswith("profile.")}
+    group["levels"], group["holds"] = tuple(group["levels"]), tuple(group["holds"])
+    return Profile(**group)

@@ -1,0 +1,267 @@
+"""Between the objects of the core and the messages, without losing a bit.
+
+What is absent (`None`) in the core is NaN or an empty text in a message; counts of characters are whole
+numbers in float64. Everything else is carried over as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+
+from twinmatch.discrimination import Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.discrimination.verdict import CandidateScore
+from twinmatch.matching import Fit, Match, Status
+from twinmatch.plant import PARAMETER_NAMES, RigParameters
+from twinmatch.signals import FloatArray, Sample
+from twinmatch.twin import MatchReport, MirrorState
+from twinmatch_msgs import msg as messages
+
+__all__ = [
+    "candidate_message",
+    "match_from",
+    "match_message",
+    "parameters_from",
+    "sample_from",
+    "sample_message",
+    "score_message",
+    "state_message",
+    "verdict_from",
+]
+
+NANOSECONDS = 1_000_000_000
+NAN = float("nan")
+
+STATUSES = {status: getattr(messages.Match, status.name) for status in Status}
+LEVELS = {level: getattr(messages.ModelScore, level.name) for level in TrustLevel}
+COUNTS = ("trivial_length", "model_length", "gain")
+FRACTIONS = ("explanation", "naic", "bic", "mdl")
+
+
+def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
+    """A sample as `LoopSample`."""
+    message = messages.LoopSample(
+        index=sample.index, reference=sample.reference, temperature=sample.temperature, pwm=sample.pwm
+    )
+    _stamp(message.header, sample.stamp)
+    message.header.frame_id = frame
+    return message
+
+
+def sample_from(message: messages.LoopSample) -> Sample:
+    """A sample from `LoopSample`."""
+    stamp = message.header.stamp
+    return Sample(
+        message.index,
+        stamp.sec * NANOSECONDS + stamp.nanosec,
+        message.reference,
+        message.temperature,
+        message.pwm,
+    )
+
+
+def state_message(state: MirrorState, nominal: str) -> messages.TwinState:
+    """Where the twins are, as `TwinState`; `nominal` names the candidate whose parameters they have."""
+    message = messages.TwinState(
+        index=state.sample.index,
+        nominal=nominal,
+        reference=state.sample.reference,
+        closed_loop_temperature=state.closed_temperature,
+        closed_loop_pwm=state.closed_pwm,
+        closed_loop_sink_temperature=state.closed_sink,
+        driven_temperature=state.driven_temperature,
+        driven_sink_temperature=state.driven_sink,
+        closed_loop_temperature_residual=state.residual_y,
+        closed_loop_pwm_residual=state.residual_u,
+        driven_temperature_residual=state.residual_driven,
+        closed_loop_temperature_rms=state.rms_y,
+        closed_loop_pwm_rms=state.rms_u,
+        driven_temperature_rms=state.rms_driven,
+    )
+    _stamp(message.header, state.sample.stamp)
+    return message
+
+
+def match_message(report: MatchReport, stamp: int) -> messages.Match:
+    """A match as `Match`; `stamp` (ns) is that of the sample that set it off."""
+    match = report.match
+    message = messages.Match(
+        sample=report.sample,
+        first=match.samples[0],
+        last=match.samples[1],
+        operating_point=report.operating_point,
+        status=STATUSES[match.status],
+        status_name=match.status.value,
+        reason=match.reason,
+        parameters=_parameters_message(match.parameters),
+        sink_start=NAN if match.sink_start is None else match.sink_start,
+        free=list(match.free),
+        covariance=match.covariance.ravel().tolist(),
+        standard_errors=match.standard_errors.tolist(),
+        fisher=match.fisher.ravel().tolist(),
+        eigenvalues=match.eigenvalues.tolist(),
+        condition=match.condition,
+        bounds_hit=list(match.bounds_hit),
+        fit_y=match.fit.y,
+        fit_u=match.fit.u,
+        held_back_fit_y=match.held_back.y,
+        held_back_fit_u=match.held_back.u,
+        chi2=match.chi2,
+    )
+    _stamp(message.header, stamp)
+    return message
+
+
+def match_from(message: messages.Match) -> MatchReport:
+    """A match from `Match`."""
+    match = Match(
+        parameters=parameters_from(message.parameters),
+        free=tuple(message.free),
+        sink_start=_unless_nan(message.sink_start),
+        covariance=_square(message.covariance),
+        fisher=_square(message.fisher),
+        eigenvalues=np.array(message.eigenvalues, dtype=np.float64),
+        condition=message.condition,
+        bounds_hit=tuple(message.bounds_hit),
+        fit=Fit(message.fit_y, message.fit_u),
+        held_back=Fit(message.held_back_fit_y, message.held_back_fit_u),
+        chi2=message.chi2,
+        samples=(message.first, message.last),
+        status=_key(STATUSES, message.status),
+        reason=message.reason,
+    )
+    return MatchReport(message.sample, message.operating_point, match)
+
+
+def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
+    """A verdict as `ModelScore`; `stamp` (ns) is that of the sample that set it off."""
+    message = messages.ModelScore(
+        sample=verdict.sample,
+        first=verdict.first,
+        last=verdict.last,
+        level=LEVELS[verdict.level],
+        level_name=verdict.level.value,
+        stands=verdict.stands,
+        nominal=verdict.nominal or "",
+        reason=verdict.reason,
+        decimals=verdict.decimals,
+        candidates=[candidate_message(verdict, row) for row in range(len(verdict.candidates))],
+        order=verdict.order or "",
+        nu_gap=[value for row in verdict.nu_gap for value in row],
+        residual_y=verdict.residual_y,
+        residual_u=verdict.residual_u,
+    )
+    _stamp(message.header, stamp)
+    return message
+
+
+def verdict_from(message: messages.ModelScore) -> Verdict:
+    """A verdict from `ModelScore`."""
+    return Verdict(
+        sample=message.sample,
+        first=message.first,
+        last=message.last,
+        level=_key(LEVELS, message.level),
+        stands=message.stands,
+        nominal=message.nominal or None,
+        reason=message.reason,
+        decimals=message.decimals,
+        candidates=tuple(_candidate_from(candidate) for candidate in message.candidates),
+        order=message.order or None,
+        nu_gap=tuple(tuple(row) for row in _square(message.nu_gap).tolist()),
+        residual_y=message.residual_y,
+        residual_u=message.residual_u,
+    )
+
+
+def candidate_message(verdict: Verdict, row: int) -> messages.Candidate:
+    """One candidate of a verdict as `Candidate`, with its row of the ν-gap matrix."""
+    candidate = verdict.candidates[row]
+    to_plant = candidate.nu_gap_to_plant
+    return messages.Candidate(
+        name=candidate.name,
+        operating_point=candidate.operating_point,
+        parameters=_parameters_message(candidate.parameters),
+        first=candidate.first,
+        last=candidate.last,
+        orders=[
+            messages.OrderScore(
+                order=score.order,
+                y=_criteria_message(score.y),
+                u=_criteria_message(score.u),
+                total=_criteria_message(score.total),
+            )
+            for score in candidate.orders
+        ],
+        chosen_order=candidate.chosen_order,
+        nu_gap=list(verdict.nu_gap[row]) if verdict.nu_gap else [],
+        nu_gap_sum=candidate.nu_gap_sum,
+        newest=_criteria_message(candidate.newest),
+        nu_gap_to_plant=NAN if to_plant is None else to_plant,
+    )
+
+
+def _candidate_from(message: messages.Candidate) -> CandidateScore:
+    absent = math.isnan(message.newest.trivial_length)
+    return CandidateScore(
+        name=message.name,
+        operating_point=message.operating_point,
+        parameters=parameters_from(message.parameters),
+        first=message.first,
+        last=message.last,
+        orders=tuple(
+            OrderScore(s.order, _criteria_from(s.y), _criteria_from(s.u), _criteria_from(s.total))
+            for s in message.orders
+        ),
+        chosen_order=message.chosen_order,
+        nu_gap_sum=message.nu_gap_sum,
+        newest=None if absent else _criteria_from(message.newest),
+        nu_gap_to_plant=_unless_nan(message.nu_gap_to_plant),
+    )
+
+
+def parameters_from(message: messages.RigParameters) -> RigParameters:
+    """Rig parameters from `RigParameters`.
+
+    Raises:
+        PlantError: values no rig has.
+    """
+    return RigParameters(**{name: getattr(message, name) for name in PARAMETER_NAMES})
+
+
+def _parameters_message(parameters: RigParameters) -> messages.RigParameters:
+    return messages.RigParameters(**{name: float(getattr(parameters, name)) for name in PARAMETER_NAMES})
+
+
+def _criteria_message(criteria: Criteria | None) -> messages.Criteria:
+    names = (*COUNTS, *FRACTIONS)
+    if criteria is None:
+        return messages.Criteria(**dict.fromkeys(names, NAN))
+    return messages.Criteria(**{name: float(getattr(criteria, name)) for name in names})
+
+
+def _criteria_from(message: messages.Criteria) -> Criteria:
+    counts = {name: int(getattr(message, name)) for name in COUNTS}
+    return Criteria(**counts, **{name: getattr(message, name) for name in FRACTIONS})
+
+
+def _square(values: Any) -> FloatArray:
+    flat = np.array(values, dtype=np.float64)
+    side = math.isqrt(flat.size)
+    return flat.reshape(side, side)
+
+
+def _unless_nan(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _key(table: dict[Any, int], value: int) -> Any:
+    return next(key for key, number in table.items() if number == value)
+
+
+def _stamp(header: Any, stamp: int) -> None:
+    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+    header.stamp = Time(sec=seconds, nanosec=nanoseconds)

@@ -1,0 +1,128 @@
+"""What all nodes of this package are: a table of parameters, diagnostics, a way to end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.diagnostics import Health, Report, Reporter
+from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
+
+__all__ = ["READERS", "TwinmatchNode", "declare", "missing_readers"]
+
+READERS = Parameter(
+    "readers", "", "Nodes to wait for that must have every plant/sample, by name, with spaces."
+)
+
+
+class TwinmatchNode(Node):
+    """A node whose parameters are checked and whose health is on /diagnostics.
+
+    A subclass names itself and its parameters. What it makes in `open` it ends in `close`, which is called
+    even when `open` failed half-way.
+    """
+
+    NAME: ClassVar[str]
+    PARAMETERS: ClassVar[Sequence[Parameter]] = ()
+    CLOSING: ClassVar[int] = 0
+    """Seconds that `close` may take beyond what every end may take."""
+
+    def __init__(self) -> None:
+        """Read the parameters into `self.values`.
+
+        Raises:
+            ParameterError: one does not exist, has another type or is out of its range.
+            TwinmatchError: some do not go together.
+        """
+        try:
+            super().__init__(self.NAME, automatically_declare_parameters_from_overrides=True)
+        except ValueError as error:  # ROS 2 gives an empty list and null no type
+            msg = f"{self.NAME}: a parameter is empty ([] or null); leave it out or give it a value"
+            raise ParameterError(msg) from error
+        self.exit_code: int | None = None
+        """Set by a node that has come to its end: the process ends with it."""
+        self.health = Health()
+        self._reporter: Reporter | None = None
+        try:
+            self.values: Values = declare(self, self.PARAMETERS)
+            self.read_parameters()
+        except TwinmatchError:
+            self.destroy_node()
+            raise
+
+    def report_on(self, **tasks: Callable[[], Report]) -> None:
+        """Publish the node's health on /diagnostics from now on, and these parts beside it."""
+        self._reporter = Reporter(self, {"health": self.report, **tasks})
+
+    def report(self) -> Report:
+        """The node's health; a subclass brings it up to date first."""
+        return self.health.report()
+
+    def report_now(self) -> None:
+        """Report out of turn, such as before the end."""
+        if self._reporter is not None:
+            self._reporter.publish()
+
+    def read_parameters(self) -> None:
+        """Make of `self.values` what the node needs; an error here means that there will be no node."""
+
+    def open(self) -> None:
+        """Make publishers, subscriptions and threads."""
+
+    @property
+    def failure(self) -> Exception | None:
+        """A defect that ended a thread of this node."""
+        return None
+
+    def close(self) -> bool:
+        """End the node's threads; whether they all did."""
+        return True
+
+
+def missing_readers(node: Node, topic: str, wanted: str) -> list[str]:
+    """Those of the wanted nodes (names with spaces between) that do not read the topic yet.
+
+    Readers are known by name: programs of other people may read along and come and go.
+    """
+    names = set(wanted.split())
+    found = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)} if names else set()
+    return sorted(names - found)
+
+
+def declare(node: Node, table: Sequence[Parameter]) -> Values:
+    """Declare a node's parameters and return their values.
+
+    The node must have been made with `automatically_declare_parameters_from_overrides=True`: that is how
+    the names somebody gave become known, of which those in the table are declared again as it says.
+
+    Raises:
+        ParameterError: as for `check`.
+    """
+    given = {name: found.value for name, found in node.get_parameters_by_prefix("").items()}
+    values = check(node.get_name(), table, given)
+    for parameter in table:
+        if node.has_parameter(parameter.name):
+            node.undeclare_parameter(parameter.name)
+        value = values[parameter.name]
+        node.declare_parameter(parameter.name, value, _descriptor(parameter), ignore_override=True)
+    return values
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    """What `ros2 param describe` shows."""
+    limits = parameter.limits
+    text = f"{parameter.description} ({limits})" if limits else parameter.description
+    descriptor = ParameterDescriptor(description=text, read_only=True)
+    low, high = parameter.low, parameter.high
+    if math.isfinite(low) and math.isfinite(high):
+        if type(parameter.default) is float:
+            span = FloatingPointRange(from_value=float(low), to_value=float(high))
+            descriptor.floating_point_range = [span]
+        elif type(parameter.default) is int:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    return descriptor

@@ -1,0 +1,130 @@
+"""The output guard between threads: inputs come from the node's callbacks, decisions are asked by another.
+
+Every time in here is made by a `SafetyClock`; the clocks under it are read through one function, so that
+tests need no clock and no ROS.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import NamedTuple
+
+from twinmatch.safety import ClockLimits, Fault, FaultKind, GuardLimits, OutputGuard, SafetyClock
+
+__all__ = ["Decision", "OutputGate", "Times"]
+
+
+class Times(NamedTuple):
+    """The same moment on three clocks, ns."""
+
+    stamps: int
+    """The clock of the messages' stamps."""
+    plant: int
+    """The clock that deadlines are in: the simulated one if there is one, else the monotonic one."""
+    wall: int
+    """A monotonic clock of this machine."""
+
+
+class Decision(NamedTuple):
+    """What may be sent to the driver."""
+
+    pwm: float
+    """−255 to 255."""
+    armed: bool
+    """Whether the board's deadline may be fed."""
+    sample: int
+    """Sample at which the command was computed."""
+    time: float
+    """When this was decided, s of the safety clock."""
+
+
+class OutputGate:
+    """An `OutputGuard` with its clocks and a lock."""
+
+    def __init__(
+        self,
+        read_clocks: Callable[[], Times],
+        limits: GuardLimits | None = None,
+        clock_limits: ClockLimits | None = None,
+    ) -> None:
+        """Begin waiting, with the output at zero."""
+        self._read_clocks = read_clocks
+        self._guard = OutputGuard(limits)
+        self._safety_clock = SafetyClock(clock_limits)
+        self._index = 0
+        self._news = threading.Condition(threading.RLock())
+
+    @property
+    def fault(self) -> Fault | None:
+        """What latched, if anything did."""
+        with self._news:
+            return self._guard.fault
+
+    @property
+    def armed(self) -> bool:
+        """Whether commands passed when last asked."""
+        with self._news:
+            return self._guard.armed
+
+    @property
+    def clock_stopped(self) -> bool:
+        """Whether the plant's clock stands still, or has not been seen to move."""
+        with self._news:
+            return self._safety_clock.stopped
+
+    def command(self, pwm: float, index: int, stamp: int) -> None:
+        """Take a command sent at `stamp` (ns), computed at sample `index`."""
+        with self._news:
+            now, times = self._now()
+            self._guard.command(pwm, now, (times.stamps - stamp) / 1e9)
+            self._index = index
+            self._news.notify_all()
+
+    def temperature(self, celsius: float, stamp: int) -> None:
+        """Take a temperature measured at `stamp` (ns)."""
+        with self._news:
+            now, times = self._now()
+            self._guard.temperature(celsius, now, (times.stamps - stamp) / 1e9)
+            self._news.notify_all()
+
+    def sample(self, reference: float, temperature: float, pwm: float) -> None:
+        """Take one tick of the control loop."""
+        with self._news:
+            self._guard.loop(reference, temperature, pwm, self._now()[0])
+            self._news.notify_all()
+
+    def trip(self, kind: FaultKind, message: str) -> None:
+        """Latch a fault."""
+        with self._news:
+            self._guard.trip(kind, message, self._now()[0])
+            self._news.notify_all()
+
+    def clear(self) -> Fault | None:
+        """Forget the fault and give it back; the output waits for new inputs."""
+        with self._news:
+            fault = self._guard.fault
+            self._guard.clear()
+            return fault
+
+    def decide(self) -> Decision:
+        """What may be sent now. Nothing is armed while the plant's clock stands still."""
+        with self._news:
+            now, _ = self._now()
+            clock = self._safety_clock
+            if clock.stopped:
+                if self._guard.armed:
+                    message = f"the clock stands still for {clock.standing:.1f} s; is the simulated plant up?"
+                    self._guard.trip(FaultKind.CLOCK, message, now)
+                return Decision(0.0, False, self._index, now)
+            pwm = self._guard.output(now)
+            return Decision(pwm, self._guard.armed, self._index, now)
+
+    def wait(self, timeout: float) -> None:
+        """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
+        with self._news:
+            self._news.wait(timeout)
+
+    def _now(self) -> tuple[float, Times]:
+        times = self._read_clocks()
+        return self._safety_clock.read(times.plant, times.wall), times

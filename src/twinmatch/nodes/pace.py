@@ -1,0 +1,53 @@
+"""When a recorded message is due, for a player that can be paused."""
+
+from __future__ import annotations
+
+__all__ = ["Pace"]
+
+
+class Pace:
+    """Maps the time of the recording onto the time of the listener; all times in seconds.
+
+    It is told the time and reads no clock, so it can be tested without waiting.
+    """
+
+    def __init__(self, rate: float, start: float) -> None:
+        """`rate` recorded seconds pass per second (0: as fast as can be), `start` is the first of them."""
+        self._rate = rate
+        self._recorded = start  # recorded time reached at `_since`
+        self._since: float | None = None  # the listener's time then; None while paused
+
+    @property
+    def paused(self) -> bool:
+        """Whether the recording stands still; it does until the first `resume`."""
+        return self._since is None
+
+    def resume(self, now: float) -> None:
+        """Go on from where the recording stands."""
+        if self._since is None:
+            self._since = now
+
+    def pause(self, now: float) -> None:
+        """Stand still."""
+        self._recorded = self.position(now)
+        self._since = None
+
+    def reach(self, recorded: float, now: float) -> None:
+        """Take note that a message of this recorded time was played; at rate 0 this is the only progress."""
+        if self._rate == 0:
+            self._recorded = max(self._recorded, recorded)
+            self._since = None if self._since is None else now
+
+    def position(self, now: float) -> float:
+        """Recorded time that has been reached."""
+        if self._since is None:
+            return self._recorded
+        return self._recorded + (now - self._since) * self._rate
+
+    def wait(self, recorded: float, now: float) -> float | None:
+        """Seconds until a message of this recorded time is due; None while paused."""
+        if self._since is None:
+            return None
+        if self._rate == 0:
+            return 0.0
+        return max(0.0, (recorded - self.position(now)) / self._rate)

@@ -1,0 +1,134 @@
+"""Parameters declared from one table per node, and checked where they are read.
+
+ROS 2 ignores a parameter nobody declared, so a misspelt one in a file does nothing, silently. Here it is
+an error with the name that was probably meant, as is a value out of its range: one line and exit code 2.
+All parameters are read once, at the start, and cannot be changed while the node runs. Nothing here needs
+ROS, so that an offline replay reads the same files.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["Parameter", "ParameterError", "Value", "Values", "check", "render"]
+
+Value = bool | int | float | str | list[float] | list[str]
+Values = dict[str, Any]
+
+KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list"}
+BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+"""Parameters that every ROS 2 node has."""
+
+
+class ParameterError(TwinmatchError):
+    """A parameter that does not exist, has another type, or is out of its range."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a node."""
+
+    name: str
+    default: Value
+    description: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    """The texts that are allowed; empty: any."""
+
+    @property
+    def limits(self) -> str:
+        """Unit and range as a user reads them, such as `°C, 0 to 100`; empty when there is neither."""
+        if self.choices:
+            return "one of: " + ", ".join(self.choices)
+        low, high = f"{self.low:g}", f"{self.high:g}"
+        span = f"{low} to {high}"
+        if math.isinf(self.high):
+            span = "" if math.isinf(self.low) else f"at least {low}"
+        elif math.isinf(self.low):
+            span = f"at most {high}"
+        return ", ".join(part for part in (self.unit, span) if part)
+
+    def accept(self, value: Any, node: str) -> Value:
+        """The value in this parameter's type.
+
+        Raises:
+            ParameterError: another type, or out of the range.
+        """
+        kind = type(self.default)
+        if kind is float and type(value) is int:
+            value = float(value)
+        if kind is list and value is not None and not isinstance(value, str | bytes | bool | int | float):
+            value = self._accept_list(list(value), node)
+        if type(value) is not kind:
+            msg = f"{node}: parameter {self.name} is {value!r}; it must be {KINDS[kind]}"
+            raise ParameterError(msg)
+        items = value if isinstance(value, list) else [value]
+        if not all(self._allowed(item) for item in items):
+            msg = f"{node}: parameter {self.name} is {value!r}; allowed is {self.limits}"
+            raise ParameterError(msg)
+        return value
+
+    def _accept_list(self, items: list[Any], node: str) -> list[Any]:
+        default = self.default if isinstance(self.default, list) else []
+        kind: type = type(default[0]) if default else str
+        items = [float(i) if kind is float and type(i) is int else i for i in items]
+        if not all(type(item) is kind for item in items):
+            msg = f"{node}: parameter {self.name} is {items!r}; every item must be {KINDS[kind]}"
+            raise ParameterError(msg)
+        return items
+
+    def _allowed(self, item: Any) -> bool:
+        if isinstance(item, str):
+            return not self.choices or item in self.choices
+        return bool(self.low <= item <= self.high)
+
+
+def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Values:
+    """All parameters of a node: those given, checked, and the defaults of the others.
+
+    Raises:
+        ParameterError: a name that is not in the table, a value of another type or out of its range.
+    """
+    known = {parameter.name: parameter for parameter in table}
+    for name in given:
+        if name not in known and not name.startswith(BUILT_IN):
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"it has: {', '.join(sorted(known)) or 'none'}"
+            msg = f"{node}: there is no parameter {name}; {hint}"
+            raise ParameterError(msg)
+    return {
+        name: parameter.accept(given[name], node) if name in given else parameter.default
+        for name, parameter in known.items()
+    }
+
+
+def render(node: str, table: Sequence[Parameter], values: Mapping[str, Any] | None = None) -> str:
+    """A section of a ROS parameter file: every parameter with its description, unit and range."""
+    lines = [f"{node}:", "  ros__parameters:"]
+    for parameter in table:
+        value = (values or {}).get(parameter.name, parameter.default)
+        lines.append(f"    # {parameter.description}")
+        if parameter.limits:
+            lines.append(f"    # {parameter.limits}")
+        lines.append(f"    {parameter.name}: {_yaml(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _yaml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return "[" + ", ".join(_yaml(item) for item in value) + "]"
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, float) and math.isinf(value):
+        return ".inf" if value > 0 else "-.inf"
+    return repr(value)

@@ -1,0 +1,80 @@
+"""Publishes the plant time of a virtual rig on /clock."""
+
+from __future__ import annotations
+
+import sys
+from typing import ClassVar
+
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+
+from twinmatch.emulation.virtual_rig_clock import ClockClient, Stillness, parse_address
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.runner import run
+
+__all__ = ["CLOCK", "PlantClock", "main"]
+
+CLOCK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""As ROS 2 subscribes to /clock: only the newest counts."""
+
+
+class PlantClock(TwinmatchNode):
+    """Follows the rig's stream of plant time; when that stands still, so does /clock, and it says so."""
+
+    NAME = "plant_clock"
+    PARAMETERS: ClassVar = (
+        Parameter("address", "", "HOST:PORT of the clock, as the virtual rig prints it; has to be given."),
+        Parameter("patience", 1.0, "Wall time after which a clock that stands is an error.", "s", 0.1, 60.0),
+    )
+
+    def read_parameters(self) -> None:
+        """Understand the address.
+
+        Raises:
+            ClockError: it is none.
+        """
+        self._stillness = Stillness(self.values["patience"])
+        self._client = ClockClient(parse_address(self.values["address"]), self._on_time)
+
+    def open(self) -> None:
+        """Begin to follow the rig."""
+        self._publisher = self.create_publisher(Clock, "/clock", CLOCK)
+        self._client.start()
+        self.report_on()
+
+    @property
+    def failure(self) -> Exception | None:
+        """The defect that ended the thread which follows the rig."""
+        return self._client.failure
+
+    def report(self) -> Report:
+        """Whether time passes."""
+        still = self._stillness.seconds()
+        if still:
+            why = f" ({self._client.error})" if self._client.error else ""
+            message = f"plant time stands still since {still:.0f} s{why}"
+            self.health.complain("still", Level.ERROR, message)
+        else:
+            self.health.withdraw("still")
+        self.health.set("set back", self._stillness.set_backs)
+        return super().report()
+
+    def close(self) -> bool:
+        """End the thread."""
+        return self._client.close()
+
+    def _on_time(self, stamp: int) -> None:
+        self._stillness.tell(stamp)
+        self._publisher.publish(Clock(clock=Time(nanoseconds=stamp).to_msg()))
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([PlantClock]))
+
+
+if __name__ == "__main__":
+    main()

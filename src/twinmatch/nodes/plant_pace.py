@@ -1,0 +1,57 @@
+"""Tells the virtual rig how far this process has come, so that plant time does not run away from it.
+
+Many times faster than the wall clock, a tenth of a second that a busy machine takes is seconds on the
+plant. This node belongs into the process of the controller: it hears /clock through the same executor,
+so what came before is done when it says so.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+
+__all__ = ["PlantPace"]
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class PlantPace(TwinmatchNode):
+    """Answers every /clock with a line to the rig; without an address it does nothing."""
+
+    NAME = "plant_pace"
+    PARAMETERS: ClassVar = (
+        Parameter("address", "", "HOST:PORT of the virtual rig's clock; empty: there is none."),
+    )
+
+    _client: ClockClient | None = None
+
+    def open(self) -> None:
+        """Connect and listen.
+
+        Raises:
+            ClockError: the address is none.
+        """
+        if not self.values["address"]:
+            return
+        self._client = ClockClient(parse_address(self.values["address"]), lambda _: None)
+        self._client.start()
+        self.create_subscription(Clock, "/clock", self._on_clock, NEWEST)
+
+    @property
+    def failure(self) -> Exception | None:
+        """A defect that ended the client's thread."""
+        return None if self._client is None else self._client.failure
+
+    def close(self) -> bool:
+        """Let go of the clock."""
+        return self._client is None or self._client.close()
+
+    def _on_clock(self, message: Any) -> None:
+        if self._client is not None:
+            self._client.done(message.clock.sec * 1_000_000_000 + message.clock.nanosec)

@@ -1,0 +1,218 @@
+"""The one thread that speaks to the PWM board.
+
+It asks the gate what may pass, several times a second, and sends that again and again, which feeds the
+board's deadline. When the gate closes, it sends zero once and then only asks: after its deadline the board
+lets go of the plate by itself. Whatever ends the thread, its last words are zero.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from twinmatch.links.pwm import (
+    Applied,
+    Banner,
+    Flags,
+    PwmLatchedError,
+    PwmLink,
+    PwmLinkError,
+    PwmResetError,
+    PwmVersionError,
+)
+from twinmatch.nodes.diagnostics import Health, Level
+from twinmatch.nodes.output_gate import Decision, OutputGate
+from twinmatch.safety import FaultKind
+
+__all__ = ["DriverSettings", "PwmDriver"]
+
+Tell = Callable[[Applied | None, int], None]
+
+IDLE = 0.25
+"""Seconds of the wall clock between two questions to a board that is not driven."""
+
+
+@dataclass(frozen=True)
+class DriverSettings:
+    """Pace of the thread."""
+
+    repeat: float = 0.1
+    """A set-point is sent again after so many seconds of the plant's clock."""
+    poll: float = 0.025
+    """Longest sleep between two looks at that clock, s of the wall's."""
+    first_pause: float = 0.1
+    """Wait before a lost port is tried again, s; doubled each time …"""
+    longest_pause: float = 2.0
+    """… up to this."""
+
+
+class PwmDriver:
+    """Lets the board at the end of a link do what the gate lets through, and nothing else."""
+
+    def __init__(
+        self,
+        link: PwmLink,
+        gate: OutputGate,
+        tell: Tell,
+        health: Health,
+        settings: DriverSettings | None = None,
+    ) -> None:
+        """`tell` is given each report of the board (None: nobody knows) and the sample it answers."""
+        self.failure: Exception | None = None
+        """What ended the thread before its time."""
+        self.connected = False
+        """Whether the board answered last time."""
+        self._link = link
+        self._gate = gate
+        self._tell = tell
+        self._health = health
+        self._settings = settings or DriverSettings()
+        self._ending = threading.Event()
+        self._clear_wanted = threading.Event()
+        self._known = False  # whether the board has been cleared before
+        self._driving = False  # whether the last set-point was one that passed the gate
+        self._sent = 0.0
+        self._sent_at = 0.0
+        self._asked_at = 0.0
+        self._attempts = 0
+        self._thread = threading.Thread(target=self._run, name="pwm driver", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def clear(self) -> None:
+        """Let the board's own latch go, before anything else is sent."""
+        self._clear_wanted.set()
+
+    def close(self, timeout: float = 3.0) -> bool:
+        """Set zero, let go of the port, end the thread; whether it did within the timeout (s)."""
+        self._ending.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.is_set():
+                self._turn()
+        except Exception as error:  # handed to the main thread, which ends the process with it
+            self.failure = error
+        finally:
+            self._let_go()
+
+    def _turn(self) -> None:
+        try:
+            if not self._link.is_open:
+                self._connect()
+            self._serve()
+        except PwmVersionError:
+            raise  # waiting does not mend it
+        except PwmLatchedError as error:
+            self._driving = False
+            kind = FaultKind.DRIVER if error.flags & Flags.DRIVER else FaultKind.BOARD
+            self._gate.trip(kind, str(error))
+        except PwmResetError as error:
+            self._driving = False
+            self._gate.trip(FaultKind.BOARD, str(error))
+        except PwmLinkError as error:
+            self._lost(error)
+
+    def _connect(self) -> None:
+        banner = self._link.open()
+        self._check_pace(banner)
+        flags = self._link.query().flags
+        if flags & Flags.DRIVER:
+            self._gate.trip(
+                FaultKind.DRIVER, "the board had tripped because the motor driver reported a fault"
+            )
+        elif not self._known:
+            self._link.clear()
+        elif flags & Flags.RESET:
+            self._gate.trip(FaultKind.BOARD, "the PWM board restarted; find out why")
+        self._known = self.connected = True
+        self._attempts = 0
+        self._health.count("connections")
+        self._health.set("firmware", banner.firmware)
+        self._health.withdraw("link")
+
+    def _check_pace(self, banner: Banner) -> None:
+        deadline, link = banner.deadline_ms / 1000, self._link.settings
+        self._health.set("board deadline", f"{deadline:g} s")
+        longest = link.timeout * (link.retries + 1) + self._settings.repeat
+        if longest >= deadline:
+            message = (
+                f"an answer may take {longest:g} s, the board waits {deadline:g} s; lower timeout or repeat"
+            )
+            self._health.complain("pace", Level.WARN, message)
+
+    def _serve(self) -> None:
+        if self._clear_wanted.is_set():
+            self._link.clear()
+            self._clear_wanted.clear()
+        decision = self._gate.decide()
+        if decision.armed:
+            due = decision.time - self._sent_at >= self._settings.repeat
+            if due or not self._driving or decision.pwm != self._sent:
+                self._drive(decision)
+                return
+        elif self._driving:
+            self._driving = False
+            self._tell(self._link.command(0.0), decision.sample)
+            return
+        elif time.monotonic() - self._asked_at >= IDLE:
+            self._asked_at = time.monotonic()
+            self._tell(self._link.query(), decision.sample)
+            return
+        self._gate.wait(self._settings.poll)
+
+    def _drive(self, decision: Decision) -> None:
+        if not self._driving:
+            self._wake()
+            decision = self._gate.decide()  # waking takes time, in which anything may have happened
+            if not decision.armed:
+                return
+        self._driving = True
+        self._sent, self._sent_at = decision.pwm, decision.time
+        applied = self._link.command(decision.pwm)
+        self._tell(applied, decision.sample)
+        if applied.pwm != round(decision.pwm):
+            message = (
+                f"the board applies {applied.pwm} where {round(decision.pwm)} was sent; is it ours alone?"
+            )
+            self._gate.trip(FaultKind.BOARD, message)
+
+    def _wake(self) -> None:
+        """Clear a board that tripped because nothing was sent, which was on purpose; nothing else.
+
+        Raises:
+            PwmLatchedError: it tripped for another reason.
+        """
+        flags = self._link.query().flags
+        if flags & (Flags.DRIVER | Flags.RESET):
+            self._link.command(0.0)  # refused, with the reason
+        elif flags & Flags.TRIPPED:
+            self._link.clear()
+
+    def _lost(self, error: PwmLinkError) -> None:
+        if self._driving:
+            self._gate.trip(FaultKind.LINK, str(error))
+        self._driving = self.connected = False
+        self._health.count(type(error).__name__)
+        self._health.complain("link", Level.ERROR, str(error))
+        self._link.close()
+        self._tell(None, 0)
+        settings = self._settings
+        pause = min(settings.first_pause * 2.0 ** min(self._attempts, 30), settings.longest_pause)
+        self._attempts += 1
+        self._ending.wait(pause)
+
+    def _let_go(self) -> None:
+        self.connected = False
+        if self._link.is_open:
+            with contextlib.suppress(Exception):  # the port has to be given back whatever happens
+                self._tell(self._link.command(0.0), 0)
+        self._link.close()

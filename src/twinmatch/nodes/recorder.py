@@ -1,0 +1,227 @@
+"""Records every topic of its namespace into a session, as the bytes that were sent."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.recorder_arrivals import Arrivals
+from twinmatch.nodes.recorder_settings import Settings
+from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.worker import Worker
+from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
+from twinmatch.sessions.installed import schema_of
+
+__all__ = ["RecorderNode", "main"]
+
+LOOK = 0.2
+"""Seconds between two looks for new topics."""
+FLUSH = 0.4
+"""Seconds between two times at which everything is brought to the disk."""
+LEAVE = 3.0
+"""Seconds the end may take, of the runner's `TEARDOWN`."""
+MOST_WAITING = 64_000_000
+"""Bytes that wait for the disk before messages are dropped."""
+
+Job = Callable[[], None]
+
+
+class RecorderNode(TwinmatchNode):
+    """Subscribes to what it finds and leaves the writing to one thread.
+
+    What was recorded is brought to the disk every 0.4 s, so a killed recorder loses less than half a
+    second; `twinmatch repair` makes its session whole. A recorder that meets a full disk ends the process.
+    """
+
+    NAME = "recorder"
+    PARAMETERS: ClassVar = (
+        Parameter("folder", "sessions", "Folder for the sessions; made if it is not there."),
+        Parameter("name", "", "Name of the session; empty: rig_ and the date and time of the start."),
+        Parameter("also", ["/diagnostics"], "Topics outside the namespace to record; /rosout is another."),
+        Parameter(
+            "leave_out", ["parameter_events"], "How relative names of topics begin that are not recorded."
+        ),
+        Parameter("min_free_mb", 200.0, "Room that stays on the disk: recording stops.", "MB", 0.0, 1e9),
+        Parameter("split_mb", 0.0, "Size at which another file begins; 0: never.", "MB", 0.0, 1e6),
+        Parameter("split_s", 0.0, "Time after which another file begins; 0: never.", "s", 0.0, 1e7),
+    )
+
+    worker: Worker[Job] | None = None
+
+    def open(self) -> None:
+        """Begin the session and look for topics.
+
+        Raises:
+            SessionError: the folder exists or cannot be made, or the disk has too little room.
+        """
+        values = self.values
+        name = values["name"] or time.strftime("rig_%Y-%m-%d_%H-%M-%S")
+        limits = RecordingLimits(values["min_free_mb"], values["split_mb"], values["split_s"])
+        distro = os.environ.get("ROS_DISTRO", "unknown")
+        self._recording = Recording(Path(values["folder"]) / name, limits, ros_distro=distro)
+        self._readers: dict[str, tuple[Topic, Any]] = {}
+        self._counted: dict[str, int] = {}
+        self._unknown: set[str] = set()
+        self._arrivals: dict[str, Arrivals] = {}
+        self._taken = self._written = self._dropped = 0  # bytes, bytes, messages
+        self._stopped: SessionError | None = None
+        self._left = threading.Event()
+        self.worker = Worker(self._do, self.health, backlog=5000)
+        self._settings = Settings(self, self._on_record)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(LOOK, self._on_look, clock=steady)
+        self.create_timer(FLUSH, partial(self.worker.put, self._recording.flush), clock=steady)
+        self.get_logger().info(f"recording into {self._recording.folder}")
+        self.health.say("recording")
+        self.report_on(topics=self._report_topics)
+
+    @property
+    def failure(self) -> Exception | None:
+        """Why the recording stopped, or the defect that ended the worker."""
+        return self._stopped or (None if self.worker is None else self.worker.failure)
+
+    def report(self) -> Report:
+        """Messages, room, what waits."""
+        if self.worker is not None:
+            self.worker.watch()
+        self.health.set("session", self._recording.folder)
+        self.health.set("messages", self._recording.messages)
+        self.health.set("topics", len(self._readers))
+        self.health.set("bytes waiting", self._taken - self._written)
+        return super().report()
+
+    def close(self) -> bool:
+        """Write what waits and finish the session."""
+        if self.worker is None:
+            return True
+        self.report_now()
+        if self.failure is None:
+            self.worker.put(self._leave)
+            if not self._left.wait(LEAVE) and self.failure is None:
+                print("recorder: ended before everything was written; run twinmatch repair", file=sys.stderr)
+        return self.worker.close(0.5)
+
+    def _do(self, job: Job) -> None:
+        """One job of the worker; after the disk refused there is nothing more to do."""
+        if self._stopped is not None:
+            return
+        try:
+            job()
+        except SessionError as error:
+            self._stopped = error
+            raise
+
+    def _leave(self) -> None:
+        self._recording.close()
+        self._left.set()
+
+    def _on_look(self) -> None:
+        if self.get_clock().now().nanoseconds == 0:
+            return  # the clock of this run has not begun
+        namespace = self.get_namespace()
+        for name, kinds in self.get_topic_names_and_types():
+            if wanted(name, namespace, self.values["also"], self.values["leave_out"]):
+                self._subscribe(name, kinds)
+        self._settings.look()
+
+    def _subscribe(self, name: str, kinds: list[str]) -> None:
+        publishers = self.count_publishers(name)
+        if name in self._unknown or publishers == self._counted.get(name, 0):
+            return  # asking for what they offer is a hundred times as much work
+        endpoints = self.get_publishers_info_by_topic(name)
+        if not endpoints:
+            return
+        self._counted[name] = publishers
+        qos = offered(endpoints)
+        known, reader = self._readers.get(name, (None, None))
+        if known is not None:
+            if reader_profile(qos) == reader_profile(known.qos):
+                return
+            self.destroy_subscription(reader)  # another publisher came that offers less
+            topic = known
+        else:
+            kind = endpoints[0].topic_type
+            try:
+                topic = Topic(name, kind, schema_of(kind), str(endpoints[0].topic_type_hash), qos)
+            except SessionError as error:
+                self._refuse(name, str(error))
+                return
+            self._arrivals[name] = Arrivals()
+            self._put(partial(self._recording.add_topic, topic))
+        if len(kinds) > 1:
+            text = f"{name} is published as {' and '.join(kinds)}; only {topic.type} is recorded"
+            self.health.complain(name, Level.WARN, text)
+        package, _, short = topic.type.split("/")
+        reader = self.create_subscription(
+            getattr(importlib.import_module(f"{package}.msg"), short),
+            name,
+            partial(self._on_message, name),
+            reader_profile(qos),
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=partial(self._on_lost, name), use_default_callbacks=False
+            ),
+        )
+        self._readers[name] = topic._replace(qos=qos), reader
+
+    def _refuse(self, name: str, why: str) -> None:
+        self._unknown.add(name)
+        self.health.complain(name, Level.ERROR, f"{name} is not recorded: {why}")
+
+    def _on_message(self, name: str, data: bytes) -> None:
+        self._arrivals[name].push(time.monotonic())
+        if self._taken - self._written > MOST_WAITING:
+            self._dropped += 1
+            text = f"{self._dropped} messages were dropped: the disk does not keep up"
+            self.health.complain("dropped", Level.ERROR, text)
+            return
+        self._taken += len(data)
+        self._put(partial(self._write, name, data, self.get_clock().now().nanoseconds))
+
+    def _on_lost(self, name: str, event: Any) -> None:
+        self._arrivals[name].lost += event.total_count_change
+        self.health.complain("lost", Level.WARN, f"messages of {name} were lost on their way")
+
+    def _on_record(self, name: str, values: Mapping[str, str]) -> None:
+        self._put(partial(self._recording.add_record, name, values))
+
+    def _write(self, name: str, data: bytes, now: int) -> None:
+        self._recording.write(name, data, now)
+        self._written += len(data)
+
+    def _put(self, job: Job) -> None:
+        if self.worker is not None:
+            self.worker.put(job)
+
+    def _report_topics(self) -> Report:
+        """Rate of each topic, and those that fell silent."""
+        now = time.monotonic()
+        arrivals = dict(self._arrivals)
+        silent = [name for name, found in arrivals.items() if found.silent(now)]
+        values = {name: found.text() for name, found in arrivals.items()}
+        if silent:
+            return Report(Level.WARN, f"silent: {', '.join(silent)}", values)
+        return Report(Level.OK, f"{len(arrivals)} topics", values)
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([RecorderNode]))
+
+
+if __name__ == "__main__":
+    main()

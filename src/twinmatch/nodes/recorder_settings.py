@@ -1,0 +1,87 @@
+"""Asks the nodes of a rig for their parameters, so that a session says with what it was made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+
+from twinmatch.sessions.settings import CANDIDATES, parameters_record
+
+__all__ = ["Settings"]
+
+Tell = Callable[[str, Mapping[str, str]], None]
+
+
+class Settings:
+    """Finds nodes and asks each of them once; one that went away and came again is asked again."""
+
+    def __init__(self, node: Node, tell: Tell) -> None:
+        """`tell` is given the name and the values of each record, in the thread of the executor."""
+        self._node = node
+        self._tell = tell
+        self._own = node.get_fully_qualified_name()
+        self._namespace = node.get_namespace().rstrip("/") + "/"
+        self._clients: dict[str, list[Any]] = {}
+        self._asked: set[str] = set()
+        self._answered: set[str] = set()
+
+    def look(self) -> None:
+        """Ask the nodes that are new; call it now and then."""
+        found = {
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in self._node.get_node_names_and_namespaces()
+        }
+        mine = {n for n in found if n.startswith(self._namespace) and n != self._own and "/_" not in n}
+        for done in self._answered | (self._clients.keys() - mine):
+            self._forget(done)
+        self._answered.clear()
+        self._asked &= mine
+        for name in mine - self._asked:
+            self._ask(name)
+
+    def _ask(self, name: str) -> None:
+        if name not in self._clients:
+            self._clients[name] = [
+                self._node.create_client(ListParameters, f"{name}/list_parameters"),
+                self._node.create_client(GetParameters, f"{name}/get_parameters"),
+            ]
+        clients = self._clients[name]
+        if not all(client.service_is_ready() for client in clients):
+            return
+        self._asked.add(name)
+        listing, getting = clients
+
+        def get(future: Any) -> None:
+            names = list(future.result().result.names) if future.result() is not None else []
+            answer = getting.call_async(GetParameters.Request(names=names))
+            answer.add_done_callback(lambda done: self._take(name, names, done))
+
+        listing.call_async(ListParameters.Request()).add_done_callback(get)
+
+    def _take(self, name: str, names: list[str], future: Any) -> None:
+        answer = future.result()
+        values = [parameter_value_to_python(value) for value in answer.values] if answer is not None else []
+        values = [list(v) if hasattr(v, "tolist") or isinstance(v, tuple) else v for v in values]
+        parameters = dict(zip(names, values, strict=False))
+        self._tell(parameters_record(name), {n: json.dumps(v) for n, v in parameters.items()})
+        path = parameters.get("candidates")
+        if isinstance(path, str) and path:
+            self._tell(CANDIDATES, {"text": _read(path)})
+        self._answered.add(name)
+
+    def _forget(self, name: str) -> None:
+        for client in self._clients.pop(name, []):
+            self._node.destroy_client(client)
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text("utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""  # what is not known is not vouched for

@@ -1,0 +1,25 @@
+"""Bridges and controller in one process, as the launch scripts start them.
+
+If one of them fails all end, and the board's own deadline switches the output off.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from twinmatch.nodes.camera_bridge import CameraBridge
+from twinmatch.nodes.controller import ControllerNode
+from twinmatch.nodes.plant_pace import PlantPace
+from twinmatch.nodes.pwm_bridge import PwmBridge
+from twinmatch.nodes.runner import run
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([CameraBridge, PwmBridge, ControllerNode, PlantPace]))
+
+
+if __name__ == "__main__":
+    main()

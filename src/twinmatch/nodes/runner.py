@@ -1,0 +1,177 @@
+"""Starts nodes, keeps them going, ends them.
+
+Three things about rclpy made this what it is. The events executor does the work of the others for a
+fifth of the processor time, but its own `spin` never returns, so it is driven step by step. With rclpy's
+signal handlers a SIGTERM is lost now and then, so the handlers are ours and only set a flag. And closing
+Fast DDS can live-lock while it holds the interpreter's lock, so no thread of ours could end it; an alarm of
+the kernel does.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import signal
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.nodes import network
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import render
+
+__all__ = ["EXIT_DEFECT", "TEARDOWN", "RunnerError", "run"]
+
+EXIT_DEFECT = 1
+"""Exit code after an error that is ours; its traceback is printed."""
+
+TEARDOWN = 5
+"""Seconds the end may take before the kernel ends the process (exit by SIGALRM)."""
+
+STEP = 0.1
+"""Longest wait of the executor between two looks at the flag, s."""
+
+
+class RunnerError(TwinmatchError):
+    """The command line of a node cannot be understood."""
+
+
+def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = None) -> int:
+    """Run nodes in this process until one has come to its end or a signal asks for it.
+
+    SIGINT and SIGTERM are ignored from then on: a second one, while Python goes down, would make a clean
+    end look like a crash.
+
+    Args:
+        kinds: classes of the nodes, one node each.
+        arguments: the command line with the program's name, `sys.argv` if not given.
+
+    Returns:
+        The exit code: 0 after a signal, that of the node that ended, `EXIT_USER_ERROR` after a
+        `TwinmatchError` (its one line is on stderr), `EXIT_DEFECT` after any other error.
+    """
+    arguments = list(sys.argv if arguments is None else arguments)
+    process = _Process()
+    try:
+        extra = _extra(arguments)
+        if {"-h", "--help"} & set(extra):
+            print(_help(kinds))
+            return 0
+        process.start(kinds, arguments, extra)
+        code = process.keep_going()
+    except TwinmatchError as error:
+        print(error, file=sys.stderr, flush=True)
+        code = EXIT_USER_ERROR
+    except Exception:
+        traceback.print_exc()
+        code = EXIT_DEFECT
+    process.end(code)
+    return code
+
+
+class _Process:
+    """The nodes of this process, their executor, and the flag that SIGINT and SIGTERM set."""
+
+    def __init__(self) -> None:
+        self.nodes: list[TwinmatchNode] = []
+        self.executor: Any = None  # an EventsExecutor, made once ROS has started
+        self.stop_requested = False
+        _on_signals(self._request_stop)
+
+    def _request_stop(self, *_: object) -> None:
+        self.stop_requested = True
+
+    def start(self, kinds: Sequence[type[TwinmatchNode]], arguments: list[str], extra: list[str]) -> None:
+        if extra:
+            msg = f"{_program(arguments)}: unknown argument {extra[0]}; --help says what there is"
+            raise RunnerError(msg)
+        reach = network.prepare()
+        with _clear_errors(arguments):
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        self.executor = EventsExecutor()
+        for kind in kinds:
+            node = kind()
+            self.nodes.append(node)
+            node.open()
+            self.executor.add_node(node)
+        if reach is network.Network.LOOPBACK:
+            network.check_sockets()
+
+    def keep_going(self) -> int:
+        while not self.stop_requested:
+            self.executor.spin_once(timeout_sec=STEP)
+            for node in self.nodes:
+                if node.failure is not None:
+                    raise node.failure
+                if node.exit_code is not None:
+                    return node.exit_code
+        return 0
+
+    def end(self, code: int) -> None:
+        """Close what was opened; on return nothing of ROS is left in the process."""
+        _on_signals(signal.SIG_IGN)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(TEARDOWN + max((node.CLOSING for node in self.nodes), default=0))
+        ended = [node.close() for node in self.nodes]
+        if self.executor is not None:
+            for node in self.nodes:
+                self.executor.remove_node(node)
+            self.executor.shutdown(timeout_sec=1.0)
+            self.executor = None
+        for node in self.nodes:
+            node.destroy_node()
+        self.nodes.clear()
+        rclpy.try_shutdown()
+        gc.collect()  # what still refers to a node holds shared memory
+        if not all(ended):  # a thread deep in a computation would be torn down with the interpreter
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+        signal.alarm(0)
+
+
+def _on_signals(handler: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _extra(arguments: list[str]) -> list[str]:
+    """The arguments that are not for ROS."""
+    with _clear_errors(arguments):
+        return list(remove_ros_args(arguments)[1:])
+
+
+@contextmanager
+def _clear_errors(arguments: list[str]) -> Iterator[None]:
+    """Errors of rcl in its arguments, without the places in its sources."""
+    try:
+        yield
+    except Exception as error:  # rclpy gives these errors no public names
+        cause = re.sub(r",? at /\S+", "", str(error))
+        cause = re.sub(r"^(failed to initialize rcl|Failed to parse ROS arguments): ", "", cause)
+        msg = f"{_program(arguments)}: {cause}"
+        raise RunnerError(msg) from error
+
+
+def _program(arguments: list[str]) -> str:
+    return Path(arguments[0]).stem if arguments else "twinmatch"
+
+
+def _help(kinds: Sequence[type[TwinmatchNode]]) -> str:
+    lines = [
+        "usage: <node> [--ros-args --params-file FILE -p name:=value -r from:=to -r __ns:=/rig]",
+        "Parameters and their defaults, as a parameter file:",
+        "",
+    ]
+    lines += [render(kind.NAME, kind.PARAMETERS) for kind in kinds]
+    return "\n".join(lines)

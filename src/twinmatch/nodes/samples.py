@@ -1,0 +1,125 @@
+"""What the twin's nodes have in common: the stream of samples, its health, the worker behind it."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from twinmatch.nodes.conversions import sample_from
+from twinmatch.nodes.diagnostics import Health, Level, Report
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, settings_from
+from twinmatch.nodes.worker import Worker
+from twinmatch.signals import Sample
+from twinmatch.twin import TwinSettings
+from twinmatch_msgs.msg import LoopSample
+
+__all__ = ["EVERYTHING", "LATCHED", "RELIABLE", "SampleNode", "SampleWatch"]
+
+EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+"""For readers that must not miss one: what they have not taken yet holds the writer back."""
+
+RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+"""For writers of samples, matches and scores."""
+
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""For a value that stands until the next: who comes late is given it too."""
+
+
+class SampleWatch:
+    """Follows the samples' indices and arrival, and complains of gaps and silence."""
+
+    def __init__(self, health: Health, period: float, patience: int = 5, remember: int = 60) -> None:
+        """Complain of silence after `patience` periods (s), and of a gap for `remember` samples."""
+        self._health = health
+        self._silence = patience * period
+        self._remember = remember
+        self._last: int | None = None
+        self._arrived = 0.0
+        self._since_gap = 0
+        health.say("waiting for samples")
+
+    def push(self, index: int, now: float) -> None:
+        """Take note of a sample that arrived at `now` (s)."""
+        if self._last is None:
+            self._health.say("working")
+        elif index != self._last + 1:
+            between = f"samples {self._last + 1} to {index - 1} are missing"
+            message = between if index > self._last else f"sample {index} came after sample {self._last}"
+            self._health.count("gaps")
+            self._health.complain("gap", Level.ERROR, f"{message}; windows begin anew")
+            self._since_gap = 0
+        self._since_gap += 1
+        if self._since_gap > self._remember:
+            self._health.withdraw("gap")
+        self._last, self._arrived = index, now
+        self._health.set("sample", index)
+
+    def look(self, now: float) -> None:
+        """Complain if no sample came for too long; withdraw that once they come."""
+        silent = now - self._arrived
+        if self._last is not None and silent > self._silence:
+            self._health.complain("silence", Level.WARN, f"no sample for {silent:.0f} s")
+        else:
+            self._health.withdraw("silence")
+
+
+class SampleNode(TwinmatchNode):
+    """A node that takes every sample and works on it in its worker."""
+
+    PARAMETERS: ClassVar = TWIN_PARAMETERS
+
+    worker: Worker[Any] | None = None
+
+    def read_parameters(self) -> None:
+        """Make the settings of the twin.
+
+        Raises:
+            TwinmatchError: some parameters do not go together.
+        """
+        self.settings: TwinSettings = settings_from(self.values)
+        self._watch = SampleWatch(self.health, self.settings.period)
+
+    def open(self) -> None:
+        """Start the worker and subscribe to `plant/sample`."""
+        self.worker = Worker(self.work, self.health)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
+        self.report_on()
+
+    @abstractmethod
+    def work(self, item: Any) -> None:
+        """Work on one item; called in the worker's thread."""
+
+    def put(self, item: Any) -> None:
+        """Leave an item to the worker."""
+        if self.worker is not None:
+            self.worker.put(item)
+
+    def report(self) -> Report:
+        """Queue, gaps, silence."""
+        self._watch.look(time.monotonic())
+        if self.worker is not None:
+            self.worker.watch()
+        return super().report()
+
+    @property
+    def failure(self) -> Exception | None:
+        """The defect that ended the worker."""
+        return None if self.worker is None else self.worker.failure
+
+    def close(self) -> bool:
+        """End the worker."""
+        return self.worker is None or self.worker.close()
+
+    def _on_sample(self, message: LoopSample) -> None:
+        sample: Sample = sample_from(message)
+        self._watch.push(sample.index, time.monotonic())
+        self.put(sample)

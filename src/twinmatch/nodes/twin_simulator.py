@@ -1,0 +1,46 @@
+"""Runs the nominal twin beside the plant: samples and `twin/nominal` in, `twin/state` out."""
+
+from __future__ import annotations
+
+import sys
+
+from twinmatch.nodes.conversions import parameters_from, state_message
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.samples import LATCHED, RELIABLE, SampleNode
+from twinmatch.signals import Sample
+from twinmatch.twin import Mirror
+from twinmatch_msgs.msg import Candidate, TwinState
+
+__all__ = ["TwinSimulatorNode", "main"]
+
+
+class TwinSimulatorNode(SampleNode):
+    """Publishes where the twins are at every sample; before there is a nominal, with the start values."""
+
+    NAME = "twin_simulator"
+
+    def open(self) -> None:
+        """Mirror the samples to come."""
+        self._mirror = Mirror(self.settings.start, self.settings.gains, self.values["recent"])
+        self._nominal = ""
+        self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
+        super().open()
+        self.create_subscription(Candidate, "twin/nominal", self.put, LATCHED)
+
+    def work(self, item: Sample | Candidate) -> None:
+        """Mirror one sample, or take over the parameters of a new nominal candidate."""
+        if isinstance(item, Sample):
+            self._publisher.publish(state_message(self._mirror.push(item), self._nominal))
+            return
+        self._mirror.parameters = parameters_from(item.parameters)
+        self._nominal = item.name
+        self.health.set("nominal", item.name)
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([TwinSimulatorNode]))
+
+
+if __name__ == "__main__":
+    main()

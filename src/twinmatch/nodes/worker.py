@@ -1,0 +1,96 @@
+"""One thread that does a node's heavy work, so that its callbacks never wait."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Generic, TypeVar
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.diagnostics import Health, Level
+
+__all__ = ["Worker"]
+
+Item = TypeVar("Item")
+PATIENCE = 0.2
+"""Seconds after which an idle worker looks whether it is to end."""
+
+
+class Worker(Generic[Item]):
+    """Handles items in the order in which they were put.
+
+    Nothing is ever dropped: the items are small, and a lost sample would cost a whole window. A
+    `TwinmatchError` of the handler is reported and the next item handled; any other exception is a
+    defect, ends the worker and is kept in `failure`.
+    """
+
+    def __init__(self, handle: Callable[[Item], None], health: Health, backlog: int = 100) -> None:
+        """Start the thread; more than `backlog` items waiting is reported as a warning."""
+        self.failure: Exception | None = None
+        self._handle = handle
+        self._health = health
+        self._backlog = backlog
+        self._items: SimpleQueue[Item] = SimpleQueue()
+        self._ending = threading.Event()
+        self._taken_on = itertools.count(1)
+        self._last_put = 0
+        self._done = 0
+        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
+        self._thread.start()
+
+    @property
+    def depth(self) -> int:
+        """Items that wait."""
+        return self._items.qsize()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread still runs."""
+        return self._thread.is_alive()
+
+    @property
+    def idle(self) -> bool:
+        """Whether everything that was put has been handled."""
+        return self._done >= self._last_put
+
+    def put(self, item: Item) -> None:
+        """Leave an item to the worker."""
+        self._last_put = next(self._taken_on)
+        self._items.put(item)
+
+    def watch(self) -> None:
+        """Bring the queue into the health report."""
+        depth = self.depth
+        self._health.set("queue depth", depth)
+        if depth > self._backlog:
+            message = f"{depth} messages wait; the work takes longer than they come in"
+            self._health.complain("queue", Level.WARN, message)
+        else:
+            self._health.withdraw("queue")
+
+    def close(self, timeout: float = 2.0) -> bool:
+        """Ask the worker to end after the item it is at; whether it did within the timeout (s)."""
+        self._ending.set()
+        self._thread.join(timeout)
+        return not self.alive
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            try:
+                item = self._items.get(timeout=PATIENCE)
+            except Empty:
+                continue
+            try:
+                self._handle(item)
+            except TwinmatchError as error:
+                self._health.set("last error", error)
+                self._health.count("errors")
+                self._health.complain("error", Level.ERROR, str(error))
+            except Exception as error:  # handed to the main thread, which ends the process with it
+                self.failure = error
+                return
+            else:
+                self._health.withdraw("error")
+            self._done += 1

@@ -1,0 +1,179 @@
+"""The last word on the output: what may be sent to the driver, and why not.
+
+    waiting ──fresh command and temperature──▶ armed ──anything doubtful──▶ latched
+       ▲                                                                       │
+       └────────────────────────────── clear() ◀───────────────────────────────┘
+
+Only an armed guard lets a command through. A latched fault stays, with the output at zero, until
+somebody clears it; clearing does not arm, a new command and a new temperature do. While it waits, silence
+is no fault, so the nodes of a rig may start in any order; impossible values are one at any time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+from twinmatch.safety.errors import SafetyError
+from twinmatch.safety.runaway import Runaway, RunawayLimits
+from twinmatch.signals import PWM_LIMIT
+
+__all__ = ["Fault", "FaultKind", "GuardLimits", "OutputGuard"]
+
+
+class FaultKind(Enum):
+    """What latched."""
+
+    COMMAND_SILENT = "command_silent"
+    COMMAND_INVALID = "command_invalid"
+    TEMPERATURE_STALE = "temperature_stale"
+    TEMPERATURE_INVALID = "temperature_invalid"
+    OVER_TEMPERATURE = "over_temperature"
+    UNDER_TEMPERATURE = "under_temperature"
+    RUNAWAY = "runaway"
+    DRIVER = "driver"
+    """The motor driver reports a short circuit, heat or lack of supply."""
+    BOARD = "board"
+    """The PWM board started anew or tripped by itself."""
+    LINK = "link"
+    """The PWM board does not answer, or its port is gone."""
+    CLOCK = "clock"
+    """The clock the rig lives by stands still."""
+    STOPPED = "stopped"
+    """Somebody asked for it."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A latched fault: what, in which words, since when (s)."""
+
+    kind: FaultKind
+    message: str
+    since: float
+
+
+@dataclass(frozen=True)
+class GuardLimits:
+    """When the output has to go to zero."""
+
+    command_timeout: float = 1.0
+    """Longest time between two commands, s."""
+    temperature_timeout: float = 3.0
+    """Greatest age of the newest temperature that was news, s; flat-field corrections take about 1 s."""
+    highest: float = 110.0
+    """Over-temperature, °C."""
+    lowest: float = -10.0
+    """Below this the plate ices or the sensor is wrong, °C."""
+    runaway: RunawayLimits = field(default_factory=RunawayLimits)
+
+    def __post_init__(self) -> None:
+        for name in ("command_timeout", "temperature_timeout"):
+            if not 0 < getattr(self, name) <= 60:
+                msg = f"guard limits: {name} is {getattr(self, name)} s; it must be within 0 to 60 s"
+                raise SafetyError(msg)
+        if not self.lowest < self.highest:
+            msg = f"guard limits: lowest {self.lowest} °C must be below highest {self.highest} °C"
+            raise SafetyError(msg)
+
+
+class OutputGuard:
+    """Decides, tick by tick, whether a command may reach the driver.
+
+    All times are seconds of one clock that does not step back, such as a `SafetyClock`.
+    """
+
+    fault: Fault | None
+    """What latched, if anything did."""
+
+    def __init__(self, limits: GuardLimits | None = None) -> None:
+        """Begin waiting, with the output at zero."""
+        self.limits = limits or GuardLimits()
+        self._runaway = Runaway(self.limits.runaway)
+        self.clear()
+
+    @property
+    def armed(self) -> bool:
+        """True while commands pass."""
+        return self._armed
+
+    def command(self, pwm: float, now: float, age: float = 0.0) -> None:
+        """Take a command that was given `age` seconds ago."""
+        if self.fault is not None:
+            return
+        if not math.isfinite(pwm) or abs(pwm) > PWM_LIMIT:
+            self.trip(FaultKind.COMMAND_INVALID, f"the command is {pwm}; −255 to 255 is possible", now)
+            return
+        self._command.take(pwm, now - max(0.0, age))
+
+    def temperature(self, celsius: float, now: float, age: float = 0.0) -> None:
+        """Take a temperature measured `age` seconds ago; not those that a frozen camera repeats."""
+        limits = self.limits
+        if self.fault is not None:
+            return
+        if not math.isfinite(celsius):
+            self.trip(FaultKind.TEMPERATURE_INVALID, f"the temperature is {celsius}; check the camera", now)
+        elif celsius > limits.highest:
+            message = (
+                f"the plate is at {celsius:.1f} °C, above {limits.highest:g} °C; let it cool, find out why"
+            )
+            self.trip(FaultKind.OVER_TEMPERATURE, message, now)
+        elif celsius < limits.lowest:
+            message = (
+                f"the plate is at {celsius:.1f} °C, below {limits.lowest:g} °C; check sensor and polarity"
+            )
+            self.trip(FaultKind.UNDER_TEMPERATURE, message, now)
+        else:
+            self._temperature.take(celsius, now - max(0.0, age))
+
+    def loop(self, reference: float, temperature: float, pwm: float, now: float) -> None:
+        """Take one tick of the control loop, for the runaway watch."""
+        if self.fault is not None or not all(map(math.isfinite, (reference, temperature, pwm))):
+            return
+        found = self._runaway.check(now, reference, temperature, pwm)
+        if found is not None:
+            self.trip(FaultKind.RUNAWAY, found, now)
+
+    def trip(self, kind: FaultKind, message: str, now: float) -> None:
+        """Latch a fault, unless there is one already: the first one tells the cause."""
+        if self.fault is None:
+            self.fault = Fault(kind, message, now)
+        self._armed = False
+
+    def output(self, now: float) -> float:
+        """What may be sent now: the newest command, or zero."""
+        if self.fault is not None:
+            return 0.0
+        silence, age = self._command.age(now), self._temperature.age(now)
+        silent, stale = silence > self.limits.command_timeout, age > self.limits.temperature_timeout
+        if self._armed and silent:
+            message = f"no command for {silence:.1f} s; is the controller up?"
+            self.trip(FaultKind.COMMAND_SILENT, message, now)
+        elif self._armed and stale:
+            message = f"the newest temperature is {age:.1f} s old; is the camera up?"
+            self.trip(FaultKind.TEMPERATURE_STALE, message, now)
+        else:  # before it is armed, what has grown old is only waited for again
+            self._armed = not (silent or stale)
+        return self._command.value if self._armed else 0.0
+
+    def clear(self) -> None:
+        """Forget the fault; the output stays at zero until a new command and temperature arrive."""
+        self.fault = None
+        self._runaway.reset()
+        self._command = _Input()
+        self._temperature = _Input()
+        self._armed = False
+
+
+class _Input:
+    """The newest value of something, and when it was true."""
+
+    def __init__(self) -> None:
+        self.value = 0.0
+        self._since = -math.inf
+
+    def take(self, value: float, since: float) -> None:
+        self.value, self._since = value, max(self._since, since)
+
+    def age(self, now: float) -> float:
+        return max(0.0, now - self._since)

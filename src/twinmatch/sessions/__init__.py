@@ -1,0 +1,37 @@
+"""Sessions: recorded runs as files, and what is read from files of others.
+
+A session is a rosbag2 folder with MCAP files, so every tool of ROS 2 reads it; this room writes and
+reads it without ROS. `SessionWriter` writes serialised messages of any topics, and a live `Recording`
+stops it before the disk is full; `write_session` writes samples, complete or not at all. `read_session`
+reads both, for as far as a torn file goes. `read_recording` imports MATLAB and CSV files of the rig, and
+`open_any` opens either.
+"""
+
+from twinmatch.sessions.errors import RecordingError, SessionError
+from twinmatch.sessions.importers import read_recording
+from twinmatch.sessions.reader import Session, read_session
+from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
+from twinmatch.sessions.sources import open_any
+from twinmatch.sessions.store import EPOCH, samples_of, write_session
+from twinmatch.sessions.topics import Message, Qos, Topic, plant_messages
+from twinmatch.sessions.writer import SessionWriter
+
+__all__ = [
+    "EPOCH",
+    "DiskFullError",
+    "Message",
+    "Qos",
+    "Recording",
+    "RecordingError",
+    "RecordingLimits",
+    "Session",
+    "SessionError",
+    "SessionWriter",
+    "Topic",
+    "open_any",
+    "plant_messages",
+    "read_recording",
+    "read_session",
+    "samples_of",
+    "write_session",
+]

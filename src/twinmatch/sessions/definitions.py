@@ -1,0 +1,120 @@
+"""Definitions of the messages that sessions are written with, so that no ROS installation is needed.
+
+The texts are those of the installed `.msg` files, comments included, because readers show them; the
+hashes are the RIHS01 type hashes that ROS 2 computes from the fields. Tests compare both with an
+installed ROS 2, and the hashes with an independent implementation.
+Header, Time, Temperature and Float64 are definitions of the ROS 2 common interfaces (Apache-2.0).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+__all__ = ["FLOAT64", "HEADER", "LOOP_SAMPLE", "TEMPERATURE", "TIME", "MessageType", "fields_of"]
+
+
+class MessageType(NamedTuple):
+    """A ROS message type and all that a session file says about it."""
+
+    name: str
+    """Full name, `package/msg/Type`."""
+    text: str
+    """Text of the `.msg` file."""
+    type_hash: str
+    """RIHS01 hash of the fields."""
+    parts: tuple[MessageType, ...] = ()
+    """Types of the nested fields, in the order a depth-last walk meets them."""
+
+    @property
+    def schema(self) -> str:
+        """The `ros2msg` schema: this text, then those of the nested types, each under its name."""
+        blocks = [self.text]
+        for part in self.parts:
+            package, _, name = part.name.split("/")
+            blocks.append(f"{'=' * 80}\nMSG: {package}/{name}\n{part.text}")
+        return "\n".join(blocks)
+
+
+def fields_of(schema: str) -> list[str]:
+    """The field lines of a schema's first type, without comments and spare blanks."""
+    own = schema.split("=" * 80, maxsplit=1)[0]
+    lines = (" ".join(line.split("#", 1)[0].split()) for line in own.splitlines())
+    return [line for line in lines if line]
+
+
+TIME = MessageType(
+    "builtin_interfaces/msg/Time",
+    """\
+# This message communicates ROS Time defined here:
+# https://design.ros2.org/articles/clock_and_time.html
+
+# The seconds component, valid over all int32 values.
+int32 sec
+
+# The nanoseconds component, valid in the range [0, 1e9).
+uint32 nanosec
+""",
+    "RIHS01_b106235e25a4c5ed35098aa0a61a3ee9c9b18d197f398b0e4206cea9acf9c197",
+)
+
+HEADER = MessageType(
+    "std_msgs/msg/Header",
+    """\
+# Standard metadata for higher-level stamped data types.
+# This is generally used to communicate timestamped data
+# in a particular coordinate frame.
+
+# Two-integer timestamp that is expressed as seconds and nanoseconds.
+builtin_interfaces/Time stamp
+
+# Transform frame with which this data is associated.
+string frame_id
+""",
+    "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01",
+    (TIME,),
+)
+
+LOOP_SAMPLE = MessageType(
+    "twinmatch_msgs/msg/LoopSample",
+    """\
+# One tick of the control loop: at tick k the reference and the temperature are read and the PWM is
+# computed from them; the PWM then drives the plant until tick k+1.
+
+std_msgs/Header header   # stamp: when the temperature was read
+uint64 index             # ticks since the session began, without gaps
+float64 reference        # set-point r, degC
+float64 temperature      # measured plate temperature y, degC
+float64 pwm              # command u of this tick, -255 to 255, positive heats
+""",
+    "RIHS01_a973baa05a492f73a0ebcd1d2e846bf77a509f16f1f25eb28d100a35834d4ea9",
+    (HEADER, TIME),
+)
+
+TEMPERATURE = MessageType(
+    "sensor_msgs/msg/Temperature",
+    """\
+# Single temperature reading.
+
+std_msgs/Header header # timestamp is the time the temperature was measured
+                             # frame_id is the location of the temperature reading
+
+float64 temperature          # Measurement of the Temperature in Degrees Celsius.
+
+float64 variance             # 0 is interpreted as variance unknown.
+""",
+    "RIHS01_72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
+    (HEADER, TIME),
+)
+
+FLOAT64 = MessageType(
+    "std_msgs/msg/Float64",
+    """\
+# This was originally provided as an example message.
+# It is deprecated as of Foxy
+# It is recommended to create your own semantically meaningful message.
+# However if you would like to continue using this please use the equivalent in example_msgs.
+
+float64 data
+""",
+    "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
+)

@@ -1,0 +1,171 @@
+"""Reads recordings of the rig made by other programs: MATLAB `.mat` and `.csv`.
+
+A **.mat** file (MATLAB version 5, 6 or 7) holds the matrix `simout` with one row per sample and four
+columns: PWM command (−255 to 255), temperature (°C), time (s), set-point (°C).
+
+A **.csv** file has one line of column names, then one line per sample; columns are divided by commas,
+semicolons or tabs, and decimals by points. The four columns may stand in any order and others may
+stand between them; case and a unit in brackets do not matter to the names:
+
+    time          t, seconds                     s
+    reference     r, setpoint, set_point         °C
+    temperature   y, temp                        °C
+    pwm           u, command                     −255 to 255
+
+A unit in brackets is checked: `temperature (K)` is refused, not converted.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.recordings import Columns, gather
+from twinmatch.signals import Window
+
+__all__ = ["MAT_BEGINNING", "RECORDING_SUFFIXES", "read_recording"]
+
+RECORDING_SUFFIXES = (".mat", ".csv")
+MAT_BEGINNING = b"MATLAB 5.0 MAT-file"
+MATRIX = "simout"
+
+_NAMES = {
+    "time": ("time", "t", "seconds"),
+    "reference": ("reference", "r", "setpoint", "set_point"),
+    "temperature": ("temperature", "y", "temp"),
+    "pwm": ("pwm", "u", "command"),
+}
+_UNITS = {"time": ("s",), "reference": ("°c", "degc", "c"), "temperature": ("°c", "degc", "c"), "pwm": ()}
+_NAME = re.compile(r"^\s*(?P<name>[^(\[]*?)\s*(?:[(\[]\s*(?P<unit>[^)\]]*?)\s*[)\]])?\s*$")
+
+
+def read_recording(path: Path | str) -> Window:
+    """Read a recording as one window; its samples are counted from 0.
+
+    Args:
+        path: a `.mat` or `.csv` file as this module describes them.
+
+    Raises:
+        RecordingError: no such file, no recording, missing columns, values or times that cannot be used.
+    """
+    path = Path(path)
+    if not path.exists():
+        msg = f"recording {path}: does not exist"
+        raise RecordingError(msg)
+    if path.is_dir():
+        msg = f"recording {path}: is a folder; name the file in it"
+        raise RecordingError(msg)
+    suffix = path.suffix.lower()
+    if suffix not in RECORDING_SUFFIXES:
+        endings = " or ".join(RECORDING_SUFFIXES)
+        msg = f"recording {path}: a recording's name ends in {endings}, not in {suffix!r}"
+        raise RecordingError(msg)
+    try:
+        return _read_mat(path) if suffix == ".mat" else _read_csv(path)
+    except OSError as error:
+        msg = f"recording {path}: cannot be read ({error.strerror or error})"
+        raise RecordingError(msg) from error
+
+
+def _read_mat(path: Path) -> Window:
+    from scipy.io import loadmat, whosmat  # noqa: PLC0415 - a quarter of a second that sessions can do without
+
+    with path.open("rb") as file:
+        beginning = file.read(len(MAT_BEGINNING))
+    if beginning.startswith(b"MATLAB 7.3"):
+        msg = f"recording {path}: is a MATLAB 7.3 file; save it again with the option -v7"
+        raise RecordingError(msg)
+    if beginning != MAT_BEGINNING:
+        msg = f"recording {path}: is no MATLAB file of version 5"
+        raise RecordingError(msg)
+    try:
+        held = [name for name, _, _ in whosmat(path)]
+        matrix = loadmat(path, variable_names=[MATRIX]).get(MATRIX)
+    except Exception as error:  # what the library meets in damaged bytes has many names
+        msg = f"recording {path}: is truncated or damaged; copy it again ({error})"
+        raise RecordingError(msg) from error
+    if matrix is None:
+        msg = f"recording {path}: has no matrix {MATRIX}; it has {', '.join(held) or 'nothing'}"
+        raise RecordingError(msg)
+    if not (isinstance(matrix, np.ndarray) and matrix.dtype.kind in "fiu"):
+        msg = f"recording {path}: {MATRIX} is no matrix of real numbers; log it as an array"
+        raise RecordingError(msg)
+    if matrix.ndim != 2 or matrix.shape[1] != 4:
+        msg = (
+            f"recording {path}: {MATRIX} has the shape {matrix.shape}; it needs 4 columns: PWM, temperature, "
+            "time, set-point"
+        )
+        raise RecordingError(msg)
+    pwm, temperature, time, reference = np.asarray(matrix, dtype=np.float64).T
+    return gather(Columns(time, reference, temperature, pwm), path.name, lambda i: f"row {i + 1}")
+
+
+def _read_csv(path: Path) -> Window:
+    try:
+        lines = path.read_text("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        msg = f"recording {path}: is no text in UTF-8"
+        raise RecordingError(msg) from None
+    if not lines:
+        msg = f"recording {path}: is empty"
+        raise RecordingError(msg)
+    divider = max(",;\t", key=lines[0].count)
+    rows = csv.reader(lines, delimiter=divider)
+    try:
+        places = _places(next(rows), path)
+        numbers, values = _values(rows, places, path)
+    except csv.Error as error:
+        msg = f"recording {path}: is no table ({error})"
+        raise RecordingError(msg) from None
+    table = np.array(values, dtype=np.float64).reshape(-1, len(places))
+    return gather(Columns(*table.T), path.name, lambda i: f"line {numbers[i]}")
+
+
+def _places(header: list[str], path: Path) -> list[int]:
+    """Positions of the columns in the order of `Columns`."""
+    found: dict[str, int] = {}
+    for place, title in enumerate(header):
+        match = _NAME.match(title.lower())
+        column = next((c for c, names in _NAMES.items() if match and match["name"] in names), None)
+        if column is None or match is None:
+            continue
+        if match["unit"] and match["unit"] not in _UNITS[column]:
+            unit = {"time": "s", "pwm": "steps of −255 to 255, without unit"}.get(column, "°C")
+            msg = f"recording {path}: column {title.strip()!r}: {column} is needed in {unit}"
+            raise RecordingError(msg)
+        if column in found:
+            msg = f"recording {path}: columns {header[found[column]]!r} and {title!r} are both the {column}"
+            raise RecordingError(msg)
+        found[column] = place
+    missing = [column for column in Columns._fields if column not in found]
+    if missing:
+        titles = ", ".join(repr(title.strip()[:40]) for title in header[:20])
+        msg = (
+            f"recording {path}: has no column {' and no column '.join(missing)}; its first line has {titles}"
+        )
+        raise RecordingError(msg)
+    return [found[column] for column in Columns._fields]
+
+
+def _values(rows: Iterator[list[str]], places: list[int], path: Path) -> tuple[list[int], list[list[float]]]:
+    """Line numbers and values of the rows that are not blank."""
+    numbers: list[int] = []
+    values: list[list[float]] = []
+    for number, row in enumerate(rows, start=2):
+        if not "".join(row).strip():
+            continue
+        numbers.append(number)
+        values.append([])
+        for column, place in zip(Columns._fields, places, strict=True):
+            text = row[place] if place < len(row) else ""
+            try:
+                values[-1].append(float(text))
+            except ValueError:
+                msg = f"recording {path}: {column} in line {number} is {text[:40]!r}, which is not a number"
+                raise RecordingError(msg) from None
+    return numbers, values

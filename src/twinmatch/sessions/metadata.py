@@ -1,0 +1,142 @@
+"""The text that makes a folder with an MCAP file a rosbag2 bag: `metadata.yaml`, version 9."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from twinmatch.sessions.topics import Qos, Topic
+
+__all__ = ["METADATA", "Part", "Summary", "distro_of", "files_listed", "parse_qos", "qos_text"]
+
+METADATA = "metadata.yaml"
+VERSION = 9
+
+
+class Part(NamedTuple):
+    """One MCAP file of a session."""
+
+    file: str
+    """Its name in the folder."""
+    start: int
+    """Log time of the earliest message, ns; 0 if there is none."""
+    end: int
+    """Log time of the latest message, ns."""
+    messages: int
+    """How many are in it."""
+
+
+class Summary(NamedTuple):
+    """What the metadata say about a session."""
+
+    parts: tuple[Part, ...]
+    """Its files, at least one."""
+    counts: Mapping[Topic, int]
+    """Messages per topic."""
+    ros_distro: str
+    """ROS 2 distribution that recorded, or `unknown`."""
+
+    def text(self) -> str:
+        """The information as YAML, as it is repeated inside each MCAP file for that file."""
+        return _dump(self._information())
+
+    def file_text(self) -> str:
+        """The text of `metadata.yaml`."""
+        return _dump({"rosbag2_bagfile_information": self._information()})
+
+    def _information(self) -> dict[str, object]:
+        used = [part for part in self.parts if part.messages] or list(self.parts)
+        start, end = min(part.start for part in used), max(part.end for part in used)
+        return {
+            "version": VERSION,
+            "storage_identifier": "mcap",
+            **_extent(start, end, sum(self.counts.values())),
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": topic.name,
+                        "type": topic.type,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": [topic.qos.profile()],
+                        "type_description_hash": topic.type_hash,
+                    },
+                    "message_count": count,
+                }
+                for topic, count in self.counts.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [part.file for part in self.parts],
+            "files": [
+                {"path": part.file, **_extent(part.start, part.end, part.messages)} for part in self.parts
+            ],
+            "custom_data": None,
+            "ros_distro": self.ros_distro,
+        }
+
+
+def _extent(start: int, end: int, count: int) -> dict[str, object]:
+    return {
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": count,
+    }
+
+
+def qos_text(qos: Qos) -> str:
+    """The offered profiles as the YAML text of a channel's metadata."""
+    return _dump([qos.profile()])
+
+
+def parse_qos(text: str) -> Qos:
+    """The first offered profile of a channel; what is missing or unknown falls back to the defaults.
+
+    rosbag2 wrote numbers before version 9 and writes words since.
+    """
+    try:
+        profile = _load(text)[0]
+        reliability = {1: "reliable", 2: "best_effort"}.get(profile["reliability"], profile["reliability"])
+        durability = {1: "transient_local", 2: "volatile"}.get(profile["durability"], profile["durability"])
+        depth = int(profile["depth"])
+    except (ValueError, TypeError, LookupError):
+        return Qos()
+    if reliability not in {"reliable", "best_effort"} or durability not in {"volatile", "transient_local"}:
+        return Qos()
+    # A recorder sees depth 0 where discovery does not tell it.
+    return Qos(reliability, durability, depth if depth > 0 else Qos().depth)
+
+
+def files_listed(folder: Path) -> list[str]:
+    """Names of the MCAP files that `metadata.yaml` lists; none if it cannot be read."""
+    try:
+        return [Path(name).name for name in _read(folder)["relative_file_paths"]]
+    except (OSError, ValueError, TypeError, LookupError):
+        return []
+
+
+def distro_of(folder: Path) -> str:
+    """The ROS 2 distribution that `metadata.yaml` names; `unknown` if it cannot be read."""
+    try:
+        return str(_read(folder)["ros_distro"])
+    except (OSError, ValueError, TypeError, LookupError):
+        return "unknown"
+
+
+def _read(folder: Path) -> Any:
+    return _load((folder / METADATA).read_text("utf-8"))["rosbag2_bagfile_information"]
+
+
+def _dump(value: object) -> str:
+    import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
+
+    return str(yaml.safe_dump(value, sort_keys=False))
+
+
+def _load(text: str) -> Any:
+    import yaml  # noqa: PLC0415 - as above
+
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from None

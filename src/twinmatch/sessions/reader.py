@@ -1,0 +1,204 @@
+"""Reads a session: its samples at once, its messages as a stream for a player."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import chain, pairwise
+from pathlib import Path
+
+from twinmatch.sessions.cdr import decode_sample
+from twinmatch.sessions.checks import check_samples, gaps_of, period_of
+from twinmatch.sessions.definitions import LOOP_SAMPLE, fields_of
+from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.metadata import METADATA, files_listed
+from twinmatch.sessions.scan import Scan
+from twinmatch.sessions.topics import Message, Topic
+from twinmatch.signals import Sample, Window
+
+__all__ = ["Session", "read_session"]
+
+SUFFIX = "plant/sample"
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One recorded run."""
+
+    name: str
+    path: Path
+    """Where it was read from: a folder or a file."""
+    topic: str
+    """Topic the samples were published on."""
+    samples: list[Sample]
+    """All samples, finite; a tick that took place without one is missing in their indices."""
+    topics: list[Topic]
+    """All topics of the session."""
+    counts: dict[str, int]
+    """Messages per topic name."""
+    start: int
+    """Log time of the earliest message, ns since the epoch of its clock."""
+    end: int
+    """Log time of the latest message, ns."""
+    notes: list[str]
+    """What a reader of results from this session should know, as sentences."""
+    source: Callable[[], Iterable[Message]] = field(repr=False)
+    """Yields the messages anew at each call."""
+    records: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """Metadata records of the recorder by their name; of one that changed the last."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the earliest to the latest message."""
+        return (self.end - self.start) / 1e9
+
+    @property
+    def period(self) -> float:
+        """Sample time, s, as the stamps of the samples show it."""
+        return period_of(self.samples)
+
+    def window(self, period: float | None = None) -> Window:
+        """All samples as one window; `period` (s) if the stamps are not to be asked.
+
+        Raises:
+            SignalError: some are missing, as `notes` say.
+        """
+        return Window.from_samples(self.samples, self.period if period is None else period)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages, serialised, in the order in which they were recorded.
+
+        Args:
+            topics: names of the wanted topics; all if not given.
+
+        Raises:
+            SessionError: the session has no topic of a name, or the file has gone.
+        """
+        unknown = sorted(set(topics or ()) - self.counts.keys())
+        if unknown:
+            msg = f"session {self.name}: has no topic {', '.join(unknown)}; it has {_names(self.topics)}"
+            raise SessionError(msg)
+        for message in self.source():
+            if topics is None or message.topic.name in topics:
+                yield message
+
+
+def read_session(path: Path | str, topic: str | None = None) -> Session:
+    """Read a session folder or a single MCAP file of one.
+
+    Of a torn or damaged file all that comes before the damage is read, and `notes` say so; they also say
+    where samples are missing because the loop had no temperature, came too late or was started again.
+
+    Args:
+        path: the folder or the `.mcap` file.
+        topic: the topic with the samples, if there are several rigs in the session; otherwise the one
+            topic of type LoopSample whose name ends in `plant/sample`.
+
+    Raises:
+        SessionError: nothing there, no session, no or several plant topics, no samples, values that are
+            not finite, stamps that do not advance from first to last.
+    """
+    path = Path(path)
+    files, notes = _files(path)
+    scans = [Scan(file) for file in files]
+    counts: Counter[str] = Counter()
+    raw: dict[str, list[bytes]] = {}
+    start, end = 2**64, 0
+    for message in chain.from_iterable(scans):
+        name = message.topic.name
+        counts[name] += 1
+        start, end = min(start, message.log_time), max(end, message.log_time)
+        if message.topic.type == LOOP_SAMPLE.name:
+            raw.setdefault(name, []).append(message.data)
+    topics = list({known.name: known for scan in scans for known in scan.topics}.values())
+    name = path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem)
+    faults = [f"{scan.path.name}: {scan.fault}" for scan in scans if scan.fault]
+    place = "; ".join([f"session {name}", *faults])
+    chosen = _plant_topic(topics, topic, place)
+    samples = [decode_sample(data) for data in raw.get(chosen.name, [])]
+    check_samples(samples, place)
+    return Session(
+        name=name,
+        path=path,
+        topic=chosen.name,
+        samples=samples,
+        topics=topics,
+        counts={known.name: counts[known.name] for known in topics},
+        start=start,
+        end=end,
+        notes=[*notes, *(_extent(fault, samples) for fault in faults), *_gaps(samples), *_clock(samples)],
+        source=lambda: chain.from_iterable(Scan(file) for file in files),
+        records={name: values for scan in scans for name, values in scan.records.items()},
+    )
+
+
+def _files(path: Path) -> tuple[list[Path], list[str]]:
+    """The MCAP files of a session and what is to be noted about them."""
+    if not path.exists():
+        msg = f"session {path}: does not exist"
+        raise SessionError(msg)
+    if not path.is_dir():
+        return [path], []
+    listed = [path / name for name in files_listed(path)]
+    present = [file for file in listed if file.is_file()]
+    notes = [f"{file.name} is listed in {METADATA} but missing" for file in listed if file not in present]
+    if not listed:
+        present = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+        notes = [f"{METADATA} is missing or unreadable: the recording was not finished"]
+    if not present:
+        msg = f"session {path}: is no session; the folder holds no MCAP file"
+        raise SessionError(msg)
+    return present, notes
+
+
+def _plant_topic(topics: list[Topic], wanted: str | None, place: str) -> Topic:
+    plants = [topic for topic in topics if topic.type == LOOP_SAMPLE.name]
+    if wanted is None:
+        plants = [topic for topic in plants if topic.name.endswith(SUFFIX)]
+    else:
+        plants = [topic for topic in plants if topic.name == wanted]
+    if not plants:
+        asked = wanted or f"a topic ending in {SUFFIX}"
+        msg = f"{place}: {asked} of type {LOOP_SAMPLE.name} is not in it; it has {_names(topics)}"
+        raise SessionError(msg)
+    if len(plants) > 1:
+        msg = f"{place}: has samples of several rigs ({_names(plants)}); name the topic to use"
+        raise SessionError(msg)
+    if fields_of(plants[0].schema) != fields_of(LOOP_SAMPLE.schema):
+        msg = (
+            f"{place}: {plants[0].name} was recorded with another definition of LoopSample; "
+            "read it with the version that recorded it"
+        )
+        raise SessionError(msg)
+    return plants[0]
+
+
+def _names(topics: list[Topic]) -> str:
+    return ", ".join(sorted(topic.name for topic in topics)) or "no topics"
+
+
+def _extent(fault: str, samples: list[Sample]) -> str:
+    last = samples[-1].index * period_of(samples)
+    return f"{fault}; {len(samples)} samples up to t = {last:g} s could be read"
+
+
+def _gaps(samples: list[Sample]) -> list[str]:
+    """A note on samples that are missing."""
+    gaps = gaps_of(samples)
+    if not gaps:
+        return []
+    shown = ", ".join(f"from {before} to {behind}" for before, behind in gaps[:3])
+    more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
+    return [f"the samples' indices step {shown}{more}: windows begin anew there"]
+
+
+def _clock(samples: list[Sample]) -> list[str]:
+    """Notes on a clock that was set while recording; the samples are still those of every tick."""
+    period = period_of(samples)
+    for before, after in pairwise(samples):
+        seconds = (after.stamp - before.stamp) / 1e9
+        if after.index == before.index + 1 and not 0 < seconds < 2 * period:
+            return [f"the stamps step by {seconds:g} s from sample {before.index} to {after.index}"]
+    return []

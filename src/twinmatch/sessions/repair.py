@@ -1,0 +1,175 @@
+"""Makes a whole session of one whose recorder was killed or whose disk was full.
+
+The messages that can be read are written anew beside the session; only when the copy has been compared
+with what the original still gives does it take the original's place. The original stays as
+`<session>.broken` if it was damaged in the middle, where another tool may find more behind the damage;
+one that merely ends too early holds nothing more and is removed.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from itertools import chain, zip_longest
+from pathlib import Path
+from typing import NamedTuple
+
+from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.metadata import METADATA, distro_of, files_listed
+from twinmatch.sessions.scan import Scan
+from twinmatch.sessions.topics import Message
+from twinmatch.sessions.writer import SessionWriter, sync_folder
+
+__all__ = ["BROKEN", "Repair", "repair_session"]
+
+BROKEN = ".broken"
+"""What is appended to the name of the original."""
+
+TORN = "truncated"
+
+
+class Repair(NamedTuple):
+    """What a repair came to."""
+
+    folder: Path
+    """The session, whole now."""
+    faults: tuple[str, ...]
+    """What was wrong, as sentences; empty: nothing, and nothing was done."""
+    messages: int
+    """How many it holds."""
+    start: int
+    """Log time of the earliest, ns."""
+    end: int
+    """Log time of the latest, ns."""
+    original: Path | None
+    """Where the original was kept, if it was."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the earliest to the latest message."""
+        return (self.end - self.start) / 1e9
+
+
+def repair_session(folder: Path | str) -> Repair:
+    """Make a session whole; one that is whole is left alone.
+
+    Args:
+        folder: the session's folder. If a repair was interrupted just before its end, it may be gone and
+            `<folder>.broken` there instead; then the repair is done again.
+
+    Raises:
+        SessionError: there is no session, no message of it can be read, an earlier original is in the way,
+            or the disk refuses.
+    """
+    folder = Path(folder).absolute()
+    broken = folder.with_name(folder.name + BROKEN)
+    try:
+        if not folder.exists() and broken.is_dir():
+            broken.rename(folder)
+        files = _files(folder)
+        found = _examine(folder, files)
+        if found.faults:
+            found = _rebuild(folder, broken, files, found)
+    except OSError as error:
+        msg = f"session {folder}: cannot be repaired ({error.strerror or error})"
+        raise SessionError(msg) from error
+    return found
+
+
+def _files(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        what = "is a file; give the folder it is in" if folder.is_file() else "does not exist"
+        msg = f"session {folder}: {what}"
+        raise SessionError(msg)
+    files = sorted(folder.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    if not files:
+        msg = f"session {folder}: is no session; the folder holds no MCAP file"
+        raise SessionError(msg)
+    return files
+
+
+def _examine(folder: Path, files: list[Path]) -> Repair:
+    """Read everything; what is wrong and what there is."""
+    faults: list[str] = []
+    count, start, end = 0, 2**64, 0
+    for file in files:
+        if file.stat().st_size == 0:
+            faults.append(f"{file.name} is empty")
+            continue
+        scan = Scan(file)
+        for message in scan:
+            count += 1
+            start, end = min(start, message.log_time), max(end, message.log_time)
+        if scan.fault:
+            faults.append(f"{file.name}: {scan.fault}")
+    listed = files_listed(folder)
+    if not listed:
+        faults.append(f"{METADATA} is missing or unreadable")
+    elif sorted(listed) != sorted(file.name for file in files):
+        faults.append(f"{METADATA} lists other files than there are")
+    return Repair(folder, tuple(faults), count, start if count else 0, end, None)
+
+
+def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Repair:
+    if found.messages == 0:
+        msg = f"session {folder}: {'; '.join(found.faults)}; not one message can be read, nothing was changed"
+        raise SessionError(msg)
+    if broken.exists():
+        msg = f"session {folder}: {broken} is in the way, of an earlier repair; move or remove it first"
+        raise SessionError(msg)
+    readable = [file for file in files if file.stat().st_size]
+    workshop = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".partial", dir=folder.parent))
+    try:
+        copy = workshop / folder.name
+        _write(copy, readable, distro_of(folder))
+        _compare(copy, readable)
+        folder.rename(broken)
+        try:
+            copy.rename(folder)
+        except OSError:
+            broken.rename(folder)
+            raise
+        sync_folder(folder.parent)
+    finally:
+        shutil.rmtree(workshop, ignore_errors=True)
+    if all(TORN in fault or METADATA in fault or "empty" in fault for fault in found.faults):
+        shutil.rmtree(broken, ignore_errors=True)
+        return found
+    return found._replace(original=broken)
+
+
+def _write(copy: Path, files: list[Path], ros_distro: str) -> None:
+    """The same messages and records, in as many files."""
+    with SessionWriter(copy, ros_distro=ros_distro) as writer:
+        for number, file in enumerate(files):
+            if number:
+                writer.split()
+            scan = Scan(file)
+            for message in scan:
+                writer.add_topic(message.topic)
+                writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
+            for topic in scan.topics:  # those without messages
+                writer.add_topic(topic)
+            for name, values in scan.records.items():
+                if name != "rosbag2":
+                    writer.add_record(name, values)
+
+
+def _compare(copy: Path, files: list[Path]) -> None:
+    """Whether the copy is whole and gives what the original gives."""
+    written = _files(copy)
+    for new, old in zip_longest(_messages(written), _messages(files)):
+        if new is None or old is None or new[1:] != old[1:] or new.topic.name != old.topic.name:
+            msg = f"session {copy.name}: the repaired copy differs from the original; nothing was changed"
+            raise SessionError(msg)
+    faults = _examine(copy, written).faults
+    if faults:
+        msg = (
+            f"session {copy.name}: the repaired copy is not whole ({'; '.join(faults)}); nothing was changed"
+        )
+        raise SessionError(msg)
+
+
+def _messages(files: list[Path]) -> Iterator[Message]:
+    return chain.from_iterable(Scan(file) for file in files)

@@ -1,0 +1,221 @@
+"""Reads an MCAP file from its beginning for as far as it goes.
+
+A recorder that was killed leaves a file without index, often torn within a record. Libraries refuse
+such a file or return short data as if it were whole, so the walk over the records is done here; what
+is in a record, the `mcap` library knows. Each record is read whole before it is looked into, each
+chunk is checked against its CRC, and the walk ends at the first thing that is not right.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
+
+from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.metadata import parse_qos
+from twinmatch.sessions.topics import Message, Topic
+
+__all__ = ["MAGIC", "Scan"]
+
+MAGIC = b"\x89MCAP0\r\n"
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_PRIVATE = 0x80
+
+_Record = TypeVar("_Record", Schema, Channel, Chunk, Metadata, Statistics)
+
+
+class _FaultError(Exception):
+    """Why the walk over the records ends here."""
+
+
+class _TornError(Exception):
+    """The bytes end within a record."""
+
+    def __init__(self, opcode: int, body: bytes) -> None:
+        super().__init__("the file is truncated")
+        self.opcode = opcode
+        self.body = body
+
+
+class Scan:
+    """One walk over a file: iterate it for the messages, then see what else was found."""
+
+    def __init__(self, path: Path) -> None:
+        """Prepare to read a file; nothing is opened yet.
+
+        Args:
+            path: an MCAP file, complete or torn.
+        """
+        self.path = path
+        self.topics: list[Topic] = []
+        """Topics announced so far, with or without messages."""
+        self.records: dict[str, dict[str, str]] = {}
+        """Metadata records read so far; of several with one name the last."""
+        self.fault = ""
+        """Why reading ended before the end of the messages; empty if it did not."""
+        self._count = 0
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Topic] = {}
+
+    def __iter__(self) -> Iterator[Message]:
+        """The messages in the order in which they were written.
+
+        Raises:
+            SessionError: the file cannot be opened, is empty, or is no MCAP file.
+        """
+        try:
+            with self.path.open("rb") as file:
+                self._check_beginning(file)
+                try:
+                    yield from self._messages(file)
+                except _FaultError as fault:
+                    self.fault = str(fault)
+        except OSError as error:
+            msg = f"session {self.path}: cannot be read ({error.strerror})"
+            raise SessionError(msg) from error
+
+    def _check_beginning(self, file: BinaryIO) -> None:
+        beginning = file.read(len(MAGIC))
+        if not beginning:
+            msg = f"session {self.path}: the file is empty"
+            raise SessionError(msg)
+        if beginning != MAGIC:
+            msg = f"session {self.path}: is no session; an MCAP file begins otherwise"
+            raise SessionError(msg)
+
+    def _messages(self, file: BinaryIO) -> Iterator[Message]:
+        try:
+            records = _records(file, len(MAGIC), self.path.stat().st_size)
+            for opcode, body in records:
+                if opcode == Opcode.CHUNK:
+                    data = _unpacked(_parsed(Chunk, body))
+                    yield from self._chunk(data)
+                elif opcode == Opcode.DATA_END:
+                    self._check_end(records, file)
+                    return
+                else:
+                    yield from self._record(opcode, body)
+        except _TornError as torn:
+            if torn.opcode == Opcode.CHUNK:
+                yield from self._torn_chunk(torn.body)
+        raise _FaultError("the file is truncated")
+
+    def _chunk(self, data: bytes) -> Iterator[Message]:
+        for opcode, body in _records(BytesIO(data), 0, len(data)):
+            yield from self._record(opcode, body)
+
+    def _torn_chunk(self, body: bytes) -> Iterator[Message]:
+        """What is whole in the beginning of a chunk; of a compressed one nothing is."""
+        try:
+            chunk = _parsed(Chunk, body)
+        except _FaultError:  # torn before its data
+            return
+        if not chunk.compression:
+            with contextlib.suppress(_TornError):
+                yield from self._chunk(chunk.data)
+
+    def _check_end(self, records: Iterator[tuple[int, bytes]], file: BinaryIO) -> None:
+        """Compare what was read with what the file says of itself behind its messages."""
+        try:
+            for opcode, body in records:
+                if opcode == Opcode.STATISTICS:
+                    stated = _parsed(Statistics, body).message_count
+                    if stated != self._count:
+                        raise _FaultError(
+                            f"the file is damaged: only {self._count} of {stated} messages are left"
+                        )
+                elif opcode == Opcode.FOOTER:
+                    break
+        except _TornError:
+            pass
+        if file.read() != MAGIC:
+            raise _FaultError("the file is truncated behind its last message")
+
+    def _record(self, opcode: int, body: bytes) -> Iterator[Message]:
+        if opcode == Opcode.MESSAGE:
+            if len(body) < _MESSAGE.size:
+                raise _FaultError("the file is damaged: a message is too short")
+            channel, _, logged, published = _MESSAGE.unpack_from(body)
+            topic = self._channels.get(channel)
+            if topic is None:
+                raise _FaultError("the file is damaged: a message belongs to no topic")
+            self._count += 1
+            yield Message(topic, logged, published, body[_MESSAGE.size :])
+        elif opcode == Opcode.SCHEMA:
+            schema = _parsed(Schema, body)
+            self._schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            self._announce(_parsed(Channel, body))
+        elif opcode == Opcode.METADATA:
+            record = _parsed(Metadata, body)
+            self.records[record.name] = record.metadata
+
+    def _announce(self, channel: Channel) -> None:
+        schema = self._schemas.get(channel.schema_id)
+        if channel.id in self._channels or schema is None:
+            return
+        topic = Topic(
+            channel.topic,
+            schema.name,
+            schema.data.decode("utf-8", "replace"),
+            channel.metadata.get("topic_type_hash", ""),
+            parse_qos(channel.metadata.get("offered_qos_profiles", "")),
+        )
+        self._channels[channel.id] = topic
+        self.topics.append(topic)
+
+
+def _records(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of the records between two byte positions, each of them whole."""
+    at = begin
+    while at < end:
+        head = file.read(_RECORD.size)
+        if len(head) < _RECORD.size:
+            raise _TornError(0, b"")
+        opcode, length = _RECORD.unpack(head)
+        if not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
+            raise _FaultError(f"the file is damaged at byte {at}: no record begins there")
+        at += _RECORD.size
+        body = file.read(min(length, end - at))
+        if len(body) < length:
+            raise _TornError(opcode, body)
+        yield opcode, body
+        at += length
+
+
+def _parsed(kind: type[_Record], body: bytes) -> _Record:
+    try:
+        record: _Record = kind.read(ReadDataStream(BytesIO(body)))
+    except (struct.error, ValueError, OverflowError, EndOfFile) as error:
+        raise _FaultError(f"the file is damaged: a {kind.__name__.lower()} cannot be read") from error
+    return record
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """The records in a chunk, checked against the CRC it carries."""
+    data = chunk.data
+    if chunk.compression:
+        from mcap.stream_reader import get_chunk_data_stream  # noqa: PLC0415 - loads two compressors
+
+        try:
+            stream, length = get_chunk_data_stream(chunk)
+            data = stream.read(length)
+        except Exception as error:  # each compressor has its own
+            raise _FaultError(
+                f"a chunk compressed with {chunk.compression} cannot be unpacked ({error})"
+            ) from error
+    if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in {0, zlib.crc32(data)}:
+        raise _FaultError("the file is damaged: the checksum of a chunk is wrong")
+    return data

@@ -1,0 +1,36 @@
+"""Names of the metadata records that say with what parameters a session was made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from twinmatch.sessions.errors import SessionError
+
+__all__ = ["CANDIDATES", "parameters_of", "parameters_record"]
+
+PARAMETERS = "twinmatch/parameters"
+CANDIDATES = "twinmatch/candidates"
+"""Record with the `text` of the file of candidates that the discriminator began with; empty: not readable."""
+
+
+def parameters_record(node: str) -> str:
+    """Name of the record with the parameters of a node, given by its full name; the values are JSON."""
+    return PARAMETERS + node
+
+
+def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[str, Any] | None:
+    """The parameters of a node, given by its full name; None if they were not recorded.
+
+    Raises:
+        SessionError: a value is no JSON.
+    """
+    found = records.get(parameters_record(node))
+    if found is None:
+        return None
+    try:
+        return {name: json.loads(value) for name, value in found.items()}
+    except ValueError as error:
+        msg = f"session: the recorded parameters of {node} cannot be read: {error}"
+        raise SessionError(msg) from error

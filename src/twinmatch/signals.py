@@ -1,0 +1,152 @@
+"""Samples and windows: the only data that travel between the rooms of this package.
+
+A `Sample` is one tick of the control loop. At tick k the reference r[k] and the temperature y[k] are
+read and the PWM u[k] is computed from them; u[k] then drives the plant until tick k+1.
+A `Window` is a run of consecutive samples as arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["KELVIN", "PWM_LIMIT", "FloatArray", "Sample", "SignalError", "Window", "unbroken"]
+
+FloatArray = NDArray[np.float64]
+
+KELVIN = 273.15
+"""Zero Celsius in kelvin."""
+
+PWM_LIMIT = 255.0
+"""Largest magnitude of a PWM command; its sign is the direction, positive heats the plate."""
+
+
+class SignalError(TwinmatchError):
+    """Arrays that are no window: unequal lengths, not one-dimensional, not finite, no period."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One tick of the loop."""
+
+    index: int
+    """Count of ticks since the session began, without gaps."""
+    stamp: int
+    """Time of the tick in nanoseconds since the epoch of its clock."""
+    reference: float
+    """Set-point r, °C."""
+    temperature: float
+    """Measured plate temperature y, °C."""
+    pwm: float
+    """Command u computed at this tick, −255 to 255."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Consecutive samples as read-only float64 arrays of one length N."""
+
+    reference: FloatArray
+    """Set-point r, °C, shape (N,)."""
+    temperature: FloatArray
+    """Measured temperature y, °C, shape (N,)."""
+    pwm: FloatArray
+    """Command u, −255 to 255, shape (N,)."""
+    first: int = 0
+    """Index of the first sample in its session."""
+    period: float = 1.0
+    """Sample time, s."""
+
+    def __post_init__(self) -> None:
+        lengths = set()
+        for name in ("reference", "temperature", "pwm"):
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.ndim != 1:
+                msg = f"window: {name} has shape {values.shape}; give one value per sample"
+                raise SignalError(msg)
+            bad = np.flatnonzero(~np.isfinite(values))
+            if bad.size:
+                msg = (
+                    f"window: {name} is {values[bad[0]]} at sample {self.first + int(bad[0])}; "
+                    "only finite values can be used"
+                )
+                raise SignalError(msg)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+            lengths.add(values.size)
+        if len(lengths) != 1:
+            msg = f"window: reference, temperature and pwm have lengths {sorted(lengths)}; they must be equal"
+            raise SignalError(msg)
+        if not (np.isfinite(self.period) and self.period > 0):
+            msg = f"window: the period is {self.period} s; it must be positive"
+            raise SignalError(msg)
+
+    @classmethod
+    def from_samples(cls, samples: Sequence[Sample], period: float = 1.0) -> Window:
+        """Gather consecutive samples.
+
+        Raises:
+            SignalError: there is no sample, or their indices are not consecutive.
+        """
+        if not samples:
+            raise SignalError("window: there is no sample to gather")
+        indices = np.array([s.index for s in samples])
+        gaps = np.flatnonzero(np.diff(indices) != 1)
+        if gaps.size:
+            before, after = indices[gaps[0]], indices[gaps[0] + 1]
+            msg = f"window: sample {after} follows sample {before}; a window has no gaps"
+            raise SignalError(msg)
+        return cls(
+            reference=_array(s.reference for s in samples),
+            temperature=_array(s.temperature for s in samples),
+            pwm=_array(s.pwm for s in samples),
+            first=int(indices[0]),
+            period=period,
+        )
+
+    def __len__(self) -> int:
+        return int(self.reference.size)
+
+    @property
+    def last(self) -> int:
+        """Index of the last sample in its session."""
+        return self.first + len(self) - 1
+
+    @property
+    def time(self) -> FloatArray:
+        """Seconds since the session began, shape (N,)."""
+        return np.asarray((self.first + np.arange(len(self))) * self.period, dtype=np.float64)
+
+    def part(self, first: int, last: int) -> Window:
+        """The samples with session indices `first` to `last`, both included.
+
+        Raises:
+            SignalError: the window does not hold them all.
+        """
+        if not self.first <= first <= last <= self.last:
+            held = f"{self.first} to {self.last}"
+            msg = f"window: samples {first} to {last} asked of a window that holds {held}"
+            raise SignalError(msg)
+        span = slice(first - self.first, last - self.first + 1)
+        return Window(
+            self.reference[span], self.temperature[span], self.pwm[span], first=first, period=self.period
+        )
+
+
+def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:
+    """The stretches of samples whose indices follow one another, in order."""
+    stretches = []
+    begin = 0
+    for k in range(1, len(samples) + 1):
+        if k == len(samples) or samples[k].index != samples[k - 1].index + 1:
+            stretches.append(samples[begin:k])
+            begin = k
+    return stretches
+
+
+def _array(values: Iterable[float]) -> FloatArray:
+    return np.fromiter(values, dtype=np.float64)

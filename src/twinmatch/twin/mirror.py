@@ -1,0 +1,106 @@
+"""The twin that runs beside the plant, sample by sample."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinmatch.plant import Pid, PidGains, PlantState, RigParameters, advance
+from twinmatch.signals import KELVIN, Sample
+
+__all__ = ["Mirror", "MirrorState"]
+
+
+@dataclass(frozen=True)
+class MirrorState:
+    """Both twins at one tick, before the tick's control acts on them."""
+
+    sample: Sample
+    closed_temperature: float
+    """Plate of the twin that is given the set-point and has a controller of its own, °C."""
+    closed_pwm: float
+    """Control of that twin."""
+    driven_temperature: float
+    """Plate of the twin that is given the plant's control, °C."""
+    closed_sink: float
+    """Heat sink of the closed-loop twin, °C."""
+    driven_sink: float
+    residual_y: float
+    """Measured minus closed-loop temperature, °C."""
+    residual_u: float
+    """Measured minus closed-loop control, PWM counts."""
+    residual_driven: float
+    """Measured minus driven temperature, °C."""
+    rms_y: float
+    """RMS of the residuals above over the newest samples, same units."""
+    rms_u: float
+    rms_driven: float
+
+
+class Mirror:
+    """Mirrors the live inputs: the set-point into one twin, the control into another.
+
+    New parameters take over without a jump: plates, sinks and controller keep their state. A gap in
+    the samples starts both twins again from the measured temperature.
+    """
+
+    _closed: PlantState
+    _driven: PlantState
+    _pid: Pid
+
+    def __init__(
+        self, parameters: RigParameters | None = None, gains: PidGains | None = None, recent: int = 60
+    ) -> None:
+        """Start with these rig parameters; residuals are averaged over `recent` samples."""
+        self.parameters = parameters or RigParameters()
+        self._gains = gains or PidGains()
+        self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
+        self._previous: Sample | None = None
+        self._started = 0
+
+    def push(self, sample: Sample) -> MirrorState:
+        """Take one sample; return where the twins are at its tick."""
+        if self._previous is None or sample.index != self._previous.index + 1:
+            self._restart(sample)
+        if self._started < 2:
+            # The controller's state follows from two recorded samples; until then it is the plant's.
+            state = self._observe(sample, sample.pwm)
+            self._pid.follow(sample.reference, sample.temperature, sample.pwm)
+            self._started += 1
+        else:
+            closed = self._closed.plate - KELVIN
+            state = self._observe(sample, self._pid.step(sample.reference, closed))
+        period = self._gains.period
+        self._closed = advance(self.parameters, self._closed, state.closed_pwm, period)
+        self._driven = advance(self.parameters, self._driven, sample.pwm, period)
+        self._previous = sample
+        return state
+
+    def _restart(self, sample: Sample) -> None:
+        start = PlantState(plate=sample.temperature + KELVIN, sink=self.parameters.ambient)
+        self._closed = self._driven = start
+        self._pid = Pid(self._gains)
+        self._recent.clear()
+        self._started = 0
+
+    def _observe(self, sample: Sample, closed_pwm: float) -> MirrorState:
+        closed, driven = self._closed.plate - KELVIN, self._driven.plate - KELVIN
+        residual = (sample.temperature - closed, sample.pwm - closed_pwm, sample.temperature - driven)
+        self._recent.append(residual)
+        rms_y, rms_u, rms_driven = np.sqrt(np.mean(np.square(self._recent), axis=0))
+        return MirrorState(
+            sample=sample,
+            closed_temperature=closed,
+            closed_pwm=closed_pwm,
+            driven_temperature=driven,
+            closed_sink=self._closed.sink - KELVIN,
+            driven_sink=self._driven.sink - KELVIN,
+            residual_y=residual[0],
+            residual_u=residual[1],
+            residual_driven=residual[2],
+            rms_y=float(rms_y),
+            rms_u=float(rms_u),
+            rms_driven=float(rms_driven),
+        )

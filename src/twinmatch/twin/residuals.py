@@ -1,0 +1,47 @@
+"""What a twin leaves unexplained of a window."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.plant import PidGains, RigParameters, simulate_driven, simulate_window
+from twinmatch.signals import KELVIN, FloatArray, Window
+
+__all__ = ["Residuals", "closed_loop_fit", "nrmse", "residuals"]
+
+
+class Residuals(NamedTuple):
+    """RMS of measured minus twin over a window."""
+
+    y: float
+    """Temperature against the driven twin, which is given the measured control; °C."""
+    u: float
+    """Control against the closed-loop twin, which is given the set-point; PWM counts."""
+
+
+def residuals(parameters: RigParameters, window: Window, gains: PidGains) -> Residuals:
+    """Run both twins over a window from its measured start (NaN if it has fewer than four samples)."""
+    if len(window) < 4:
+        return Residuals(float("nan"), float("nan"))
+    plate = float(window.temperature[2]) + KELVIN
+    driven = simulate_driven(parameters, window.pwm[2:], plate=plate, period=window.period)
+    closed = simulate_window(parameters, window, gains=gains)
+    return Residuals(_rms(window.temperature[2:] - driven.temperature), _rms(window.pwm[2:] - closed.pwm))
+
+
+def closed_loop_fit(parameters: RigParameters, window: Window, gains: PidGains) -> tuple[float, float]:
+    """NRMSE fit of temperature and control of the closed-loop twin over a window; 1 is perfect."""
+    closed = simulate_window(parameters, window, gains=gains)
+    return nrmse(window.temperature[2:], closed.temperature), nrmse(window.pwm[2:], closed.pwm)
+
+
+def nrmse(measured: FloatArray, simulated: FloatArray) -> float:
+    """1 − ‖measured − simulated‖ / ‖measured − mean‖; NaN for a measured signal that is constant."""
+    spread = float(np.linalg.norm(measured - np.mean(measured)))
+    return 1.0 - float(np.linalg.norm(measured - simulated)) / spread if spread > 0 else float("nan")
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

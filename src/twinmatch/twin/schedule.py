@@ -1,0 +1,139 @@
+"""When to look: samples in, triggers out.
+
+A trigger depends on the samples alone, never on the time of day or on how fast they arrive, so a
+replayed session triggers exactly where the live one did. There are two kinds:
+
+* **excited**: a set-point regime (the stretch after a set-point step) has lasted long enough, or
+  has just ended. The window reaches back over the regime before it, so that it holds two levels and
+  the way between them: what a match needs.
+* **quiet**: nothing moved for `stride` samples. The window holds just those; no parameters can be
+  found in it, but the twin's residual can be.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.signals import Sample, Window
+
+__all__ = ["Schedule", "ScheduleError", "ScheduleSettings", "Trigger"]
+
+
+class ScheduleError(TwinmatchError):
+    """Settings that no schedule can follow."""
+
+
+@dataclass(frozen=True)
+class ScheduleSettings:
+    """How many samples make a window; everything is counted in samples."""
+
+    stride: int = 60
+    """Samples between two quiet triggers."""
+    min_step: float = 2.0
+    """Smallest change of the set-point that starts a new regime, °C."""
+    min_span: int = 60
+    """A regime shorter than this is not judged on its own; the next step is taken to belong to it."""
+    span: int = 240
+    """A regime is judged this many samples after its step, if it has not ended before."""
+    lead: int = 20
+    """Samples kept before the previous regime's step: the steady state from which the window starts."""
+    capacity: int = 720
+    """Longest window."""
+
+    def __post_init__(self) -> None:
+        for name in ("stride", "min_span", "span", "lead", "capacity"):
+            if getattr(self, name) < 1:
+                msg = f"schedule: {name} is {getattr(self, name)}; it must be at least 1 sample"
+                raise ScheduleError(msg)
+        if not self.min_step > 0:
+            msg = f"schedule: min_step is {self.min_step} °C; it must be positive"
+            raise ScheduleError(msg)
+        if not self.min_span <= self.span < self.capacity:
+            msg = (
+                f"schedule: min_span {self.min_span}, span {self.span} and capacity {self.capacity} samples "
+                "must grow in this order"
+            )
+            raise ScheduleError(msg)
+
+
+class Trigger(NamedTuple):
+    """A moment at which there is something to judge."""
+
+    sample: int
+    """Index of the sample that set it off."""
+    window: Window
+    excited: bool
+    """True when the window holds a set-point step, so that parameters can be matched on it."""
+    operating_point: float
+    """Set-point at the window's end, °C."""
+
+
+class Schedule:
+    """Keeps the newest samples and says when they are worth a look."""
+
+    def __init__(self, settings: ScheduleSettings | None = None, period: float = 1.0) -> None:
+        """Begin with no samples; `period` is the sample time in s."""
+        self.settings = settings or ScheduleSettings()
+        self.period = period
+        self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)
+        self._restart(0)
+
+    def push(self, sample: Sample) -> Trigger | None:
+        """Take one sample; return the trigger it sets off, if any.
+
+        A sample that does not follow the one before it (a gap, a clock set back) starts the record
+        anew: no window reaches across it.
+        """
+        if self._samples and sample.index != self._samples[-1].index + 1:
+            self._samples.clear()
+        if not self._samples:
+            self._restart(sample.index)
+            self._anchor = sample.reference
+        trigger = self._on_step(sample) if abs(sample.reference - self._anchor) >= self._min_step else None
+        self._samples.append(sample)
+        return trigger or self._on_count(sample)
+
+    @property
+    def _min_step(self) -> float:
+        return self.settings.min_step
+
+    def _restart(self, index: int) -> None:
+        self._anchor = 0.0  # set-point of the regime, °C
+        self._step: int | None = None  # index of the regime's first sample; None before the first step
+        self._previous_step = index
+        self._judged = False
+        self._looked = index - 1  # last sample of the newest trigger's window
+
+    def _on_step(self, sample: Sample) -> Trigger | None:
+        self._anchor = sample.reference
+        if self._step is None:
+            self._step = sample.index
+            return None
+        if not self._judged and sample.index - self._step < self.settings.min_span:
+            return None
+        trigger = None if self._judged else self._excited(sample.index, sample.index - 1)
+        self._previous_step, self._step, self._judged = self._step, sample.index, False
+        return trigger
+
+    def _on_count(self, sample: Sample) -> Trigger | None:
+        if self._step is not None and not self._judged and sample.index - self._step >= self.settings.span:
+            self._judged = True
+            return self._excited(sample.index, sample.index)
+        if sample.index - self._looked >= self.settings.stride:
+            window = self._window(self._looked + 1, sample.index)
+            self._looked = sample.index
+            return Trigger(sample.index, window, False, float(window.reference[-1]))
+        return None
+
+    def _excited(self, index: int, last: int) -> Trigger:
+        first = max(self._previous_step - self.settings.lead, last - self.settings.capacity + 1)
+        window = self._window(first, last)
+        self._looked = last
+        return Trigger(index, window, True, float(window.reference[-1]))
+
+    def _window(self, first: int, last: int) -> Window:
+        held = [s for s in self._samples if first <= s.index <= last]
+        return Window.from_samples(held, self.period)

@@ -1,0 +1,147 @@
+"""Verdicts and matches as trees of plain values, from a recorded message and from the core.
+
+A tree has the fields of the message; its header is the one value `stamp` (ns), and the numbers beside
+`level_name` and `status_name` are left out. This is what the nodes' messages say, written down a second time
+for machines without ROS 2; a test compares it with them.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from twinmatch.discrimination import Criteria, Verdict
+from twinmatch.plant import PARAMETER_NAMES, RigParameters
+from twinmatch.twin import MatchReport
+
+__all__ = ["Tree", "differences", "match_tree", "message_tree", "verdict_tree"]
+
+Tree = dict[str, Any]
+
+NANOSECONDS = 1_000_000_000
+NAMED = ("level", "status")
+CRITERIA = ("trivial_length", "model_length", "gain", "explanation", "naic", "bic", "mdl")
+
+
+def message_tree(message: Any) -> Tree:
+    """A decoded message as a tree."""
+    tree: Tree = {}
+    for name in message.__slots__:
+        value = getattr(message, name)
+        if name == "header":
+            tree["stamp"] = value.stamp.sec * NANOSECONDS + value.stamp.nanosec
+        elif name not in NAMED:
+            tree[name] = _plain(value)
+    return tree
+
+
+def verdict_tree(verdict: Verdict, stamp: int) -> Tree:
+    """The tree of `ModelScore` that a verdict on a sample of this stamp (ns) makes."""
+    return {
+        "stamp": stamp,
+        "sample": verdict.sample,
+        "first": verdict.first,
+        "last": verdict.last,
+        "level_name": verdict.level.value,
+        "stands": verdict.stands,
+        "nominal": verdict.nominal or "",
+        "reason": verdict.reason,
+        "decimals": verdict.decimals,
+        "candidates": [_candidate_tree(verdict, row) for row in range(len(verdict.candidates))],
+        "order": verdict.order or "",
+        "nu_gap": [value for row in verdict.nu_gap for value in row],
+        "residual_y": verdict.residual_y,
+        "residual_u": verdict.residual_u,
+    }
+
+
+def match_tree(report: MatchReport, stamp: int) -> Tree:
+    """The tree of `Match` that a match set off by a sample of this stamp (ns) makes."""
+    match = report.match
+    return {
+        "stamp": stamp,
+        "sample": report.sample,
+        "first": match.samples[0],
+        "last": match.samples[1],
+        "operating_point": report.operating_point,
+        "status_name": match.status.value,
+        "reason": match.reason,
+        "parameters": _parameters_tree(match.parameters),
+        "sink_start": math.nan if match.sink_start is None else match.sink_start,
+        "free": list(match.free),
+        "covariance": match.covariance.ravel().tolist(),
+        "standard_errors": match.standard_errors.tolist(),
+        "fisher": match.fisher.ravel().tolist(),
+        "eigenvalues": match.eigenvalues.tolist(),
+        "condition": match.condition,
+        "bounds_hit": list(match.bounds_hit),
+        "fit_y": match.fit.y,
+        "fit_u": match.fit.u,
+        "held_back_fit_y": match.held_back.y,
+        "held_back_fit_u": match.held_back.u,
+        "chi2": match.chi2,
+    }
+
+
+def differences(recorded: Any, computed: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Where two trees differ in a single bit: path of the field, value in the one, value in the other."""
+    if isinstance(recorded, Mapping) and isinstance(computed, Mapping):
+        for name in (*recorded, *(name for name in computed if name not in recorded)):
+            inside = f"{place}.{name}" if place else name
+            yield from differences(recorded.get(name), computed.get(name), inside)
+    elif isinstance(recorded, list) and isinstance(computed, list) and len(recorded) == len(computed):
+        for number, (one, other) in enumerate(zip(recorded, computed, strict=True)):
+            yield from differences(one, other, f"{place}[{number}]")
+    elif not _same(recorded, computed):
+        yield place, recorded, computed
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, float) and isinstance(other, float | int):
+        both_nan = math.isnan(one) and math.isnan(other)
+        return both_nan or struct.pack("<d", one) == struct.pack("<d", other)
+    return bool(one == other)
+
+
+def _candidate_tree(verdict: Verdict, row: int) -> Tree:
+    candidate = verdict.candidates[row]
+    to_plant = candidate.nu_gap_to_plant
+    return {
+        "name": candidate.name,
+        "operating_point": candidate.operating_point,
+        "parameters": _parameters_tree(candidate.parameters),
+        "first": candidate.first,
+        "last": candidate.last,
+        "orders": [
+            {
+                "order": score.order,
+                "y": _criteria_tree(score.y),
+                "u": _criteria_tree(score.u),
+                "total": _criteria_tree(score.total),
+            }
+            for score in candidate.orders
+        ],
+        "chosen_order": candidate.chosen_order,
+        "nu_gap": list(verdict.nu_gap[row]) if verdict.nu_gap else [],
+        "nu_gap_sum": candidate.nu_gap_sum,
+        "newest": _criteria_tree(candidate.newest),
+        "nu_gap_to_plant": math.nan if to_plant is None else to_plant,
+    }
+
+
+def _parameters_tree(parameters: RigParameters) -> Tree:
+    return {name: float(getattr(parameters, name)) for name in PARAMETER_NAMES}
+
+
+def _criteria_tree(criteria: Criteria | None) -> Tree:
+    return {n: math.nan if criteria is None else float(getattr(criteria, n)) for n in CRITERIA}
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "__slots__"):
+        return message_tree(value)
+    if isinstance(value, list | tuple) or hasattr(value, "tolist"):
+        return [_plain(item) for item in value]
+    return value

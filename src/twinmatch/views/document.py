@@ -1,0 +1,93 @@
+"""Verdicts as plain dictionaries, for JSON: the shape other programs read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, Verdict
+from twinmatch.plant import RigParameters
+from twinmatch.views.summary import Summary
+
+__all__ = ["document", "parameters_entry", "verdict_entry"]
+
+
+def document(session: str, verdicts: Sequence[Verdict], summary: Summary) -> dict[str, Any]:
+    """A whole judged session; every value is a string, finite number, boolean, None, list or dict."""
+    return {
+        "session": session,
+        "verdicts": [verdict_entry(v) for v in verdicts],
+        "summary": {
+            "nominal": summary.nominal,
+            "level": summary.level.value,
+            "parameters": parameters_entry(summary.parameters) if summary.parameters else None,
+            "fit": {"y": _finite(summary.fit_y), "u": _finite(summary.fit_u)},
+            "notes": list(summary.notes),
+        },
+    }
+
+
+def verdict_entry(verdict: Verdict) -> dict[str, Any]:
+    """One verdict."""
+    return {
+        "sample": verdict.sample,
+        "window": [verdict.first, verdict.last],
+        "level": verdict.level.value,
+        "stands": verdict.stands,
+        "nominal": verdict.nominal,
+        "reason": verdict.reason,
+        "decimals": verdict.decimals,
+        "residual": {"y": _finite(verdict.residual_y), "u": _finite(verdict.residual_u)},
+        "candidates": [_candidate_entry(c) for c in verdict.candidates],
+        "order": verdict.order,
+        "nu_gap": [list(row) for row in verdict.nu_gap],
+    }
+
+
+def parameters_entry(parameters: RigParameters) -> dict[str, float | None]:
+    """Rig parameters in V/K, Ω, W/K, J/K and K; a sink held at ambient has no heat capacity (None)."""
+    return {
+        "seebeck": parameters.seebeck,
+        "resistance": parameters.resistance,
+        "conductance": parameters.conductance,
+        "heat_capacity": parameters.heat_capacity,
+        "ambient": parameters.ambient,
+        "sink_heat_capacity": _finite(parameters.sink_heat_capacity),
+        "sink_convection": parameters.sink_convection,
+    }
+
+
+def _candidate_entry(candidate: CandidateScore) -> dict[str, Any]:
+    return {
+        "name": candidate.name,
+        "operating_point": candidate.operating_point,
+        "window": [candidate.first, candidate.last],
+        "parameters": parameters_entry(candidate.parameters),
+        "orders": [_order_entry(o) for o in candidate.orders],
+        "chosen_order": candidate.chosen_order,
+        "nu_gap_sum": candidate.nu_gap_sum,
+        "nu_gap_to_plant": candidate.nu_gap_to_plant,
+        "newest_gain": candidate.newest.gain if candidate.newest else None,
+    }
+
+
+def _order_entry(order: OrderScore) -> dict[str, Any]:
+    outputs: dict[str, Criteria] = {"y": order.y, "u": order.u, "total": order.total}
+    names = {
+        "trivial_length": "trivial_length",
+        "model_length": "model_length",
+        "information_gain": "gain",
+        "explanation": "explanation",
+        "naic": "naic",
+        "bic": "bic",
+        "mdl": "mdl",
+    }
+    entry: dict[str, Any] = {"order": order.order}
+    for key, attribute in names.items():
+        entry[key] = {output: getattr(criteria, attribute) for output, criteria in outputs.items()}
+    return entry
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

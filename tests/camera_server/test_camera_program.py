@@ -1,0 +1,203 @@
+"""The camera program as a process: what it serves, how it ends, what it says when it cannot go on."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from twinmatch.emulation.lepton import PLATE
+from twinmatch.emulation.lepton_feed import PlateFeed
+from twinmatch.links.thermal_client import ThermalClient
+from twinmatch.links.thermal_region import region
+from twinmatch.links.thermal_status import ClientSettings, Received
+
+SETTINGS = ClientSettings(first_wait=0.05, longest_wait=0.2)
+PATIENCE = 20.0
+
+
+def next_news(client: ThermalClient) -> Received:
+    deadline = time.monotonic() + PATIENCE
+    before = client.news()
+    while time.monotonic() < deadline:
+        news = client.news()
+        if news is not None and news is not before:
+            return news
+        time.sleep(0.01)
+    raise AssertionError(client.status)
+
+
+def test_a_plate_at_one_temperature(camera: Callable) -> None:
+    server = camera("emulated", "--plate", "60", "--seed", "3")
+    with ThermalClient("127.0.0.1", server.port, SETTINGS) as client:
+        for _ in range(5):
+            # Common noise 0.08 °C, gradient 0.02 of 37 °C at most.
+            assert region(next_news(client).frame, PLATE).mean == pytest.approx(60.0, abs=1.2)
+        assert client.status.missed == 0
+    server.process.send_signal(signal.SIGTERM)
+    assert server.end() == 0
+    assert server.lines[-1].endswith("stopped")
+
+
+def test_interrupt_is_a_clean_stop_too(camera: Callable) -> None:
+    server = camera("emulated", "--plate", "60")
+    assert server.port
+    server.process.send_signal(signal.SIGINT)
+    assert server.end() == 0
+
+
+def test_a_fed_plate_is_followed_and_silence_is_no_frame(camera: Callable, tmp_path: Path) -> None:
+    path = tmp_path / "plate.sock"
+    server = camera("emulated", "--feed", str(path))
+    server.said("no plate temperature on .*plate.sock; no frames until one comes")
+    with ThermalClient("127.0.0.1", server.port, SETTINGS) as client, PlateFeed(path) as feed:
+        assert client.newest() is None
+        for plate in (30.0, 80.0):
+            assert feed.send(plate)
+            for _ in range(2):
+                received = next_news(client)
+            assert region(received.frame, PLATE).mean == pytest.approx(plate, abs=1.5)
+        server.said("plate temperature 30.00 °C on .*; frames again")
+        deadline = time.monotonic() + PATIENCE
+        while "ThermalStallError" not in client.status.errors:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    server.process.terminate()
+    assert server.end() == 0
+    assert not path.exists()
+
+
+def test_a_killed_server_is_found_again(camera: Callable) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    first = camera("emulated", "--plate", "60", listen=address)
+    with ThermalClient("127.0.0.1", first.port, SETTINGS) as client:
+        next_news(client)
+        first.process.kill()
+        assert first.end() == -signal.SIGKILL
+        second = camera("emulated", "--plate", "60", listen=address)
+        assert second.port == first.port
+        before = client.status.connections
+        while client.status.restarts == 0:
+            next_news(client)
+        assert client.status.connections == before + 1
+        assert client.status.errors["ThermalEndError"] == 1
+
+
+def test_this_computer_only_unless_told_otherwise(camera: Callable) -> None:
+    with socket.socket() as probe:
+        try:
+            probe.bind(("127.0.0.1", 5580))
+        except OSError:
+            pytest.skip("port 5580 is in use here")
+    server = camera("emulated", "--plate", "60", listen=None)
+    assert server.said(r"serving .* on (.*):5580$")[1] == "127.0.0.1"
+
+
+def test_a_taken_port(camera: Callable) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        server = camera("emulated", "--plate", "60", listen=address)
+        assert server.end() == 3
+    assert len(server.lines) == 1
+    assert f"cannot listen on {address}" in server.lines[0]
+
+
+@pytest.mark.parametrize("listen", ["127.0.0.1:", ":5580", "127.0.0.1:99999", "127.0.0.1:http"])
+def test_an_address_that_is_none(camera: Callable, listen: str) -> None:
+    server = camera("emulated", "--plate", "60", listen=listen)
+    assert server.end() == 2
+    assert len(server.lines) == 1
+    assert "give HOST or HOST:PORT" in server.lines[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["recorded", "/no/such/file"], 4, "recording /no/such/file: No such file"),
+        (
+            ["emulated", "--feed", "/no/such/folder/plate.sock"],
+            4,
+            "give a path in a folder that can be written",
+        ),
+        (["emulated", "--plate", "40", "--flat-field-period", "1"], 2, "has no room for a warning"),
+        (["lepton", "--spi", "one"], 2, "--spi one: give BUS.DEVICE"),
+        (["lepton"], 4, "Lepton"),
+        (["v4l2", "/dev/no-such-video"], 4, "/dev/no-such-video"),
+    ],
+)
+def test_one_line_says_what_is_wrong(camera: Callable, arguments: list[str], code: int, message: str) -> None:
+    server = camera(*arguments)
+    assert server.end() == code, server.lines
+    assert len(server.lines) == 1
+    assert server.lines[0].startswith("twinmatch-camera: ")
+    assert message in server.lines[0]
+
+
+@pytest.mark.parametrize("arguments", [[], ["emulated"], ["emulated", "--plate", "4", "--max-clients", "0"]])
+def test_arguments_that_argparse_refuses(camera: Callable, arguments: list[str]) -> None:
+    server = camera(*arguments, listen=None)
+    assert server.end() == 2
+    assert "error:" in server.lines[-1]
+
+
+def test_a_recording_made_from_the_stream_plays_back(camera: Callable, tmp_path: Path) -> None:
+    path = tmp_path / "plate.cborseq"
+    server = camera("emulated", "--plate", "60")
+    with socket.create_connection(("127.0.0.1", server.port)) as connection:
+        data = b""
+        while len(data) < 150_000:
+            data += connection.recv(65_536)
+    path.write_bytes(data)  # ends in the midst of a frame, as a recording that was interrupted does
+    player = camera("recorded", str(path), "--loop")
+    with ThermalClient("127.0.0.1", player.port, SETTINGS) as client:
+        for _ in range(20):
+            received = next_news(client)
+    assert region(received.frame, PLATE).mean == pytest.approx(60.0, abs=1.2)
+    assert client.status.errors == {}
+
+
+def test_a_recording_ends(camera: Callable, tmp_path: Path) -> None:
+    path = tmp_path / "plate.cborseq"
+    server = camera("emulated", "--plate", "60")
+    with socket.create_connection(("127.0.0.1", server.port)) as connection:
+        data = b""
+        while len(data) < 30_000:
+            data += connection.recv(65_536)
+    path.write_bytes(data[:30_000])  # three frames and a bit of the fourth
+    player = camera("recorded", str(path))
+    assert player.end() == 0
+    assert player.said(r"ends after (\d+) frames")[1] == "3"
+
+
+LIGHT = """
+import sys
+
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {"numba", "scipy", "control", "mcap", "mcap_ros2", "yaml", "rich", "serial",
+                                  "rclpy", "matplotlib"}:
+            raise ImportError(name + " is not on the Raspberry Pi")
+
+sys.meta_path.insert(0, Block())
+import twinmatch_camera.choice, twinmatch_camera.program, twinmatch_camera.sources.emulated
+import twinmatch_camera.sources.recorded, twinmatch_camera.sources.lepton, twinmatch_camera.sources.v4l2
+"""
+
+
+def test_the_program_needs_nothing_of_twinmatch_but_numpy_and_cbor2() -> None:
+    sources = Path(__file__).resolve().parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", LIGHT],
+        env={"PYTHONPATH": f"{sources / 'camera_server' / 'src'}:{sources / 'src'}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,66 @@
+"""Fixtures that many tests share."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import settings
+
+from twinmatch.signals import Window
+
+PROJECT = Path(__file__).resolve().parents[1]
+RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "shared" / "rig_recordings"))
+"""Hours of the real rig. They have no licence for copying, so they stay outside the project."""
+
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)
+settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ros_domain() -> Iterator[int]:
+    """A ROS domain of its own for every worker of every test run on this machine, in the environment.
+
+    Whoever holds the lock of a domain's file has the domain, for as long as the process lives. Domains
+    above 101 would use ports that the kernel hands out to others.
+    """
+    folder = Path(tempfile.gettempdir()) / f"twinmatch-domains-{os.getuid()}"
+    folder.mkdir(exist_ok=True)
+    for domain in range(1, 102):
+        with (folder / str(domain)).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            os.environ["ROS_DOMAIN_ID"] = str(domain)
+            yield domain
+            return
+    pytest.fail(f"all ROS domains are taken by other test runs; see {folder}")
+
+
+@pytest.fixture(scope="session")
+def recordings() -> dict[int, Path]:
+    """Paths of the real rig's recordings by their number."""
+    found = {int(p.name[6:].split("_")[0]): p for p in sorted(RECORDINGS.glob("BMData*_*.mat"))}
+    if not found:
+        pytest.skip(f"no rig recordings in {RECORDINGS}; set TWINMATCH_RECORDINGS to their folder")
+    return found
+
+
+@pytest.fixture(scope="session")
+def recorded_hour(recordings: dict[int, Path]) -> Callable[[int], Window]:
+    """Read one recording as a window: `recorded_hour(5)`."""
+
+    def read(number: int) -> Window:
+        if number not in recordings:
+            pytest.skip(f"recording {number} is not in {RECORDINGS}")
+        u, y, _, r = np.asarray(scipy.io.loadmat(recordings[number])["simout"], dtype=np.float64).T
+        return Window(reference=r, temperature=y, pwm=u)
+
+    return read

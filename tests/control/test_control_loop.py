@@ -1,0 +1,189 @@
+"""The loop's ticks: the rig's PID exactly, gaps where there were no ticks, no jumps behind them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.control import ControlError, Loop
+from twinmatch.plant import Pid, PidGains, PidState
+
+SECOND = 1_000_000_000
+
+
+def tick(loop, at, reference=30.0, temperature=None):
+    """A tick at `at` seconds, after a temperature if one is given."""
+    now = round(at * SECOND)
+    if temperature is not None:
+        loop.measure(temperature, now)
+    return loop.tick(now, lambda _: reference)
+
+
+@pytest.mark.parametrize("number", [5, 14, 27])
+def test_recorded_control_is_reproduced(recorded_hour, number):
+    window = recorded_hour(number)
+    loop = Loop(state=PidState())
+    for k in range(len(window)):
+        sample = tick(loop, k, float(window.reference[k]), float(window.temperature[k]))
+        assert sample.pwm == pytest.approx(window.pwm[k], abs=1e-9)
+        assert sample.index == k
+    assert (loop.missed, loop.idle) == (0, 0)
+
+
+@given(st.lists(st.tuples(st.floats(0, 100), st.floats(-20, 150)), min_size=1, max_size=50))
+def test_each_tick_is_one_step_of_the_pid(signals):
+    loop, pid = Loop(state=PidState()), Pid()
+    for k, (reference, temperature) in enumerate(signals):
+        sample = tick(loop, k, reference, temperature)
+        assert sample.pwm == loop.pwm == pid.step(reference, temperature)
+        assert (sample.reference, sample.temperature, sample.stamp) == (reference, temperature, k * SECOND)
+
+
+def test_the_first_output_is_zero_and_the_integral_carries_on():
+    loop = Loop()
+    assert tick(loop, 0, 40.0, 25.0).pwm == 0
+    # From here on the state is the one the two first samples fix.
+    pid = Pid()
+    pid.follow(40.0, 25.0, 0.0)
+    pid.state = PidState(-PidGains().proportional * 15.0 + PidGains().integral * 15.0, 15.0)
+    assert tick(loop, 1, 40.0, 25.5).pwm == pytest.approx(pid.step(40.0, 25.5), abs=1e-9)
+
+
+def test_the_set_point_is_asked_for_at_times_of_the_grid():
+    asked = []
+
+    def profile(time):
+        asked.append(time)
+        return 30.0
+
+    loop = Loop(PidGains(period=0.5))
+    for at in (10.0, 10.7, 11.0, 13.1):
+        loop.measure(25.0, round(at * SECOND))
+        loop.tick(round(at * SECOND), profile)
+    assert asked == [0.0, 0.5, 1.0, 3.0]
+
+
+def test_nothing_is_made_before_temperature_and_set_point():
+    loop = Loop()
+    assert tick(loop, 0) is None
+    assert "no temperature yet" in loop.trouble
+    loop.measure(25.0, SECOND)
+    assert tick(loop, 1, None) is None
+    assert loop.trouble == "no set-point yet"
+    assert tick(loop, 2, math.nan) is None
+    assert loop.trouble == "the set-point is nan"
+    sample = tick(loop, 2.5)
+    assert (sample.index, loop.running, loop.idle, loop.time) == (0, True, 0, 0.0)
+
+
+def test_a_stale_temperature_switches_off_and_leaves_a_gap():
+    loop = Loop(max_age=2.0)
+    for k in range(5):
+        tick(loop, k, 30.0, 29.0)
+    assert tick(loop, 5).index == 5  # 1 s old
+    assert tick(loop, 6).index == 6  # 2 s old
+    assert tick(loop, 7) is None
+    assert tick(loop, 8) is None
+    assert "the newest temperature is 4.0 s old" in loop.trouble
+    assert (loop.pwm, loop.running, loop.idle) == (0.0, False, 2)
+    again = tick(loop, 9, 30.0, 25.0)
+    assert again.index == 9
+    assert again.pwm == pytest.approx(0.0, abs=1e-9)
+    assert loop.time == 9
+
+
+def test_temperatures_that_are_no_numbers_age():
+    loop = Loop(max_age=1.0)
+    tick(loop, 0, 30.0, 29.0)
+    assert tick(loop, 1, 30.0, math.nan).temperature == 29.0
+    assert tick(loop, 2, 30.0, math.inf) is None
+    assert loop.refused == 2
+
+
+def test_a_missed_tick_is_counted_and_the_output_continues():
+    loop = Loop()
+    for k in range(10):
+        before = tick(loop, k, 30.0, 29.5).pwm
+    late = tick(loop, 12.2, 30.0, 28.0)
+    assert (late.index, loop.missed) == (12, 2)
+    assert loop.jitter == pytest.approx(0.2)
+    assert late.pwm == pytest.approx(before, abs=1e-9)
+    assert tick(loop, 13, 30.0, 28.0).index == 13
+    assert loop.missed == 2
+
+
+def test_a_late_tick_is_no_missed_one():
+    loop = Loop()
+    indices = [tick(loop, at, 30.0, 29.0).index for at in (0, 1.9, 2.0, 3.0)]
+    assert indices == [0, 1, 2, 3]
+    assert loop.missed == 0
+
+
+def test_a_late_first_tick_does_not_shift_the_grid():
+    loop = Loop()
+    assert [tick(loop, at, 30.0, 29.0).index for at in (0.4, 1, 2, 3.9)] == [0, 1, 2, 3]
+    assert loop.jitter == pytest.approx(0.9)
+
+
+def test_a_clock_set_back_begins_anew_behind_a_gap():
+    loop = Loop()
+    for k in range(5):
+        tick(loop, 100 + k, 30.0, 29.0)
+    assert tick(loop, 50) is None, "the temperature is of a time that is to come"
+    assert loop.pwm == 0
+    assert tick(loop, 51, 30.0, 29.0).index == 7
+    assert tick(loop, 52, 30.0, 29.0).index == 8
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 3), st.floats(0, 0.99), st.booleans()), min_size=1, max_size=60),
+    st.floats(0, 0.99),
+)
+def test_an_index_is_a_place_on_the_grid(calls, late):
+    """A timer calls at most once per period and never early; the grid is that of its least late call."""
+    loop = Loop(max_age=1.5)
+    tick(loop, late, 30.0, 29.0)
+    due, last = 0, 0
+    for skip, late_now, measured in calls:
+        due += skip
+        sample = tick(loop, due + late_now, 30.0, 29.0 if measured else None)
+        if sample is None:
+            assert loop.running or loop.pwm == 0
+            continue
+        assert last < sample.index <= due
+        assert sample.index >= due + late_now - late - 1 - 1e-6
+        assert abs(sample.pwm) <= 255
+        last = sample.index
+
+
+def test_the_grid_moves_to_the_least_late_tick():
+    loop = Loop()
+    assert [tick(loop, at, 30.0, 29.0).index for at in (0.4, 1.0, 2.1, 4.2)] == [0, 1, 2, 4]
+    assert loop.missed == 1
+
+
+def test_a_second_call_at_once_is_no_tick():
+    loop = Loop()
+    tick(loop, 0, 30.0, 29.0)
+    late = tick(loop, 2.1, 30.0, 28.0)
+    assert (late.index, loop.missed) == (2, 1)
+    assert tick(loop, 2.1, 30.0, 28.0) is None
+    assert (loop.pwm, loop.running, loop.missed, loop.idle) == (late.pwm, True, 1, 0)
+    assert tick(loop, 3.0, 30.0, 28.0).index == 3
+
+
+@given(st.floats(-255, 255), st.floats(0, 100), st.floats(0, 100))
+def test_the_controller_goes_on_from_the_output_that_stands(pwm, reference, temperature):
+    loop = Loop()
+    tick(loop, 0, reference, temperature)
+    loop.pwm = pwm
+    assert tick(loop, 3, reference, temperature).pwm == pytest.approx(pwm, abs=1e-9)
+
+
+@pytest.mark.parametrize("age", [0.0, -1.0, math.nan])
+def test_an_age_has_to_be_positive(age):
+    with pytest.raises(ControlError, match=r"max_age is .*; it must be positive"):
+        Loop(max_age=age)

@@ -1,0 +1,43 @@
+"""Every Python example of README and docs runs and prints what its comments say.
+
+Blocks fenced as `python hardware` need a rig and are left out.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[2]
+PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").rglob("*.md"))]
+NEEDS_ROS = re.compile(r"import rclpy|cyclonedds")
+
+
+def examples() -> list[tuple[str, str]]:
+    found = []
+    for page in PAGES:
+        blocks = re.findall(
+            r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        )
+        name = str(page.relative_to(PROJECT))
+        found += [(f"{name} #{k}", block) for k, block in enumerate(blocks, 1) if not NEEDS_ROS.search(block)]
+    return found
+
+
+def test_there_are_examples() -> None:
+    assert any(name.startswith("README") for name, _ in examples())
+
+
+@pytest.mark.parametrize(("name", "code"), examples(), ids=[name for name, _ in examples()])
+def test_example(name: str, code: str, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(code, name, "exec"), {"__name__": "example"})
+    promised = re.findall(r"# prints: (.*)$", code, re.MULTILINE)
+    assert capsys.readouterr().out.splitlines()[: len(promised)] == promised
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_between_pages_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?://)([^)#]+)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), f"{page.name} links to {target}"

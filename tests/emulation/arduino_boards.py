@@ -1,0 +1,158 @@
+"""Boards for the tests: the stand-in, the simulated processor, and a real one if there is one.
+
+`TWINMATCH_SERIAL=/dev/ttyACM0` adds a real board; what needs a look at its pins or a hand on its cable is
+skipped there. Its motor supply should be off.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import time
+import tty
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import NoReturn, TypeVar
+
+import pytest
+
+from twinmatch.emulation.arduino import StandInArduino
+from twinmatch.emulation.arduino_pins import ArduinoError, Board, Drive
+from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
+from twinmatch.links.pwm_frame import FrameReader, seal
+from twinmatch.links.pwm_messages import Reply, Status, parse_reply
+
+PROJECT = Path(__file__).resolve().parents[2]
+REAL = os.environ.get("TWINMATCH_SERIAL")
+KINDS = ["stand-in", "simavr", *(["real"] if REAL else [])]
+
+R = TypeVar("R", bound=Reply)
+
+
+@cache
+def tools() -> VirtualTools | str:
+    """The virtual board's parts, or why there are none."""
+    build = Path(mkdtemp(prefix="twinmatch-virtual-board-"))
+    atexit.register(shutil.rmtree, build, ignore_errors=True)
+    try:
+        return build_virtual_board(PROJECT, build)
+    except ArduinoError as error:
+        return str(error)
+
+
+def make(kind: str) -> Board:
+    """A board of a kind, switched on and on the bus."""
+    if kind == "real":
+        return RealBoard(str(REAL))
+    if kind == "stand-in":
+        return StandInArduino()
+    parts = tools()
+    if isinstance(parts, str):
+        pytest.skip(parts)
+    board = VirtualArduino(parts)
+    board.advance(0.1)
+    return board
+
+
+class RealBoard:
+    """A board on the desk: its time is ours, its pins are out of sight."""
+
+    def __init__(self, port: str) -> None:
+        self.port = port
+
+    def advance(self, seconds: float) -> Drive:
+        time.sleep(seconds)
+        return Drive(time.monotonic(), float("nan"), enabled=False)
+
+    def run(self, speed: float = 1.0) -> None:
+        if speed != 1.0:
+            self._skip()
+
+    def pause(self) -> None:
+        """It cannot."""
+
+    def drive(self) -> Drive:
+        self._skip()
+
+    def set_current(self, amperes: float) -> None:  # noqa: ARG002
+        self._skip()
+
+    def set_fault(self, fault: bool) -> None:  # noqa: ARG002
+        self._skip()
+
+    def unplug(self) -> None:
+        self._skip()
+
+    def plug(self) -> None:
+        self._skip()
+
+    def hang(self) -> None:
+        self._skip()
+
+    def close(self) -> None:
+        """Nothing of ours to end."""
+
+    def _skip(self) -> NoReturn:
+        pytest.skip("needs an emulated board")
+
+
+class Wire:
+    """The serial port by hand, in step with the board's time."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.descriptor = os.open(board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self.descriptor)
+        self._reader = FrameReader()
+        board.advance(0.03)  # the host's greeting on the control pipe
+
+    def send(self, data: bytes) -> None:
+        """Write bytes as they are."""
+        while data:
+            try:
+                data = data[os.write(self.descriptor, data) :]
+            except BlockingIOError:
+                self.board.advance(0.001)
+
+    def heard(self) -> list[Reply]:
+        """The replies that have come since the last look."""
+        try:
+            data = os.read(self.descriptor, 4096)
+        except BlockingIOError:
+            return []
+        replies = [parse_reply(e) for e in self._reader.feed(data) if isinstance(e, bytes)]
+        assert None not in replies
+        return [r for r in replies if r is not None]
+
+    def wait(self, wanted: Callable[[Reply], bool]) -> Reply:
+        """Let time pass until a wanted reply comes."""
+        for _ in range(200):
+            for reply in self.heard():
+                if wanted(reply):
+                    return reply
+            self.board.advance(0.001)
+        pytest.fail("no reply within 200 ms of the board's time")
+
+    def ask(self, payload: str) -> Reply:
+        """Send a request and let time pass until its reply."""
+        sequence = int(payload.split()[1])
+        self.send(seal(payload))
+        return self.wait(lambda reply: reply.sequence == sequence)
+
+    def status(self, payload: str) -> Status:
+        """Ask for what is answered by a status."""
+        reply = self.ask(payload)
+        assert isinstance(reply, Status), reply
+        return reply
+
+    def ready(self) -> None:
+        """Greet and clear, with the numbers 0 and 1."""
+        self.ask("H 0")
+        assert self.status("C 1").flags == 0
+
+    def close(self) -> None:
+        """Close the port."""
+        os.close(self.descriptor)

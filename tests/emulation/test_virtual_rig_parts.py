@@ -1,0 +1,371 @@
+"""The parts of the virtual rig, each for itself."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.emulation import virtual_rig_board, virtual_rig_camera
+from twinmatch.emulation.arduino_pins import ArduinoError, Drive
+from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig
+from twinmatch.emulation.virtual_rig_board import SerialNoise, make_board, virtual_tools
+from twinmatch.emulation.virtual_rig_camera import VirtualCamera, VirtualCameraError
+from twinmatch.emulation.virtual_rig_clock import (
+    ClockClient,
+    ClockError,
+    ClockServer,
+    Stillness,
+    parse_address,
+)
+from twinmatch.emulation.virtual_rig_control import ControlError, ControlServer, tell
+from twinmatch.emulation.virtual_rig_faults import (
+    KINDS,
+    Fault,
+    FaultError,
+    Schedule,
+    parse_fault,
+    parse_faults,
+    parse_now,
+)
+from twinmatch.emulation.virtual_rig_pace import RigPace
+from twinmatch.emulation.virtual_rig_plant import RICH_RIG, VirtualPlant
+from twinmatch.plant import PlantState, simulate_driven
+from twinmatch.signals import KELVIN
+
+INFINITE = float("inf")
+
+
+def wait_until(condition: Callable[[], object], what: str) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.005)
+
+
+def test_faults_are_read() -> None:
+    assert parse_faults("drive-lost@300,camera-gone@300+30") == (
+        Fault("drive-lost", 300.0, INFINITE),
+        Fault("camera-gone", 300.0, 30.0),
+    )
+    assert parse_now("fan-failed+2.5", 7.0) == Fault("fan-failed", 7.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("drive-last@3", "'drive-last' does not exist; did you mean drive-lost"),
+        ("xyz@3", "'xyz' does not exist; there are: drive-lost, "),
+        ("drive-lost", "when\\? Write drive-lost@SECONDS"),
+        ("drive-lost@", "'' is no time"),
+        ("drive-lost@-1", "'-1' is no time"),
+        ("drive-lost@nan", "'nan' is no time"),
+        ("drive-lost@1+0", "'0' is no time"),
+        ("drive-lost@1+inf", "'inf' is no time"),
+    ],
+)
+def test_faults_that_cannot_be(text: str, message: str) -> None:
+    with pytest.raises(FaultError, match=message):
+        parse_fault(text)
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(sorted(KINDS)), st.integers(0, 50), st.integers(1, 20) | st.just(INFINITE)),
+        max_size=12,
+    )
+)
+def test_a_fault_is_on_exactly_while_one_of_its_kind_lasts(spans: list[tuple[str, int, float]]) -> None:
+    schedule = Schedule(Fault(kind, float(start), float(length)) for kind, start, length in spans)
+    on: set[str] = set()
+    for now in range(80):
+        for change in schedule.due(float(now)):
+            assert (change.kind in on) is not change.begins  # no change without a difference
+            (on.add if change.begins else on.remove)(change.kind)
+        assert on == {kind for kind, start, length in spans if start <= now < start + length}
+        assert on == set(schedule.active)
+
+
+def test_ending_a_fault_ends_all_of_its_kind() -> None:
+    schedule = Schedule(parse_faults("fan-failed@0,fan-failed@1,fan-failed@9,drive-lost@0"))
+    schedule.due(2.0)
+    schedule.end("fan-failed", 3.0)
+    assert [(change.kind, change.begins) for change in schedule.due(20.0)] == [("fan-failed", False)]
+    assert schedule.active == ("drive-lost",)
+    with pytest.raises(FaultError, match="did you mean"):
+        schedule.end("fan-fail", 4.0)
+
+
+def test_the_plant_is_that_of_the_plant_room() -> None:
+    plant = VirtualPlant()
+    for _ in range(500):
+        plant.advance(Drive(0.0, 100.0, enabled=True), 0.02)
+    exact = simulate_driven(RICH_RIG, [100.0, 0.0], plate=RICH_RIG.ambient, period=10.0).temperature[1]
+    assert plant.plate == pytest.approx(exact, abs=1e-5)
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_an_open_circuit_carries_no_current(broken: bool) -> None:
+    plant = VirtualPlant()
+    plant.state = PlantState(340.0, 300.0)
+    plant.wire_broken = broken
+    drive = Drive(0.0, 200.0 if broken else 0.0, enabled=broken)
+    plant.advance(drive, 1.0)
+    # Conduction alone, K·ΔT/C for a second; a shorted module would cool the plate by another degree and more.
+    lost = RICH_RIG.conductance * 40.0 / RICH_RIG.heat_capacity
+    assert 340.0 - KELVIN - plant.plate == pytest.approx(lost, rel=0.05)
+    assert plant.feedback(drive) == 0
+
+
+def test_feedback_shows_the_supply_side() -> None:
+    plant = VirtualPlant()
+    assert plant.feedback(Drive(0.0, 255.0, enabled=True)) == pytest.approx(12 / 3.4)
+    assert plant.feedback(Drive(0.0, -127.5, enabled=True)) == pytest.approx(12 / 3.4 / 4)
+    plant.state = PlantState(340.0, 300.0)
+    assert plant.feedback(Drive(0.0, 0.0, enabled=True)) == 0  # braking does not pass the supply
+
+
+def test_faults_of_the_surroundings_change_the_rig() -> None:
+    plant = VirtualPlant()
+    plant.fan_failed = plant.warm_room = True
+    assert plant.parameters.sink_convection == pytest.approx(0.1 * RICH_RIG.sink_convection)
+    assert plant.parameters.ambient == RICH_RIG.ambient + 10
+    plant.fan_failed = plant.warm_room = False
+    assert plant.parameters == RICH_RIG
+
+
+class Wall:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        monkeypatch.setattr("twinmatch.emulation.virtual_rig_pace.time.monotonic", lambda: self.now)
+
+
+def test_plant_time_keeps_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = Wall(monkeypatch)
+    pace = RigPace(20.0)
+    for step in range(1, 2001):
+        wall.now += pace.wait(step * 0.02)
+    assert wall.now == pytest.approx(102.0)
+    assert pace.achieved() == pytest.approx(20.0, rel=0.01)
+    assert pace.overall(40.0) == pytest.approx((2.0, 20.0))
+
+
+@pytest.mark.parametrize(("speed", "made_up"), [(10.0, 0.2), (1.0, 5.0)])
+def test_time_lost_to_a_busy_machine(monkeypatch: pytest.MonkeyPatch, speed: float, made_up: float) -> None:
+    """It is made up for at the wall clock's own pace, and up to a fifth of a second when sped up."""
+    wall = Wall(monkeypatch)
+    pace = RigPace(speed)
+    pace.wait(0.01)
+    wall.now += 5.0
+    assert pace.wait(0.02) == 0.0
+    free = next(step for step in range(1000) if pace.wait(0.02 + step * 0.01) > 0)
+    assert free * 0.01 == pytest.approx(made_up, abs=0.021)
+
+
+@pytest.mark.parametrize("text", ["", "localhost", "localhost:", ":1", "a:0", "a:65536", "a:1.5"])
+def test_addresses_that_are_none(text: str) -> None:
+    with pytest.raises(ClockError, match="give HOST:PORT"):
+        parse_address(text)
+
+
+def test_addresses() -> None:
+    assert parse_address("localhost:80") == ("localhost", 80)
+    assert parse_address("[::1]:80") == ("::1", 80)
+
+
+def test_the_clock_reaches_its_readers_and_they_come_back() -> None:
+    heard: list[int] = []
+    server = ClockServer()
+    client = ClockClient(server.address, heard.append)
+    client.start()
+    stamps = iter(range(1, 1_000_000))
+
+    def tick() -> bool:
+        server.send(next(stamps))
+        return bool(heard)
+
+    wait_until(tick, "the first update")
+    address = server.address
+    server.close()
+    wait_until(lambda: client.error, "the loss")
+    heard.clear()
+    server = ClockServer(*address)
+    wait_until(tick, "an update of the new server")
+    assert client.close()
+    assert client.failure is None
+    server.close()
+
+
+def test_a_reader_that_sleeps_misses_updates_and_holds_nobody_up() -> None:
+    server = ClockServer()
+    with socket.create_connection(server.address) as sleeper:
+        sleeper.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        for stamp in range(10**18, 10**18 + 60_000):
+            server.send(stamp)
+        server.close()
+        received = sleeper.makefile("rb").read().split(b"\n")
+    assert int(received[0]) == 10**18
+    assert len(received) < 60_000
+
+
+def test_a_stream_that_is_no_clock_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        client = ClockClient(listener.getsockname(), lambda _: None)
+        client.start()
+        connection, _ = listener.accept()
+        with connection:
+            connection.sendall(b"SSH-2.0\n")
+            wait_until(lambda: "no clock" in client.error, "the refusal")
+        assert client.close()
+
+
+def test_a_defect_of_a_reader_is_kept() -> None:
+    def fail(_: int) -> None:
+        raise ValueError("a defect")
+
+    server = ClockServer()
+    client = ClockClient(server.address, fail)
+    client.start()
+
+    def failed() -> bool:
+        server.send(1)
+        return client.failure is not None
+
+    wait_until(failed, "the defect")
+    assert client.close()
+    server.close()
+
+
+def test_a_clock_that_stands_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 10.0
+    monkeypatch.setattr("twinmatch.emulation.virtual_rig_clock.time.monotonic", lambda: now)
+    stillness = Stillness(1.0)
+    stillness.tell(5)
+    now = 10.9
+    assert stillness.seconds() == 0
+    stillness.tell(5)
+    now = 11.5
+    assert stillness.seconds() == pytest.approx(1.5)
+    stillness.tell(4)
+    assert (stillness.seconds(), stillness.set_backs) == (0, 1)
+
+
+def test_control_answers_each_line(tmp_path: Path) -> None:
+    def obey(line: str) -> str:
+        if line == "no":
+            raise FaultError("it cannot be")
+        return line.upper()
+
+    server = ControlServer(tmp_path / "control", obey)
+    stop = threading.Event()
+
+    def serve() -> None:
+        while not stop.wait(0.001):
+            server.attend()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        assert tell(server.path, "hello") == "HELLO"
+        with pytest.raises(ControlError, match="it cannot be"):
+            tell(server.path, "no")
+        with pytest.raises(ControlError, match="it gave no answer"):
+            tell(server.path, "x" * 600)
+    finally:
+        stop.set()
+        thread.join()
+        server.close()
+    with pytest.raises(ControlError, match="give the address it prints"):
+        tell(server.path, "hello")
+
+
+def test_without_a_host_two_runs_agree_to_the_last_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    faults = parse_faults("ambient-step@1,sensor-frozen@1+1,cable-pulled@2,camera-gone@3")
+    settings = RigSettings(speed=20, board="python", seed=3, faults=faults)
+    seen = []
+    for _ in range(2):
+        with VirtualRig(settings) as rig:
+            assert Path(rig.addresses["serial"]).exists()
+            states = []
+            while rig.elapsed < 4.0:
+                rig.step()
+                states.append((rig.plant.state, rig.drive, rig.state()["faults"]))
+            assert not Path(rig.addresses["serial"]).exists()
+        seen.append(states)
+    assert seen[0] == seen[1]
+    assert seen[0][-1][0].sink > RICH_RIG.ambient
+    assert seen[0][-1][2] == ["ambient-step", "cable-pulled", "camera-gone"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_board_that_does_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(ArduinoError, match="'esp32' does not exist"):
+        make_board("esp32", tmp_path / "tty")
+
+
+def test_without_a_simulator_the_stand_in_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(virtual_rig_board, "_PROJECT", tmp_path)
+    with pytest.raises(ArduinoError, match="its sources are not installed"):
+        make_board("simavr", tmp_path / "tty")
+    made = make_board("auto", tmp_path / "tty")
+    assert made.kind == "python"
+    assert "its sources are not installed" in made.remark
+    made.board.close()
+
+
+def test_a_cache_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with pytest.raises(ArduinoError, match="cannot be built in"):
+        virtual_tools()
+
+
+def test_noise_on_the_line_writes_and_takes(tmp_path: Path) -> None:
+    with make_board("python", tmp_path / "tty").board as board:  # type: ignore[attr-defined]
+        noise = SerialNoise(board.port, seed=1)
+        host = os.open(board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        heard = b""
+        for _ in range(400):
+            board.advance(0.001)
+            noise.burst()
+            try:
+                heard += os.read(host, 100)
+            except BlockingIOError:
+                continue
+        os.close(host)
+        board.unplug()
+        noise.burst()  # there is nothing to disturb
+    assert b"2A8A\n" in heard  # the ends of the board's refusals
+    assert b":E - CRC*2A8A\n" not in heard  # of each of which it took a part
+
+
+def test_a_camera_program_that_cannot_listen_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(VirtualCameraError, match=r"has ended by itself: .*emulated Lepton"):
+        VirtualCamera(ambient=float("nan"))
+    monkeypatch.setattr(virtual_rig_camera, "_SOURCES", Path("/nowhere"))
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(VirtualCameraError, match=r"pip install ./camera_server"):
+        VirtualCamera(ambient=22.0)
+
+
+def test_a_camera_program_that_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(virtual_rig_camera, "_PATIENCE", 0.05)
+    real = subprocess.Popen
+
+    def slow(_: list[str], **settings: object) -> object:
+        return real(["sleep", "60"], **settings)  # type: ignore[call-overload]
+
+    monkeypatch.setattr("twinmatch.emulation.virtual_rig_camera.subprocess.Popen", slow)
+    with pytest.raises(VirtualCameraError, match=r"says nothing within 0.05 s"):
+        VirtualCamera(ambient=22.0)

@@ -1,0 +1,83 @@
+"""The image that goes onto the board."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).parents[2]
+FLASH = 28_672
+"""Bytes of an ATmega32U4 without its boot loader."""
+MEMORY = 2_560
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if shutil.which("avr-g++") is None or not Path("/usr/share/arduino/hardware/arduino/avr").exists():
+        pytest.skip("no AVR toolchain; install gcc-avr, avr-libc and arduino-core-avr")
+    build = tmp_path_factory.mktemp("firmware")
+    command = ["make", "-s", "-C", str(PROJECT / "firmware"), f"BUILD={build}"]
+    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    assert "warning" not in made.stderr
+    return build / "twinmatch_leonardo.elf"
+
+
+def test_it_fits_with_room_for_the_stack(image: Path) -> None:
+    said = subprocess.run(["avr-size", "-B", image], capture_output=True, text=True, check=True).stdout
+    text, data, bss = map(int, said.splitlines()[1].split()[:3])
+    assert text + data < 0.5 * FLASH
+    assert data + bss < 0.5 * MEMORY
+
+
+def test_the_hex_file_to_upload_is_there(image: Path) -> None:
+    assert image.with_suffix(".hex").read_text().rstrip().endswith(":00000001FF")
+
+
+def config(name: str) -> int:
+    text = (PROJECT / "firmware" / "twinmatch_leonardo" / "config.h").read_text()
+    match = re.search(rf"\b{name} = (\d+);", text)
+    assert match is not None
+    return int(match[1])
+
+
+def test_host_and_firmware_agree_on_what_both_spell_out() -> None:
+    from twinmatch.emulation.arduino_model import DEADLINE_MS
+    from twinmatch.links.pwm_messages import PROTOCOL
+    from twinmatch.signals import PWM_LIMIT
+
+    assert config("kProtocol") == PROTOCOL
+    assert config("kDeadlineMs") == DEADLINE_MS
+    assert config("kPwmLimit") == PWM_LIMIT
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        ("kDeadlineMs = 1000", "kDeadlineMs = 2500"),
+        ("kDeadlineMs = 1000", "kDeadlineMs = 400"),
+        ("kPwmTop = 799", "kPwmTop = 639"),
+        ("kReversalMs = 2", "kReversalMs = 0"),
+    ],
+)
+def test_unsafe_settings_do_not_compile(tmp_path: Path, line: str, instead: str) -> None:
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("no C++ compiler on this machine")
+    text = (PROJECT / "firmware" / "twinmatch_leonardo" / "config.h").read_text()
+    assert line in text
+    for name, content, compiles in (("good", text, True), ("bad", text.replace(line, instead), False)):
+        header = tmp_path / f"{name}.h"
+        header.write_text(content)
+        command = [compiler, "-std=c++11", "-fsyntax-only", "-x", "c++", str(header)]
+        assert (subprocess.run(command, capture_output=True, check=False).returncode == 0) is compiles
+
+
+def test_the_line_to_try_by_hand_is_a_sound_one() -> None:
+    from twinmatch.links.pwm_frame import seal
+
+    assert f"`{seal('H 0').decode().strip()}`" in (PROJECT / "docs" / "rig" / "firmware.md").read_text()

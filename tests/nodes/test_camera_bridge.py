@@ -1,0 +1,331 @@
+"""The camera bridge as a process, on the stream of the real camera program with an emulated Lepton."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("cbor2", reason="no cbor2 here; make setup installs it")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image, Temperature
+from std_msgs.msg import Float64
+
+from twinmatch.emulation.lepton import EmulatedLepton, LeptonSettings
+from twinmatch.links.thermal_codec import encode_frame
+from twinmatch.nodes.network import sockets_elsewhere
+
+pytestmark = pytest.mark.ros
+
+PROJECT = Path(__file__).resolve().parents[2]
+FAST = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+LINE = re.compile(r"serving .*:(\d+)$", re.MULTILINE)
+
+
+class CameraProgram:
+    """The camera program in a process, on a free port or a given one."""
+
+    def __init__(self, folder: Path, *arguments: str, port: int = 0) -> None:
+        paths = [str(PROJECT / "camera_server" / "src"), str(PROJECT / "src")]
+        output = folder / f"camera{len(list(folder.iterdir()))}.txt"
+        command = [sys.executable, "-m", "twinmatch_camera", "emulated", *arguments]
+        with output.open("w") as stream:
+            self._process = subprocess.Popen(
+                [*command, "--listen", f"127.0.0.1:{port}"],
+                stderr=stream,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            )
+        end = time.monotonic() + 60
+        while not (found := LINE.search(output.read_text())):
+            assert time.monotonic() < end, output.read_text()
+            assert self._process.poll() is None, output.read_text()
+            time.sleep(0.02)
+        self.port = int(found[1])
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def freeze(self) -> None:
+        self._process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        self._process.send_signal(signal.SIGCONT)
+
+
+@pytest.fixture
+def camera(tmp_path: Path) -> Iterator[Callable[..., CameraProgram]]:
+    started: list[CameraProgram] = []
+    folder = tmp_path / "camera"
+    folder.mkdir()
+
+    def start_camera(*arguments: str, port: int = 0) -> CameraProgram:
+        started.append(CameraProgram(folder, *arguments, port=port))
+        return started[-1]
+
+    yield start_camera
+    for program in started:
+        program.kill()
+
+
+class Ears:
+    """All that the bridge publishes."""
+
+    def __init__(self, listener: Any) -> None:
+        self._listener = listener
+        self.temperatures: list[Temperature] = listener.hear(Temperature, "plant/temperature", FAST)
+        self.spreads: list[Float64] = listener.hear(Float64, "plant/uniformity", FAST)
+        self.raw: list[Image] = listener.hear(Image, "thermal/image_raw", FAST)
+        self.degrees: list[Image] = listener.hear(Image, "thermal/image", FAST)
+        self._health: list[DiagnosticArray] = listener.hear(DiagnosticArray, "/diagnostics", FAST)
+
+    @property
+    def health(self) -> list[Any]:
+        """Reports of the bridge alone."""
+        statuses = [status for message in self._health for status in message.status]
+        return [status for status in statuses if status.name == "camera_bridge: health"]
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        self._listener.spin_until(condition, what)
+
+    def go_on(self) -> None:
+        """Until three more temperatures came."""
+        seen = len(self.temperatures)
+        self.until(lambda: len(self.temperatures) >= seen + 3, "temperatures")
+
+    @property
+    def complaint(self) -> str:
+        return self.health[-1].message if self.health else ""
+
+    @property
+    def level(self) -> bytes:
+        return self.health[-1].level if self.health else b"\x03"
+
+    @property
+    def values(self) -> dict[str, str]:
+        return {v.key: v.value for v in self.health[-1].values} if self.health else {}
+
+
+@pytest.fixture
+def ears(listener: Any) -> Ears:
+    return Ears(listener)
+
+
+def celsius_of(image: Image) -> Any:
+    return np.frombuffer(bytes(image.data), "<f4").reshape(image.height, image.width)
+
+
+def stamp_of(message: Any) -> float:
+    return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+
+
+def test_an_emulated_lepton_is_seen(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+) -> None:
+    bridge = start("camera_bridge", "-p", f"port:={camera('--plate', '60').port}", "-p", "image_rate:=0.0")
+    ears.until(lambda: len(ears.temperatures) > 20 and ears.level == b"\x00", "temperatures and health")
+    newest = ears.temperatures[-1]
+    # The plate's middle loses a thousandth of its excess over 23 °C; the noise all pixels share is 0.08 K.
+    assert newest.temperature == pytest.approx(60.0, abs=0.6)
+    # Noise of a pixel (0.05 K)², and the gradient over the region.
+    assert 0.0015 < newest.variance < 0.01
+    assert newest.header.frame_id == "plate"
+    assert 0 < time.time() - stamp_of(newest) < 30
+    stamps = [stamp_of(message) for message in ears.temperatures]
+    gaps = np.diff(stamps)
+    assert (gaps > 0.05).all()  # the camera's own pace of 9 Hz, however late they came
+    # The corners of the plate are 2 % of the excess colder, each pixel has its noise.
+    assert 0.7 < ears.spreads[-1].data < 1.7
+    raw, degrees = ears.raw[-1], ears.degrees[-1]
+    assert (raw.encoding, degrees.encoding) == ("mono16", "32FC1")
+    assert raw.header.frame_id == "thermal_camera"
+    counts = np.frombuffer(bytes(raw.data), "<u2").reshape(60, 80)
+    np.testing.assert_allclose(counts[0, 0] / 100 - 273.15, 23.0, atol=1.0)
+    assert celsius_of(degrees)[29, 39] == pytest.approx(60.0, abs=1.0)
+    values = ears.values
+    assert values["link"] == "streaming"
+    assert values["flat-field correction"] == "COMPLETE"
+    assert values["reconnects"] == values["bad frames"] == "0"
+    assert float(values["sensor temperature"].split()[0]) == pytest.approx(23.0, abs=3.0)
+    assert sockets_elsewhere(bridge.id) == []
+    assert bridge.end() == 0
+
+
+def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+) -> None:
+    """A correction every 4 s takes 0.9 s: eight frames that repeat the one before."""
+    port = camera("--plate", "60", "--flat-field-period", "4").port
+    start("camera_bridge", "-p", f"port:={port}", "-p", "image_rate:=0.0")
+    ears.until(lambda: any(np.isnan(celsius_of(i)).all() for i in ears.degrees), "a closed shutter")
+    ears.until(lambda: len(ears.degrees) > 90, "two corrections")
+    closed = {stamp_of(i) for i in ears.degrees if np.isnan(celsius_of(i)).all()}
+    told = {stamp_of(message) for message in ears.temperatures}
+    assert not closed & told
+    assert closed <= {stamp_of(image) for image in ears.raw} | {max(closed)}
+    first, last = min(told), max(told)
+    assert any(first < stamp < last for stamp in closed)
+    gaps = np.diff(sorted(told))
+    assert gaps.max() > 0.8
+    assert int(ears.values["repeated or frozen frames"]) >= 8
+
+
+def test_a_camera_that_goes_and_comes_back(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+) -> None:
+    first = camera("--plate", "40")
+    start("camera_bridge", "-p", f"port:={first.port}", "-p", "stale_after:=1.0")
+    ears.go_on()
+    first.kill()
+    ears.until(
+        lambda: ears.level == b"\x02" and "is the camera server running" in ears.complaint, "the error"
+    )
+    ears.until(lambda: "no new image for" in ears.complaint, "the age")
+    silent = len(ears.temperatures)
+    seen = len(ears.health)
+    ears.until(lambda: len(ears.health) > seen + 1, "reports")
+    assert len(ears.temperatures) == silent
+    camera("--plate", "50", port=first.port)
+    ears.until(lambda: ears.temperatures[-1].temperature == pytest.approx(50.0, abs=0.6), "the new one")
+    ears.until(lambda: ears.level == b"\x00", "health")
+    assert ears.values["reconnects"] == ears.values["restarts of the server"] == "1"
+
+
+def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+) -> None:
+    program = camera("--plate", "40")
+    start("camera_bridge", "-p", f"port:={program.port}", "-p", "stall_timeout:=0.5")
+    ears.go_on()
+    program.freeze()
+    ears.until(lambda: "no whole frame within" in ears.complaint, "the stall")
+    program.thaw()
+    ears.go_on()
+    ears.until(lambda: ears.level == b"\x00", "health")
+
+
+def test_no_camera_at_the_start_is_waited_for(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    start("camera_bridge", "-p", f"port:={port}")
+    ears.until(lambda: ears.level == b"\x02", "the error")
+    camera("--plate", "40", port=port)
+    ears.go_on()
+
+
+def test_an_image_too_small_for_the_region_is_shown_but_not_measured(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+) -> None:
+    start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "roi.x:=75")
+    ears.until(lambda: "leave the image of 60 by 80" in ears.complaint, "the complaint")
+    assert int(ears.values["unusable frames"]) > 0
+    ears.until(lambda: len(ears.raw) > 3, "images")
+    assert not ears.temperatures
+
+
+class Liar:
+    """A server of good frames and, when asked, of noise."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.settimeout(0.05)
+        self.port = self._listener.getsockname()[1]
+        self.lies = False
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+        self._listener.close()
+
+    def _run(self) -> None:
+        lepton = EmulatedLepton(LeptonSettings(flat_field_period=1000.0))
+        start, number = time.monotonic(), 0
+        while not self._ending.is_set():
+            try:
+                client = self._listener.accept()[0]
+            except TimeoutError:
+                continue
+            with client, contextlib.suppress(OSError):  # until the other end has enough
+                while not self._ending.wait(0.05):
+                    elapsed = 10.0 + time.monotonic() - start
+                    exposure = lepton.expose(40.0, elapsed, time.monotonic_ns())
+                    data = encode_frame(exposure.numbered(number, b"0123456789abcdef"))
+                    number += 1
+                    client.sendall(b"\xff" * 500 if self.lies else data)
+
+
+def test_bad_frames_are_counted_and_good_ones_taken_again(start: Callable[..., Any], ears: Ears) -> None:
+    liar = Liar()
+    try:
+        start("camera_bridge", "-p", f"port:={liar.port}")
+        ears.go_on()
+        liar.lies = True
+        ears.until(lambda: ears.level == b"\x02" and int(ears.values["bad frames"]) > 1, "bad frames")
+        liar.lies = False
+        ears.go_on()
+        assert all(t.temperature == pytest.approx(40.0, abs=0.6) for t in ears.temperatures)
+    finally:
+        liar.close()
+
+
+def test_rates_can_be_limited(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+) -> None:
+    port = camera("--plate", "40").port
+    start("camera_bridge", "-p", f"port:={port}", "-p", "temperature_rate:=2.0", "-p", "image_rate:=1.0")
+    ears.until(lambda: len(ears.temperatures) >= 6 and len(ears.raw) >= 2, "some of each")
+    stamps = [stamp_of(message) for message in ears.temperatures]
+    assert np.diff(stamps).min() > 0.4
+    assert len(ears.raw) < len(ears.temperatures)
+
+
+def test_stamps_are_of_the_simulated_clock(
+    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears, listener: Any
+) -> None:
+    clock = listener.node.create_publisher(Clock, "/clock", 10)
+    start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "use_sim_time:=true")
+    now = Clock()
+    now.clock.sec = 1234
+
+    def tick() -> bool:
+        now.clock.nanosec = min(now.clock.nanosec + 1_000_000, 999_999_999)
+        clock.publish(now)
+        return any(1233.0 < stamp_of(message) <= 1235.0 for message in ears.temperatures)
+
+    ears.until(tick, "a stamp in simulated time")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["-p", "port:=0"], "parameter port is 0; allowed is 1 to 65535"),
+        (["-p", "roi.width:=0"], "parameter roi.width is 0; allowed is pixels, 1 to 1024"),
+        (["-p", "hots:=pi"], "there is no parameter hots; did you mean host?"),
+    ],
+)
+def test_wrong_parameters_end_it(start: Callable[..., Any], arguments: list[str], line: str) -> None:
+    bridge = start("camera_bridge", *arguments)
+    assert bridge.wait() == 2
+    assert line in bridge.text

@@ -1,0 +1,267 @@
+"""The controller as a process, with a listener that is its camera, its bridge and its operator."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Float64
+
+from twinmatch.nodes.conversions import sample_from
+from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.plant import Pid, PidGains
+from twinmatch_msgs.msg import LoopSample, PwmCommand
+
+pytestmark = pytest.mark.ros
+
+FAST = ("-p", "period:=0.05", "-p", "command_period:=0.02", "-p", "max_age:=0.5")
+
+
+class Bench:
+    """What stands around a controller."""
+
+    def __init__(self, listener: Any) -> None:
+        self.listener = listener
+        self.samples = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+        self.commands = listener.hear(PwmCommand, "plant/pwm_command", EVERYTHING)
+        self.health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._temperatures = listener.node.create_publisher(Temperature, "plant/temperature", 1)
+        self.temperature = 25.0
+        self.stamp = 0  # s; 0: none
+
+    def feed(self, condition: Callable[[], Any], what: str) -> None:
+        """Publish the temperature until something holds."""
+
+        def fed() -> Any:
+            message = Temperature(temperature=self.temperature)
+            message.header.stamp.sec = self.stamp
+            self._temperatures.publish(message)
+            return condition()
+
+        self.listener.spin_until(fed, what)
+
+    def pass_time(self, seconds: float) -> None:
+        """Go on publishing the temperature."""
+        deadline = time.monotonic() + seconds
+        self.feed(lambda: time.monotonic() > deadline, "time")
+
+    def said(self, words: str) -> bool:
+        return any(words in m.status[0].message for m in self.health)
+
+    def zero_last(self) -> bool:
+        return bool(self.commands) and self.commands[-1].pwm == 0
+
+
+@pytest.fixture
+def bench(listener: Any) -> Bench:
+    return Bench(listener)
+
+
+def test_samples_are_steps_of_the_pid(start: Callable[..., Any], bench: Bench) -> None:
+    references = bench.listener.hear(Float64, "plant/reference", LATCHED)
+    start("controller", *FAST, "-p", "profile.levels:=[40.0, 60.0]", "-p", "profile.holds:=[1.0, 1.0]")
+    bench.feed(lambda: len(bench.samples) >= 50, "samples")
+    samples = [sample_from(message) for message in bench.samples]
+    assert all(s.reference == (40.0 if s.index % 40 < 20 else 60.0) for s in samples)
+    assert [m.data for m in references] == [40.0, 60.0, 40.0]
+    assert samples[0].pwm == 0
+    gains = PidGains(period=0.05)
+    for before, after in pairwise(samples):
+        if after.index != before.index + 1:
+            continue  # a tick was missed on a busy machine
+        error, error_before = after.reference - after.temperature, before.reference - before.temperature
+        if abs(before.pwm) < 255 and abs(after.pwm) < 255:
+            change = (
+                gains.proportional * (error - error_before) + gains.period * gains.integral * error_before
+            )
+            jump = gains.derivative * (error - error_before) / gains.period
+            assert after.pwm - before.pwm == pytest.approx(change + jump, abs=1e-6)
+    at_tick = {m.index: m.pwm for m in reversed(bench.commands)}
+    assert all(at_tick[s.index] == s.pwm for s in samples if s.index in at_tick)
+    assert len(bench.commands) > len(samples), "commands are repeated between ticks"
+
+
+def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Any], bench: Bench) -> None:
+    """From the second sample on a `Pid` that followed the first two computes the same."""
+    start("controller", "-p", "period:=1.0", "-p", "profile.levels:=[26.0]", "-p", "profile.holds:=[9.0]")
+    bench.feed(lambda: len(bench.samples) >= 4, "samples")
+    samples = [sample_from(message) for message in bench.samples]
+    pid = Pid()
+    for sample in samples[:2]:
+        pid.follow(sample.reference, sample.temperature, sample.pwm)
+    for sample in samples[2:]:
+        assert sample.pwm == pytest.approx(pid.step(sample.reference, sample.temperature), abs=1e-9)
+
+
+def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
+    start: Callable[..., Any], bench: Bench
+) -> None:
+    start("controller", *FAST, "-p", "profile.levels:=[30.0]", "-p", "profile.holds:=[9.0]")
+    bench.feed(lambda: len(bench.samples) >= 20, "samples")
+    bench.listener.spin_until(
+        lambda: bench.said("the output is off: the newest temperature is"), "the complaint"
+    )
+    assert bench.commands[-1].pwm == 0
+    ended = bench.samples[-1].index
+    many = len(bench.samples)
+    bench.temperature = math.nan
+    heard = len(bench.commands)
+    bench.feed(lambda: len(bench.commands) > heard + 10, "commands")
+    assert all(m.pwm == 0 for m in bench.commands[heard:])
+    assert len(bench.samples) == many
+    bench.temperature = 25.0
+    bench.feed(lambda: len(bench.samples) > many + 5, "samples again")
+    again = bench.samples[many]
+    assert again.index > ended + 1  # a gap: nothing was made up for the time without temperatures
+    assert again.pwm == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Any], bench: Bench) -> None:
+    bench.stamp = 1000
+    start("controller", *FAST)
+    bench.feed(lambda: bench.said("s old; is the camera up?"), "the complaint")
+    assert not bench.samples
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_last_word_is_zero(start: Callable[..., Any], bench: Bench, number: signal.Signals) -> None:
+    process = start("controller", *FAST)
+    bench.feed(lambda: any(m.pwm for m in bench.commands), "a command")
+    assert process.end(number) == 0
+    bench.listener.spin_until(bench.zero_last, "zero")
+    heard = len(bench.commands)
+    bench.pass_time(0.3)
+    assert len(bench.commands) == heard
+
+
+def test_a_defect_commands_zero_first(start_script: Callable[[str], Any], bench: Bench) -> None:
+    process = start_script("""
+import sys
+from twinmatch.nodes import controller
+from twinmatch.nodes.runner import run
+
+class Defect(controller.ControllerNode):
+    def _watch_missed(self):
+        if self._loop.time > 3:
+            raise RuntimeError("fell over")
+
+sys.argv = ["controller", "--ros-args", "-p", "period:=0.2"]
+sys.exit(run([Defect]))
+""")
+    bench.feed(lambda: any(m.pwm for m in bench.commands), "a command")
+    bench.feed(lambda: not process.running, "the end")
+    bench.listener.spin_until(bench.zero_last, "zero")
+    assert process.wait() == 1
+    assert "fell over" in process.text
+
+
+def test_it_ends_with_the_profile(start: Callable[..., Any], bench: Bench) -> None:
+    process = start(
+        "controller",
+        *FAST,
+        *("-p", "profile.levels:=[40.0, 50.0]", "-p", "profile.holds:=[1.0, 1.0]"),
+        *("-p", "profile.repeat:=false", "-p", "exit_at_end:=true"),
+    )
+    bench.feed(lambda: not process.running, "the end")
+    assert process.wait() == 0
+    bench.listener.spin_until(bench.zero_last, "zero")
+    assert 37 <= bench.samples[-1].index <= 39
+
+
+def test_the_set_point_may_come_from_a_topic(start: Callable[..., Any], bench: Bench) -> None:
+    latched = bench.listener.node.create_publisher(Float64, "plant/reference", LATCHED)
+    latched.publish(Float64(data=33.0))
+    start("controller", *FAST, "-p", "reference_source:=topic")
+    bench.feed(lambda: bench.samples, "samples")
+    assert bench.samples[0].reference == 33.0
+    quiet = PublisherEventCallbacks(use_default_callbacks=False)  # the latched reader does not match
+    plain = bench.listener.node.create_publisher(Float64, "plant/reference", RELIABLE, event_callbacks=quiet)
+    bench.feed(lambda: plain.get_subscription_count() >= 1, "the reader")
+    plain.publish(Float64(data=44.0))
+    bench.feed(lambda: bench.samples[-1].reference == 44.0, "the new set-point")
+    for wrong in (120.0, math.nan):
+        plain.publish(Float64(data=wrong))
+        bench.feed(lambda wrong=wrong: bench.said(f"set-point {wrong:g} °C refused"), "the refusal")
+    assert bench.samples[-1].reference == 44.0
+
+
+def test_it_waits_for_its_readers(start: Callable[..., Any], bench: Bench) -> None:
+    start("controller", *FAST, "-p", "wait_for:=2", "-p", "wait_timeout:=30.0")
+    bench.feed(lambda: bench.said("waiting"), "the report")
+    assert not bench.samples
+    assert not bench.commands
+    bench.listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    bench.feed(lambda: bench.samples, "samples")
+    assert bench.samples[0].index == 0
+
+
+def test_readers_that_do_not_come_are_said(start: Callable[..., Any], bench: Bench) -> None:
+    start("controller", *FAST, "-p", "wait_for:=5", "-p", "wait_timeout:=0.5")
+    bench.feed(lambda: bench.said("of 5 readers of /plant/sample came"), "the complaint")
+    assert bench.samples
+
+
+def test_ticks_follow_the_clock(start: Callable[..., Any], bench: Bench) -> None:
+    """Twenty times as fast, and not at all when it stands."""
+    clock = bench.listener.node.create_publisher(Clock, "/clock", 10)
+    start(
+        "controller", "-p", "use_sim_time:=true", "-p", "profile.levels:=[40.0]", "-p", "profile.holds:=[5.0]"
+    )
+    bench.listener.spin_until(clock.get_subscription_count, "the controller")
+    now = 10_000_000_000
+
+    def advance() -> None:
+        nonlocal now
+        now += 200_000_000
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(now, 1_000_000_000)
+        clock.publish(message)
+        time.sleep(0.01)
+
+    def enough() -> bool:
+        advance()
+        return len(bench.samples) >= 40
+
+    bench.feed(enough, "samples")
+    indices = [m.index for m in bench.samples]
+    assert indices == sorted(set(indices))
+    stamps = [sample_from(m).stamp for m in bench.samples]
+    for (i, at), (j, later) in pairwise(zip(indices, stamps, strict=True)):
+        assert (later - at) / 1e9 == pytest.approx(j - i, abs=0.99)
+    bench.pass_time(1.0)  # for what is still on its way
+    heard = len(bench.commands), len(bench.samples)
+    bench.pass_time(1.0)
+    assert (len(bench.commands), len(bench.samples)) == heard
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (
+            ["-p", "profile.levels:=[120.0]", "-p", "profile.holds:=[9.0]"],
+            "level 1 is 120 °C; the safe range",
+        ),
+        (["-p", "profile.levels:=[30.0]"], "1 levels and 4 times are given"),
+        (["-p", "exit_at_end:=true"], "exit_at_end waits for ever with profile.repeat"),
+        (["-p", "exit_at_end:=true", "-p", "reference_source:=topic"], "a topic has no end"),
+        (["-p", "profile.lowest:=60.0", "-p", "profile.highest:=50.0"], "profile.lowest 60 must be below"),
+        (["-p", "reference_source:=moon"], "reference_source is 'moon'; allowed is one of"),
+        (["-p", "pid.limt:=3.0"], "did you mean pid.limit?"),
+    ],
+)
+def test_wrong_parameters_are_one_line(start: Callable[..., Any], arguments: list[str], line: str) -> None:
+    process = start("controller", *arguments)
+    assert process.wait() == 2
+    assert re.search(re.escape(line), process.text)
+    assert len(process.text.splitlines()) == 1

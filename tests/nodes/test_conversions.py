@@ -1,0 +1,195 @@
+"""Messages carry the core's objects whole: there and back, serialised in between, nothing differs."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+from rclpy.serialization import deserialize_message, serialize_message
+
+from twinmatch.discrimination import Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.discrimination.verdict import CandidateScore
+from twinmatch.matching import Fit, Match, Status
+from twinmatch.nodes.conversions import (
+    LEVELS,
+    STATUSES,
+    candidate_message,
+    match_from,
+    match_message,
+    parameters_from,
+    sample_from,
+    sample_message,
+    score_message,
+    state_message,
+    verdict_from,
+)
+from twinmatch.plant import RigParameters
+from twinmatch.signals import Sample
+from twinmatch.twin import MatchReport, MirrorState
+
+# NaN stands for "absent" in two fields, so it is left out of those alone.
+NUMBERS = st.floats(allow_nan=False)
+ANY = st.floats()
+INDICES = st.integers(0, 2**63 - 1)
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)
+COUNTS = st.integers(-(2**53), 2**53)
+POSITIVE = st.floats(1e-6, 1e6)
+
+SAMPLES = st.builds(Sample, INDICES, STAMPS, ANY, ANY, ANY)
+PARAMETERS = st.builds(
+    RigParameters,
+    seebeck=POSITIVE,
+    resistance=POSITIVE,
+    conductance=POSITIVE,
+    heat_capacity=POSITIVE,
+    ambient=st.floats(200.0, 400.0),
+    sink_heat_capacity=st.one_of(POSITIVE, st.just(math.inf)),
+    sink_convection=POSITIVE,
+)
+CRITERIA = st.builds(Criteria, COUNTS, COUNTS, COUNTS, ANY, ANY, ANY, ANY)
+ORDERS = st.builds(OrderScore, TEXTS, CRITERIA, CRITERIA, CRITERIA)
+CANDIDATES = st.builds(
+    CandidateScore,
+    name=TEXTS,
+    operating_point=ANY,
+    parameters=PARAMETERS,
+    first=INDICES,
+    last=st.integers(-1, 2**63 - 1),
+    orders=st.lists(ORDERS, max_size=2).map(tuple),
+    chosen_order=TEXTS,
+    nu_gap_sum=ANY,
+    newest=st.none() | CRITERIA,
+    nu_gap_to_plant=st.none() | NUMBERS,
+)
+
+
+def there_and_back(message: Any) -> Any:
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def same(found: Any, expected: Any) -> None:
+    """Equal field by field, arrays by value and shape, NaN equal to NaN."""
+    assert type(found) is type(expected)
+    for field in dataclasses.fields(expected):
+        value, wanted = getattr(found, field.name), getattr(expected, field.name)
+        if isinstance(wanted, np.ndarray):
+            np.testing.assert_array_equal(value, wanted, strict=True)
+        else:
+            assert repr(value) == repr(wanted), field.name
+
+
+@given(SAMPLES)
+def test_sample(sample: Sample) -> None:
+    message = there_and_back(sample_message(sample, "rig"))
+    assert message.header.frame_id == "rig"
+    assert repr(sample_from(message)) == repr(sample)
+
+
+@st.composite
+def reports(draw: st.DrawFn) -> MatchReport:
+    size = draw(st.integers(0, 4))
+    square = st.lists(ANY, min_size=size * size, max_size=size * size)
+    names = draw(st.lists(TEXTS, min_size=size, max_size=size))
+    with np.errstate(invalid="ignore"):
+        match = Match(
+            parameters=draw(PARAMETERS),
+            free=tuple(names),
+            sink_start=draw(st.none() | NUMBERS),
+            covariance=np.array(draw(square), dtype=np.float64).reshape(size, size),
+            fisher=np.array(draw(square), dtype=np.float64).reshape(size, size),
+            eigenvalues=np.array(draw(st.lists(ANY, max_size=4)), dtype=np.float64),
+            condition=draw(ANY),
+            bounds_hit=tuple(draw(st.lists(TEXTS, max_size=2))),
+            fit=Fit(draw(ANY), draw(ANY)),
+            held_back=Fit(draw(ANY), draw(ANY)),
+            chi2=draw(ANY),
+            samples=(draw(INDICES), draw(INDICES)),
+            status=draw(st.sampled_from(Status)),
+            reason=draw(TEXTS),
+        )
+    return MatchReport(draw(INDICES), draw(ANY), match)
+
+
+@given(report=reports(), stamp=STAMPS)
+@pytest.mark.filterwarnings("ignore:invalid value encountered in sqrt:RuntimeWarning")
+def test_match(report: MatchReport, stamp: int) -> None:
+    message = there_and_back(match_message(report, stamp))
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+    assert message.status_name == report.match.status.value
+    assert len(message.standard_errors) == len(report.match.free)
+    found = match_from(message)
+    assert repr(found[:2]) == repr(report[:2])
+    same(found.match, report.match)
+
+
+@st.composite
+def verdicts(draw: st.DrawFn) -> Verdict:
+    candidates = draw(st.lists(CANDIDATES, max_size=3))
+    row = st.lists(ANY, min_size=len(candidates), max_size=len(candidates)).map(tuple)
+    return Verdict(
+        sample=draw(INDICES),
+        first=draw(INDICES),
+        last=draw(INDICES),
+        level=draw(st.sampled_from(TrustLevel)),
+        stands=draw(st.booleans()),
+        nominal=draw(st.none() | TEXTS.filter(bool)),
+        reason=draw(TEXTS),
+        decimals=draw(st.integers(0, 9)),
+        candidates=tuple(candidates),
+        order=draw(st.none() | TEXTS.filter(bool)),
+        nu_gap=tuple(draw(row) for _ in candidates),
+        residual_y=draw(ANY),
+        residual_u=draw(ANY),
+    )
+
+
+@given(verdict=verdicts(), stamp=STAMPS)
+def test_verdict(verdict: Verdict, stamp: int) -> None:
+    message = there_and_back(score_message(verdict, stamp))
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+    assert message.level_name == verdict.level.value
+    same(verdict_from(message), verdict)
+
+
+@given(verdicts().filter(lambda verdict: verdict.candidates))
+def test_candidate_carries_its_row(verdict: Verdict) -> None:
+    for row, candidate in enumerate(verdict.candidates):
+        message = there_and_back(candidate_message(verdict, row))
+        assert message.name == candidate.name
+        assert repr(tuple(message.nu_gap)) == repr(verdict.nu_gap[row])
+        assert parameters_from(message.parameters) == candidate.parameters
+
+
+@given(
+    st.builds(
+        MirrorState,
+        sample=SAMPLES,
+        **dict.fromkeys(
+            (field.name for field in dataclasses.fields(MirrorState) if field.name != "sample"), ANY
+        ),
+    )
+)
+def test_state(state: MirrorState) -> None:
+    """Every figure of the mirror is in the message, each once."""
+    message = there_and_back(state_message(state, "50 °C"))
+    assert (message.index, message.nominal) == (state.sample.index, "50 °C")
+    figures = [getattr(state, field.name) for field in dataclasses.fields(state) if field.name != "sample"]
+    names = [n for n, kind in message.get_fields_and_field_types().items() if kind == "double"]
+    carried = [getattr(message, name) for name in names if name != "reference"]
+    assert sorted(map(repr, carried)) == sorted(map(repr, figures))
+
+
+def test_every_status_and_level_has_a_number_of_its_own() -> None:
+    assert set(STATUSES) == set(Status)
+    assert set(LEVELS) == set(TrustLevel)
+    for table in (STATUSES, LEVELS):
+        assert sorted(table.values()) == list(range(len(table)))

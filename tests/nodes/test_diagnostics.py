@@ -1,0 +1,138 @@
+"""Health without ROS, and the messages it becomes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.diagnostics import Health, Level, Report, status_message
+from twinmatch.nodes.samples import SampleWatch
+from twinmatch.nodes.worker import Worker
+
+
+def settle(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def test_nothing_to_complain_about() -> None:
+    health = Health()
+    health.set("rate", 0.1)
+    health.set("name", "plate")
+    assert health.report() == Report(Level.OK, "working", {"rate": "0.1", "name": "plate"})
+
+
+def test_worst_complaint_is_the_level_and_comes_first() -> None:
+    health = Health()
+    health.complain("a", Level.WARN, "slow")
+    health.complain("b", Level.ERROR, "wrong")
+    assert health.report()[:2] == (Level.ERROR, "wrong; slow")
+    health.withdraw("b")
+    assert health.report()[:2] == (Level.WARN, "slow")
+    health.complain("a", Level.STALE, "silent")
+    assert health.report()[:2] == (Level.STALE, "silent")
+    health.withdraw("a")
+    health.withdraw("never said")
+    assert health.report().level is Level.OK
+
+
+def test_counters() -> None:
+    health = Health()
+    health.count("gaps")
+    health.count("gaps")
+    assert health.report().values == {"gaps": "2"}
+
+
+@pytest.mark.parametrize("level", list(Level))
+def test_message(level: Level) -> None:
+    message = status_message("matcher: health", "rig 1", Report(level, "as said", {"key": "value"}))
+    assert message.level == bytes([level])
+    assert (message.name, message.hardware_id, message.message) == ("matcher: health", "rig 1", "as said")
+    assert [(entry.key, entry.value) for entry in message.values] == [("key", "value")]
+
+
+def test_watch_of_gaps_and_silence() -> None:
+    health = Health()
+    watch = SampleWatch(health, period=1.0, patience=5, remember=2)
+    watch.look(1000.0)
+    assert health.report()[:2] == (Level.OK, "waiting for samples")
+    watch.push(7, 0.0)
+    watch.push(8, 1.0)
+    assert health.report()[:2] == (Level.OK, "working")
+    watch.push(11, 2.0)
+    assert health.report()[:2] == (Level.ERROR, "samples 9 to 10 are missing; windows begin anew")
+    watch.push(12, 3.0)
+    assert health.report().level is Level.ERROR
+    watch.push(13, 4.0)
+    assert health.report().level is Level.OK
+    watch.push(3, 5.0)
+    assert "sample 3 came after sample 13" in health.report().message
+    assert health.report().values["gaps"] == "2"
+    watch.look(10.0)
+    assert "no sample" not in health.report().message
+    watch.look(10.1)
+    assert "no sample for 5 s" in health.report().message
+    watch.push(4, 10.2)
+    watch.look(10.2)
+    assert "no sample" not in health.report().message
+
+
+def test_worker_keeps_the_order_and_is_idle_then() -> None:
+    done: list[int] = []
+    worker = Worker(done.append, Health())
+    for number in range(1000):
+        worker.put(number)
+    settle(lambda: worker.idle)
+    assert worker.close()
+    assert done == list(range(1000))
+
+
+def test_worker_reports_errors_of_the_outside_and_goes_on() -> None:
+    health = Health()
+    done: list[int] = []
+
+    def handle(number: int) -> None:
+        if number == 0:
+            raise TwinmatchError("zero is no number of ours")
+        done.append(number)
+
+    worker = Worker(handle, health)
+    worker.put(0)
+    settle(lambda: worker.idle)
+    assert health.report()[:2] == (Level.ERROR, "zero is no number of ours")
+    worker.put(1)
+    settle(lambda: worker.idle)
+    assert worker.failure is None
+    assert worker.close()
+    assert done == [1]
+    assert health.report().level is Level.OK
+    assert health.report().values["errors"] == "1"
+
+
+def test_worker_hands_a_defect_over() -> None:
+    worker = Worker(lambda number: 1 / number, Health())  # type: ignore[arg-type, return-value]
+    worker.put(0)
+    settle(lambda: not worker.alive)
+    assert isinstance(worker.failure, ZeroDivisionError)
+
+
+def test_worker_reports_its_backlog() -> None:
+    health = Health()
+    gate = threading.Event()
+    worker = Worker(lambda _: gate.wait() and None, health, backlog=3)
+    for number in range(5):
+        worker.put(number)
+    settle(lambda: worker.depth == 4)
+    worker.watch()
+    assert health.report()[:2] == (Level.WARN, "4 messages wait; the work takes longer than they come in")
+    assert not worker.close(timeout=0.01)
+    gate.set()
+    assert worker.close()

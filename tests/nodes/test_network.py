@@ -1,0 +1,112 @@
+"""What is set before ROS starts, and which sockets are whose."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from twinmatch.nodes.network import (
+    PROFILE,
+    Network,
+    NetworkError,
+    check_sockets,
+    prepare,
+    sockets_elsewhere,
+)
+
+
+def test_loopback_is_the_default() -> None:
+    environment = {
+        "HOME": "/",
+        "ROS_STATIC_PEERS": "10.0.0.1",
+        "ROS_DISCOVERY_SERVER": "10.0.0.1:11811",
+        "FASTDDS_DEFAULT_PROFILES_FILE": "/elsewhere.xml",
+    }
+    assert prepare(environment) is Network.LOOPBACK
+    assert environment["FASTDDS_DEFAULT_PROFILES_FILE"] == str(PROFILE)
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+    assert "ROS_STATIC_PEERS" not in environment
+    assert "ROS_DISCOVERY_SERVER" not in environment
+
+
+def test_open_leaves_the_variables_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    environment = {"TWINMATCH_NETWORK": "open", "ROS_STATIC_PEERS": "10.0.0.1"}
+    assert prepare(environment) is Network.OPEN
+    assert environment["ROS_STATIC_PEERS"] == "10.0.0.1"
+    assert "FASTDDS_DEFAULT_PROFILES_FILE" not in environment
+    assert "NETWORK OPEN" in capsys.readouterr().err
+
+
+def test_closed_when_the_profile_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(NetworkError, match=r"gone\.xml is missing, the nodes would talk"):
+        prepare({}, tmp_path / "gone.xml")
+
+
+def test_closed_with_another_middleware() -> None:
+    with pytest.raises(NetworkError, match="rmw_cyclonedds_cpp, which cannot be bound to this machine"):
+        prepare({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"})
+
+
+@pytest.mark.parametrize("value", ["", "OPEN", "yes", "loopback,open"])
+def test_other_words_are_refused(value: str) -> None:
+    with pytest.raises(NetworkError, match=r"use 'loopback' .* or 'open'"):
+        prepare({"TWINMATCH_NETWORK": value})
+
+
+def test_logs_go_somewhere_without_a_home() -> None:
+    environment: dict[str, str] = {}
+    prepare(environment)
+    folder = Path(environment["ROS_LOG_DIR"])
+    assert folder.is_dir()
+    folder.rmdir()
+
+
+@pytest.mark.parametrize("given", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}])
+def test_a_place_for_logs_is_kept(given: dict[str, str]) -> None:
+    environment = dict(given)
+    prepare(environment)
+    assert environment.get("ROS_LOG_DIR") == given.get("ROS_LOG_DIR")
+
+
+@pytest.mark.parametrize(
+    ("family", "address", "shown"),
+    [
+        (socket.AF_INET, "0.0.0.0", "udp 0.0.0.0"),
+        (socket.AF_INET, "127.0.0.1", None),
+        (socket.AF_INET, "127.1.2.3", None),
+        (socket.AF_INET6, "::", "udp6 ::"),
+        (socket.AF_INET6, "::1", None),
+        (socket.AF_INET6, "::ffff:127.0.0.1", None),
+    ],
+)
+def test_whose_sockets_are_elsewhere(family: int, address: str, shown: str | None) -> None:
+    before = set(sockets_elsewhere())
+    with socket.socket(family, socket.SOCK_DGRAM) as held:
+        try:
+            held.bind((address, 0))
+        except OSError as error:
+            pytest.skip(f"no {address} on this machine: {error}")
+        found = set(sockets_elsewhere()) - before
+        assert found == ({f"{shown}:{held.getsockname()[1]}"} if shown else set())
+
+
+def test_only_listening_tcp_sockets_count() -> None:
+    before = set(sockets_elsewhere())
+    with socket.socket() as held:
+        held.bind(("0.0.0.0", 0))
+        assert set(sockets_elsewhere()) == before
+        held.listen()
+        assert set(sockets_elsewhere()) - before == {f"tcp 0.0.0.0:{held.getsockname()[1]}"}
+
+
+def test_udp_sockets_elsewhere_are_refused() -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as held:
+        held.bind(("0.0.0.0", 0))
+        with pytest.raises(NetworkError, match=r"bound to udp 0\.0\.0\.0"):
+            check_sockets()
+
+
+def test_no_such_process_has_no_sockets() -> None:
+    assert sockets_elsewhere(2**22 + 1) == []

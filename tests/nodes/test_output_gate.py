@@ -1,0 +1,173 @@
+"""The gate between threads: what passes follows from stamps and clocks, whichever of them misbehaves."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from twinmatch.nodes.output_gate import OutputGate, Times
+from twinmatch.safety import FaultKind
+
+SECOND = 1_000_000_000
+DAY = 86_400 * SECOND
+
+
+class Clocks:
+    """Three clocks that a test sets."""
+
+    def __init__(self, stamps: float = 1000.0, plant: float = 1000.0, wall: float = 50.0) -> None:
+        self.times = Times(round(stamps * SECOND), round(plant * SECOND), round(wall * SECOND))
+
+    def __call__(self) -> Times:
+        return self.times
+
+    def step(self, stamps: float, plant: float | None = None, wall: float | None = None) -> None:
+        """Let the clocks go on by so many seconds; all alike if only one number is given."""
+        moves = (stamps, stamps if plant is None else plant, stamps if wall is None else wall)
+        self.times = Times(*(now + round(by * SECOND) for now, by in zip(self.times, moves, strict=True)))
+
+    @property
+    def stamp(self) -> int:
+        return self.times.stamps
+
+
+def armed_gate() -> tuple[Clocks, OutputGate]:
+    clocks = Clocks()
+    gate = OutputGate(clocks)
+    gate.decide()
+    clocks.step(0.1)
+    gate.command(120.0, 7, clocks.stamp)
+    gate.temperature(25.0, clocks.stamp)
+    decision = gate.decide()
+    assert decision[:3] == (120.0, True, 7)
+    return clocks, gate
+
+
+def kind_of(gate: OutputGate) -> FaultKind | None:
+    return None if gate.fault is None else gate.fault.kind
+
+
+def test_age_is_that_of_the_stamp_not_of_the_arrival() -> None:
+    clocks = Clocks()
+    gate = OutputGate(clocks)
+    gate.decide()
+    clocks.step(0.1)
+    gate.command(120.0, 0, clocks.stamp)
+    gate.temperature(25.0, clocks.stamp - round(3.1 * SECOND))
+    assert not gate.decide().armed
+    gate.temperature(25.0, clocks.stamp - round(2.9 * SECOND))
+    assert gate.decide().armed
+    for _ in range(2):
+        clocks.step(0.1)
+        gate.command(120.0, 0, clocks.stamp)
+        gate.decide()
+    assert kind_of(gate) is FaultKind.TEMPERATURE_STALE
+
+
+@pytest.mark.parametrize("stamp", [0, DAY * 100_000], ids=["none", "future"])
+def test_a_command_with_a_foreign_stamp_buys_no_time(stamp: int) -> None:
+    clocks, gate = armed_gate()
+    gate.command(130.0, 8, stamp)
+    clocks.step(0.99)
+    gate.temperature(25.0, clocks.stamp)
+    assert gate.decide().armed
+    clocks.step(0.02)
+    gate.decide()
+    assert kind_of(gate) is FaultKind.COMMAND_SILENT
+
+
+def test_a_simulated_clock_that_jumps_back_buys_no_time() -> None:
+    clocks, gate = armed_gate()
+    clocks.step(0.6)
+    assert gate.decide().armed
+    clocks.step(-900.0, -900.0, 0.0)
+    assert gate.decide().armed
+    clocks.step(0.3)
+    gate.command(120.0, 7, clocks.stamp + 900 * SECOND)  # sent before the jump
+    clocks.step(0.3)
+    assert gate.decide().armed  # it did come just now, whatever its stamp says
+    clocks.step(0.8)
+    gate.decide()
+    assert kind_of(gate) is FaultKind.COMMAND_SILENT
+
+
+def test_a_standing_clock_closes_the_gate_by_the_wall_clock() -> None:
+    clocks, gate = armed_gate()
+    clocks.step(0.0, 0.0, 0.9)
+    gate.command(120.0, 8, clocks.stamp)
+    gate.temperature(25.0, clocks.stamp)
+    assert gate.decide().armed
+    clocks.step(0.0, 0.0, 0.2)
+    gate.command(120.0, 9, clocks.stamp)
+    gate.temperature(25.0, clocks.stamp)
+    assert gate.decide()[:2] == (0.0, False)
+    assert kind_of(gate) is FaultKind.CLOCK
+    clocks.step(0.1)
+    assert gate.decide()[:2] == (0.0, False)  # it latched
+
+
+def test_nothing_is_armed_before_the_clock_has_moved_and_that_is_no_fault() -> None:
+    clocks = Clocks(0.0, 0.0)
+    gate = OutputGate(clocks)
+    for _ in range(30):
+        gate.command(120.0, 0, clocks.stamp)
+        gate.temperature(25.0, clocks.stamp)
+        assert gate.decide()[:2] == (0.0, False)
+        clocks.step(0.0, 0.0, 0.1)
+    assert gate.clock_stopped
+    assert gate.fault is None
+    clocks.step(500.0, 500.0, 0.1)  # the first word of /clock
+    gate.decide()
+    gate.command(120.0, 0, clocks.stamp)
+    gate.temperature(25.0, clocks.stamp)
+    assert gate.decide().armed
+
+
+def test_deadlines_are_in_the_plants_time() -> None:
+    """A tenth of a wall second is too long for a rig that runs twenty times as fast."""
+    clocks, gate = armed_gate()
+    clocks.step(2.0, 2.0, 0.1)
+    gate.decide()
+    assert kind_of(gate) is FaultKind.COMMAND_SILENT
+
+
+def test_clearing_gives_back_what_it_cleared_and_waits_for_new_inputs() -> None:
+    clocks, gate = armed_gate()
+    gate.trip(FaultKind.STOPPED, "enough")
+    assert not gate.armed
+    cleared = gate.clear()
+    assert cleared is not None
+    assert cleared.kind is FaultKind.STOPPED
+    assert gate.clear() is None
+    assert gate.decide()[:2] == (0.0, False)
+    gate.command(50.0, 9, clocks.stamp)
+    gate.temperature(25.0, clocks.stamp)
+    assert gate.decide()[:3] == (50.0, True, 9)
+
+
+def test_a_runaway_closes_it() -> None:
+    clocks, gate = armed_gate()
+    for _ in range(200):
+        clocks.step(0.5)
+        gate.command(255.0, 0, clocks.stamp)
+        gate.temperature(25.0, clocks.stamp)
+        gate.sample(60.0, 25.0, 255.0)
+        gate.decide()
+    assert kind_of(gate) is FaultKind.RUNAWAY
+
+
+def test_an_input_wakes_who_waits() -> None:
+    clocks, gate = armed_gate()
+    woken = threading.Event()
+
+    def wait() -> None:
+        gate.wait(60.0)
+        woken.set()
+
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    while not woken.wait(0.01):
+        gate.command(10.0, 8, clocks.stamp)
+    thread.join(10)
+    assert not thread.is_alive()

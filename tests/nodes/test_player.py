@@ -1,0 +1,138 @@
+"""Sessions played: every byte, in order, at its time, to readers that are slow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
+
+from twinmatch.nodes.conversions import sample_from
+from twinmatch.nodes.player import PlayerError, message_class, qos_profile
+from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.sessions import Qos, Topic, read_session, write_session
+from twinmatch.signals import Sample
+from twinmatch_msgs.msg import LoopSample
+
+pytestmark = pytest.mark.ros
+
+EPOCH = 1_700_000_000_000_000_000
+
+
+def counted(number: int, period: float) -> list[Sample]:
+    return [Sample(k, EPOCH + round(k * period * 1e9), 50.0, 20.0 + k, 0.0) for k in range(number)]
+
+
+def test_every_byte_arrives(start: Callable[..., Any], listener: Any, session: Path) -> None:
+    recorded = [message.data for message in read_session(session).messages(["/plant/sample"])]
+    heard: list[bytes] = []
+    listener.node.create_subscription(LoopSample, "plant/sample", heard.append, EVERYTHING, raw=True)
+    player = start("player", "-p", f"session:={session}", "-p", "rate:=0.0")
+    listener.spin_until(lambda: len(heard) == len(recorded), "the last sample")
+    assert heard == recorded
+    assert player.wait() == 0
+
+
+def test_slow_reader_loses_nothing(start: Callable[..., Any], listener: Any, tmp_path: Path) -> None:
+    """More samples than any queue between holds, to a reader that takes none for a second."""
+    samples = counted(7000, 0.1)
+    path = write_session(tmp_path / "long", samples)
+    heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    player = start("player", "-p", f"session:={path}", "-p", "rate:=0.0")
+    listener.spin_until(lambda: len(heard) > 100, "the first samples")
+    with pytest.raises(Exception, match="timed out"):
+        player.wait(1.0)
+    listener.spin_until(lambda: len(heard) == len(samples), "the last sample")
+    assert [sample_from(message) for message in heard] == samples
+    assert player.wait() == 0
+
+
+def test_clock_goes_with_the_samples(start: Callable[..., Any], listener: Any, tmp_path: Path) -> None:
+    samples = counted(21, 1.0)
+    path = write_session(tmp_path / "timed", samples)
+    heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    clock = listener.hear(Clock, "/clock", QoSProfile(depth=1000))
+    client = listener.node.create_client(SetBool, "player/pause")
+    player = start("player", "-p", f"session:={path}", "-p", "rate:=20.0", "-p", "paused:=true")
+    listener.spin_until(lambda: clock and client.service_is_ready(), "the clock, which stands")
+    assert {tick.clock.sec for tick in clock} == {EPOCH // 10**9}
+    client.call_async(SetBool.Request(data=False))
+    listener.spin_until(lambda: len(heard) == len(samples), "the last sample")
+    listener.spin_until(lambda: clock[-1].clock.sec == samples[-1].stamp // 10**9, "the last of the clock")
+    assert player.wait() == 0
+    times = [tick.clock.sec * 10**9 + tick.clock.nanosec for tick in clock]
+    assert times == sorted(times)
+    assert set(times) >= {sample.stamp for sample in samples}
+    assert max(times) == samples[-1].stamp
+
+
+def test_pause_and_go_on(start: Callable[..., Any], listener: Any, tmp_path: Path) -> None:
+    path = write_session(tmp_path / "paused", counted(50, 1.0))
+    heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    player = start("player", "-p", f"session:={path}", "-p", "rate:=0.0", "-p", "paused:=true")
+    client = listener.node.create_client(SetBool, "player/pause")
+    listener.spin_until(lambda: any(m.status[0].message == "paused" for m in health), "the pause")
+    assert heard == []
+    listener.spin_until(client.service_is_ready, "the service")
+    answer = client.call_async(SetBool.Request(data=False))
+    listener.spin_until(lambda: len(heard) == 50, "the last sample")
+    listener.spin_until(answer.done, "the answer")
+    assert answer.result().message == "playing"
+    assert player.wait() == 0
+
+
+def test_end_is_on_diagnostics(start: Callable[..., Any], listener: Any, tmp_path: Path) -> None:
+    path = write_session(tmp_path / "short", counted(20, 0.1))
+    listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    start("player", "-p", f"session:={path}", "-p", "rate:=1.0")
+    listener.spin_until(lambda: any("ended" in m.status[0].message for m in health), "the end")
+    assert health[-1].status[0].message == "ended: all 41 messages were taken"
+    assert {entry.key: entry.value for entry in health[-1].status[0].values}["messages"] == "41"
+
+
+def test_recorded_namespace_gives_way_to_the_players(
+    start: Callable[..., Any], listener: Any, session: Path
+) -> None:
+    heard = listener.hear(LoopSample, "/rig7/plant/sample", EVERYTHING)
+    player = start("player", "-r", "__ns:=/rig7", "-p", f"session:={session}", "-p", "rate:=0.0")
+    assert player.wait() == 0
+    listener.spin_until(lambda: len(heard) == 920, "the last sample")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ([], "player: no session; give"),
+        (["-p", "session:=/nowhere"], "session /nowhere: does not exist"),
+        (["-p", "session:=SESSION", "-p", "wait_timeout:=0.5"], "player: 0 of 1 readers of /plant/sample"),
+        (["-p", "session:=SESSION", "-p", "topics:=[thermal/]"], "leave out plant/sample"),
+        (["-p", "session:=SESSION", "-p", "rate:=-1.0"], "player: parameter rate is -1.0; allowed is 0 to"),
+    ],
+)
+def test_refusals(start: Callable[..., Any], session: Path, arguments: list[str], line: str) -> None:
+    process = start("player", *(argument.replace("SESSION", str(session)) for argument in arguments))
+    assert process.wait() == 2
+    assert line in process.text
+    assert len(process.text.splitlines()) == 1
+
+
+@pytest.mark.parametrize("kind", ["nobody_msgs/msg/LoopSample", "twinmatch_msgs/msg/Nothing"])
+def test_types_that_are_not_installed(kind: str) -> None:
+    with pytest.raises(PlayerError, match="which is not installed here"):
+        message_class(Topic("/x", kind, "", ""))
+
+
+def test_recorded_quality_of_service() -> None:
+    profile = qos_profile(Qos("reliable", "transient_local", 1))
+    assert (profile.durability, profile.depth) == (DurabilityPolicy.TRANSIENT_LOCAL, 1)
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    profile = qos_profile(Qos("best_effort", "volatile", 5))
+    assert (profile.durability, profile.depth) == (DurabilityPolicy.VOLATILE, 1000)
+    assert profile.reliability == ReliabilityPolicy.BEST_EFFORT

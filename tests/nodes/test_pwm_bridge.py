@@ -1,0 +1,416 @@
+"""The PWM bridge as a process: real ROS, a real serial port, an emulated board; the plate's last defence."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Temperature
+from std_srvs.srv import Trigger
+
+from twinmatch.emulation.arduino import StandInArduino
+from twinmatch.links.pwm import Flags
+from twinmatch.nodes.network import sockets_elsewhere
+from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
+
+pytestmark = pytest.mark.ros
+
+TESTS = Path(__file__).parents[1]
+QUIET = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0"]
+"""For tests that are not about time, on a busy machine."""
+SCRIPT = """
+import sys
+from twinmatch.nodes.pwm_bridge import main
+sys.argv = ["pwm_bridge", "--ros-args", {arguments}]
+main()
+"""
+
+
+def load(path: Path) -> ModuleType:
+    if path.stem not in sys.modules:
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[path.stem])
+    return sys.modules[path.stem]
+
+
+boards: Any = load(TESTS / "emulation" / "arduino_boards.py")
+KINDS = [kind for kind in boards.KINDS if kind != "real"]
+
+
+@pytest.fixture(params=KINDS)
+def any_board(request: pytest.FixtureRequest) -> Iterator[Any]:
+    board = boards.make(request.param)
+    board.run()
+    yield board
+    board.close()
+
+
+@pytest.fixture
+def board() -> Iterator[StandInArduino]:
+    board = StandInArduino()
+    board.run()
+    yield board
+    board.close()
+
+
+class Rig:
+    """Controller and camera as the bridge sees them, and what it says."""
+
+    def __init__(self, listener: Any) -> None:
+        self.listener = listener
+        node = listener.node
+        self.applied = listener.hear(PwmApplied, "plant/pwm_applied", QoSProfile(depth=100))
+        self.health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._commands = node.create_publisher(PwmCommand, "plant/pwm_command", 10)
+        self._temperatures = node.create_publisher(Temperature, "plant/temperature", qos_profile_sensor_data)
+        self._samples = node.create_publisher(LoopSample, "plant/sample", 100)
+        self._services = {n: node.create_client(Trigger, f"pwm_bridge/{n}") for n in ("clear_fault", "stop")}
+        self.pwm: float | None = None
+        self.celsius: float | None = 25.0
+        self.reference: float | None = None
+        self.age = 0.0
+        self.stamp: Callable[[], int] = time.time_ns
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._feed, daemon=True)
+        self._thread.start()
+
+    def drive(self, pwm: float, board: Any) -> None:
+        self.pwm = pwm
+        self.until(lambda: board.drive().pwm == pytest.approx(pwm, abs=0.16), f"PWM {pwm}")
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        self.listener.spin_until(condition, what)
+
+    @property
+    def fault(self) -> str:
+        return self.applied[-1].fault if self.applied else ""
+
+    def wait_for_fault(self, kind: str, board: Any) -> None:
+        """Until the bridge tells the fault and the board is at zero."""
+        self.until(lambda: self.fault, kind)
+        assert self.fault.startswith(f"{kind}: ")
+        self.until(lambda: board.drive().pwm == 0, "zero")
+        self.stays_at_zero(board)
+
+    def stays_at_zero(self, board: Any) -> None:
+        seen = len(self.applied)
+
+        def look() -> bool:
+            assert board.drive().pwm == 0
+            return len(self.applied) >= seen + 3
+
+        self.until(look, "reports")
+
+    def call(self, name: str) -> Trigger.Response:
+        client = self._services[name]
+        self.until(client.service_is_ready, name)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done, name)
+        return future.result()
+
+    def complaints(self) -> str:
+        """What the newest report of the bridge says."""
+        statuses = [status for message in self.health for status in message.status]
+        messages = [status.message for status in statuses if status.name == "pwm_bridge: health"]
+        return messages[-1] if messages else ""
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _feed(self) -> None:
+        while not self._ending.wait(0.05):
+            now = self.stamp()
+            if self.pwm is not None:
+                command = PwmCommand(index=7, pwm=float(self.pwm))
+                command.header.stamp = stamp(now)
+                self._commands.publish(command)
+            if self.celsius is not None:
+                temperature = Temperature(temperature=float(self.celsius))
+                temperature.header.stamp = stamp(now - round(self.age * 1e9))
+                self._temperatures.publish(temperature)
+            if self.reference is not None and self.celsius is not None and self.pwm is not None:
+                sample = LoopSample(reference=self.reference, temperature=self.celsius, pwm=self.pwm)
+                self._samples.publish(sample)
+
+
+def stamp(nanoseconds: int) -> Time:
+    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+@pytest.fixture
+def rig(listener: Any) -> Iterator[Rig]:
+    made = Rig(listener)
+    yield made
+    made.close()
+
+
+def test_commands_reach_the_pins_and_what_was_applied_is_told(
+    start: Callable[..., Any], rig: Rig, any_board: Any
+) -> None:
+    bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
+    rig.until(lambda: rig.applied, "a report")
+    assert (rig.applied[0].pwm, rig.applied[0].fault) == (0.0, "")
+    rig.drive(120.0, any_board)
+    any_board.set_current(2.5)
+    rig.until(lambda: rig.applied[-1].current == pytest.approx(2.5, abs=0.02), "the current")
+    last = rig.applied[-1]
+    assert (last.pwm, last.sequence, last.flags) == (120.0, 7, Flags.ENABLED)
+    assert last.header.frame_id == "driver"
+    assert abs(last.header.stamp.sec - time.time()) < 60
+    rig.drive(-80.0, any_board)
+    assert sockets_elsewhere(bridge.id) == []
+    assert bridge.end() == 0  # SIGTERM
+    assert any_board.drive()[1:] == (0.0, True)  # an acknowledged zero, before the board's own deadline
+
+
+def test_a_killed_bridge_costs_at_most_the_boards_deadline(
+    start_script: Callable[[str], Any], rig: Rig, any_board: Any
+) -> None:
+    arguments = ["-p", f"port:={any_board.port}", *QUIET]
+    bridge = start_script(SCRIPT.format(arguments=", ".join(map(repr, arguments))))
+    rig.drive(200.0, any_board)
+    any_board.pause()
+    bridge.end(signal.SIGKILL)
+    before = any_board.drive()
+    assert before.pwm == pytest.approx(200.0, abs=0.16)
+    after = any_board.advance(1.05)
+    assert (after.pwm, after.enabled) == (0.0, False)
+    assert after.time - before.time == pytest.approx(1.05, abs=0.005)
+
+
+def test_a_frozen_bridge_lets_go_and_stays_off(start: Callable[..., Any], rig: Rig, any_board: Any) -> None:
+    bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
+    rig.drive(200.0, any_board)
+    os.kill(bridge.id, signal.SIGSTOP)
+    rig.until(lambda: not any_board.drive().enabled, "the board's deadline")
+    os.kill(bridge.id, signal.SIGCONT)
+    rig.until(lambda: rig.fault, "a fault")
+    rig.stays_at_zero(any_board)
+    assert rig.fault.split(":")[0] in {"board", "link", "command_silent"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_with_zero(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino, number: signal.Signals
+) -> None:
+    bridge = start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
+    rig.drive(200.0, board)
+    assert bridge.end(number) == 0
+    assert board.drive()[1:] == (0.0, True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "break_it"),
+    [
+        ("command_invalid", {"pwm": math.nan}),
+        ("command_invalid", {"pwm": math.inf}),
+        ("command_invalid", {"pwm": 256.0}),
+        ("command_silent", {"pwm": None}),
+        ("temperature_invalid", {"celsius": math.nan}),
+        ("temperature_stale", {"celsius": None}),
+        ("temperature_stale", {"age": 60.0}),
+        ("over_temperature", {"celsius": 110.5}),
+        ("under_temperature", {"celsius": -40.0}),
+    ],
+)
+def test_doubt_is_zero_and_latches_until_cleared(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino, kind: str, break_it: dict[str, Any]
+) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", "-p", "command_timeout:=2.0")
+    rig.drive(120.0, board)
+    good = {name: getattr(rig, name) for name in break_it}
+    for name, value in break_it.items():
+        setattr(rig, name, value)
+    rig.wait_for_fault(kind, board)
+    rig.until(lambda: kind in rig.complaints(), "the diagnostics")
+    for name, value in good.items():
+        setattr(rig, name, value)
+    rig.stays_at_zero(board)  # what is good again changes nothing
+    answer = rig.call("clear_fault")
+    assert answer.success
+    assert kind in answer.message
+    rig.drive(90.0, board)
+    assert rig.call("clear_fault").message == "there is no fault"
+
+
+@pytest.mark.parametrize(("reference", "pwm"), [(60.0, 255.0), (0.0, -255.0)], ids=["heating", "cooling"])
+def test_a_runaway_is_zero(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino, reference: float, pwm: float
+) -> None:
+    limits = ["-p", "runaway.gain_time:=1.0", "-p", "runaway.patience:=20.0"]
+    start("pwm_bridge", "-p", f"port:={board.port}", *QUIET, *limits)
+    rig.drive(pwm, board)
+    rig.reference = reference
+    rig.wait_for_fault("runaway", board)
+
+
+def test_stop_is_a_fault_that_is_asked_for(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino
+) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
+    rig.drive(120.0, board)
+    assert rig.call("stop").success
+    rig.wait_for_fault("stopped", board)
+    assert rig.call("clear_fault").success
+    rig.drive(120.0, board)
+
+
+def test_a_cable_pulled_and_put_back(start: Callable[..., Any], rig: Rig, any_board: Any) -> None:
+    start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
+    rig.drive(120.0, any_board)
+    any_board.unplug()
+    rig.until(lambda: rig.fault.startswith("link: "), "the fault")
+    rig.until(lambda: math.isnan(rig.applied[-1].pwm), "not knowing")
+    refused = rig.call("clear_fault")
+    assert not refused.success
+    assert "not connected" in refused.message
+    any_board.plug()
+    rig.wait_for_fault("link", any_board)
+    rig.until(lambda: rig.applied[-1].pwm == 0, "knowing again")
+    assert rig.call("clear_fault").success
+    rig.drive(120.0, any_board)
+
+
+def test_a_bridge_started_before_there_is_a_board_drives_once_there_is(
+    start: Callable[..., Any], rig: Rig, any_board: Any
+) -> None:
+    any_board.unplug()
+    start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
+    rig.pwm = 120.0
+    rig.until(
+        lambda: any("PWM link" in status.message for m in rig.health for status in m.status), "a word of it"
+    )
+    rig.pwm = None
+    any_board.plug()
+    rig.until(lambda: rig.applied and rig.applied[-1].pwm == 0, "the board")
+    if rig.fault:  # commands that came meanwhile went nowhere, which latches
+        assert rig.call("clear_fault").success
+    rig.drive(120.0, any_board)
+
+
+class SimulatedTime:
+    """/clock, published in real time as long as it is let run."""
+
+    def __init__(self, rig: Rig, at: float) -> None:
+        self._publisher = rig.listener.node.create_publisher(Clock, "/clock", 10)
+        self.now, self.running = at, True
+        self._ending = threading.Event()
+        rig.stamp = lambda: round(self.now * 1e9)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ending.wait(0.01):
+            self.now += 0.01 * self.running
+            self._publisher.publish(Clock(clock=stamp(round(self.now * 1e9))))
+
+
+@pytest.fixture
+def simulated(rig: Rig) -> Iterator[SimulatedTime]:
+    made = SimulatedTime(rig, 1000.0)
+    yield made
+    made.close()
+
+
+def test_a_simulated_clock_that_stands_still_is_zero(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino, simulated: SimulatedTime
+) -> None:
+    """Although commands and temperatures go on coming: in their time none of them is old."""
+    start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
+    rig.drive(120.0, board)
+    simulated.running = False
+    rig.wait_for_fault("clock", board)
+    simulated.running = True
+    rig.stays_at_zero(board)
+    assert rig.call("clear_fault").success
+    rig.drive(90.0, board)
+
+
+def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino, simulated: SimulatedTime
+) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
+    rig.drive(120.0, board)
+    rig.pwm = None  # the controller has fallen silent …
+    simulated.now -= 900.0  # … and the clock will not be back there for a quarter of an hour
+    rig.wait_for_fault("command_silent", board)
+    assert simulated.now < 200.0
+
+
+def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino
+) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
+    rig.pwm, rig.stamp = 120.0, lambda: 0
+    rig.until(lambda: "the clock stands still" in rig.complaints(), "the complaint")
+    rig.stays_at_zero(board)
+    assert rig.fault == ""
+
+
+def test_no_samples_no_runaway_watch_and_that_is_said(
+    start: Callable[..., Any], rig: Rig, board: StandInArduino
+) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
+    rig.drive(50.0, board)
+    rig.until(lambda: "nobody watches for a runaway" in rig.complaints(), "the warning")
+    rig.reference = 25.0
+    rig.until(lambda: "watches" not in rig.complaints(), "samples that are seen")
+
+
+def test_two_controllers_are_warned_of(start: Callable[..., Any], rig: Rig, board: StandInArduino) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
+    rig.until(lambda: rig.complaints() and "two nodes" not in rig.complaints(), "health")
+    other = rig.listener.node.create_publisher(PwmCommand, "plant/pwm_command", 10)
+    rig.until(lambda: "two nodes send commands" in rig.complaints(), "the warning")
+    rig.listener.node.destroy_publisher(other)
+    rig.until(lambda: "two nodes" not in rig.complaints(), "health")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["-p", "lowest:=120.0", "-p", "highest:=100.0"], "lowest 120.0 °C must be below highest 100.0 °C"),
+        (["-p", "command_timeout:=0.0"], "parameter command_timeout is 0.0; allowed is s, 0.1 to 10"),
+        (["-p", "prot:=/dev/ttyACM1"], "there is no parameter prot; did you mean port?"),
+    ],
+)
+def test_wrong_parameters_end_it(start: Callable[..., Any], arguments: list[str], line: str) -> None:
+    bridge = start("pwm_bridge", *arguments)
+    assert bridge.wait() == 2
+    assert line in bridge.text
+
+
+def test_another_protocol_ends_it_in_one_line(
+    start: Callable[..., Any], board: StandInArduino, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twinmatch.emulation.arduino_model.PROTOCOL", 9)
+    bridge = start("pwm_bridge", "-p", f"port:={board.port}")
+    assert bridge.wait() == 2
+    assert "speaks another protocol than 1" in bridge.text
+    assert len(bridge.text.splitlines()) == 1

@@ -1,0 +1,354 @@
+"""The thread that speaks to the board, against emulated boards: zero is what is left of every trouble."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+
+from twinmatch.emulation import arduino_model
+from twinmatch.emulation.arduino import StandInArduino
+from twinmatch.links.pwm import Applied, Flags, LinkSettings, PwmLink, PwmVersionError
+from twinmatch.nodes.diagnostics import Health, Level
+from twinmatch.nodes.output_gate import OutputGate, Times
+from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
+from twinmatch.safety import FaultKind, GuardLimits
+
+TESTS = Path(__file__).parents[1]
+PATIENT = LinkSettings(timeout=1.0)
+"""For boards that share a busy machine with the tests."""
+
+
+def load(path: Path) -> ModuleType:
+    if path.stem not in sys.modules:
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[path.stem])
+    return sys.modules[path.stem]
+
+
+boards: Any = load(TESTS / "emulation" / "arduino_boards.py")
+KINDS = [kind for kind in boards.KINDS if kind != "real"]
+
+
+class Bench:
+    """A driver between a gate that is kept supplied and a board whose time passes."""
+
+    def __init__(self, board: Any, link: LinkSettings = PATIENT) -> None:
+        self.board = board
+        self.told: list[tuple[Applied | None, int]] = []
+        self.health = Health()
+        self.gate = OutputGate(self._clocks, GuardLimits(command_timeout=3.0, temperature_timeout=10.0))
+        self.link = PwmLink(board.port, link)
+        settings = DriverSettings(first_pause=0.02, longest_pause=0.1)
+        self.driver = PwmDriver(self.link, self.gate, self._tell, self.health, settings)
+        self.pwm: float | None = None
+        self.fail_to_tell = False
+        self._ending = threading.Event()
+        self._feeder = threading.Thread(target=self._feed, daemon=True)
+
+    def start(self) -> Bench:
+        self.driver.start()
+        self._feeder.start()
+        return self
+
+    def drive(self, pwm: float) -> None:
+        """Command from now on, and wait until the pins follow."""
+        self.pwm = pwm
+        self.until(lambda: self.board.drive().pwm == pytest.approx(pwm, abs=0.16))
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        end = time.monotonic() + 30
+        while not condition():
+            assert time.monotonic() < end, f"it did not happen within 30 s; {self.health.report()}"
+            time.sleep(0.005)
+
+    def kind(self) -> FaultKind | None:
+        return None if self.gate.fault is None else self.gate.fault.kind
+
+    def stays_at_zero(self) -> None:
+        """For a while, which the driver uses to look at the board several times."""
+        seen = len(self.told)
+        while len(self.told) < seen + 3:
+            assert self.board.drive().pwm == 0.0
+            time.sleep(0.01)
+
+    def clear(self) -> None:
+        self.driver.clear()
+        self.gate.clear()
+
+    def close(self) -> None:
+        self._ending.set()
+        if self._feeder.ident is not None:
+            self._feeder.join()
+        assert self.driver.close(30.0)
+        self.board.close()
+
+    def _clocks(self) -> Times:
+        now = time.monotonic_ns()
+        return Times(now, now, now)
+
+    def _tell(self, applied: Applied | None, sample: int) -> None:
+        if self.fail_to_tell:
+            raise RuntimeError("nobody can be told")
+        self.told.append((applied, sample))
+
+    def _feed(self) -> None:
+        while not self._ending.wait(0.02):
+            self.gate.temperature(25.0, time.monotonic_ns())
+            if self.pwm is not None:
+                self.gate.command(self.pwm, 42, time.monotonic_ns())
+
+
+@pytest.fixture(params=KINDS)
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    board = boards.make(request.param)
+    board.run()
+    made = Bench(board).start()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def stand_in() -> Iterator[Bench]:
+    board = StandInArduino()
+    board.run()
+    made = Bench(board, LinkSettings(timeout=0.1, retries=1)).start()
+    yield made
+    made.close()
+
+
+def test_a_command_is_repeated_and_its_effect_told(bench: Bench) -> None:
+    bench.until(lambda: bench.told)
+    assert bench.told[0][0] is not None
+    assert bench.told[0][0].flags == Flags.NONE  # a fresh board was cleared, and is not driven
+    bench.drive(120.0)
+    seen = len(bench.told)
+    bench.until(lambda: len(bench.told) > seen + 15)  # beyond the board's deadline
+    assert bench.gate.fault is None
+    applied, sample = bench.told[-1]
+    assert applied is not None
+    assert (applied.pwm, applied.flags, sample) == (120, Flags.ENABLED, 42)
+    bench.drive(-80.0)
+
+
+def test_silence_is_zero_first_and_then_off_and_a_new_command_wakes_it(bench: Bench) -> None:
+    bench.drive(120.0)
+    bench.pwm = None
+    bench.until(lambda: bench.kind() is FaultKind.COMMAND_SILENT)
+    bench.until(lambda: bench.board.drive().pwm == 0)
+    bench.until(lambda: not bench.board.drive().enabled)  # its deadline is not fed any longer
+    bench.stays_at_zero()
+    bench.clear()
+    bench.drive(60.0)
+
+
+def test_a_cable_pulled_and_put_back_drives_nothing_until_cleared(bench: Bench) -> None:
+    bench.drive(120.0)
+    bench.board.unplug()
+    bench.until(lambda: bench.kind() is FaultKind.LINK)
+    assert not bench.driver.connected
+    bench.until(lambda: bench.board.drive().pwm == 0)
+    bench.until(lambda: bench.told[-1] == (None, 0))  # nobody knows what the board does
+    assert bench.health.report().level is Level.ERROR
+    bench.board.plug()
+    bench.until(lambda: bench.driver.connected)
+    bench.stays_at_zero()
+    assert bench.health.report().level is not Level.ERROR
+    bench.clear()
+    bench.drive(60.0)
+
+
+def test_a_driver_fault_latches_until_it_is_gone_and_cleared(bench: Bench) -> None:
+    bench.drive(120.0)
+    bench.board.set_fault(True)
+    bench.until(lambda: bench.kind() is FaultKind.DRIVER)
+    bench.stays_at_zero()
+    bench.clear()
+    bench.until(lambda: bench.kind() is FaultKind.DRIVER)  # it is still there
+    bench.board.set_fault(False)
+    bench.stays_at_zero()
+    bench.clear()
+    bench.drive(60.0)
+
+
+def test_a_board_that_restarts_latches(bench: Bench) -> None:
+    bench.drive(120.0)
+    bench.board.hang()
+    bench.until(lambda: bench.kind() in {FaultKind.LINK, FaultKind.BOARD})
+    bench.until(lambda: bench.driver.connected and bench.link.restarts == 1)
+    bench.stays_at_zero()
+    bench.clear()
+    bench.drive(60.0)
+
+
+def test_an_idle_board_that_restarts_latches_too(bench: Bench) -> None:
+    bench.until(lambda: bench.driver.connected)
+    bench.board.hang()
+    bench.until(lambda: bench.kind() is FaultKind.BOARD)
+    assert "restarted" in str(bench.gate.fault)
+    bench.pwm = 50.0
+    bench.stays_at_zero()
+    bench.clear()
+    bench.drive(50.0)
+
+
+def test_the_end_is_an_acknowledged_zero(bench: Bench) -> None:
+    bench.drive(200.0)
+    assert bench.driver.close(30.0)
+    applied, _ = bench.told[-1]
+    assert applied is not None
+    assert (applied.pwm, applied.flags) == (0, Flags.ENABLED)  # it was told, its deadline had not passed
+    assert not bench.link.is_open
+    assert bench.driver.failure is None
+
+
+def test_a_defect_ends_the_thread_with_zero(bench: Bench) -> None:
+    bench.drive(200.0)
+    bench.fail_to_tell = True
+    bench.until(lambda: isinstance(bench.driver.failure, RuntimeError))
+    bench.until(lambda: not bench.link.is_open)
+    assert bench.board.drive().pwm == 0
+
+
+def test_a_mute_board_is_a_lost_link(stand_in: Bench) -> None:
+    stand_in.drive(120.0)
+    stand_in.board.pause()
+    stand_in.until(lambda: stand_in.kind() is FaultKind.LINK)
+    assert "no answer" in str(stand_in.gate.fault)
+    assert stand_in.board.advance(1.001).pwm == 0.0
+    stand_in.board.run()
+    stand_in.until(lambda: stand_in.driver.connected)
+    stand_in.stays_at_zero()
+
+
+def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
+    """Half frames, foreign frames and binary, towards us and towards the board."""
+    stand_in.drive(120.0)
+    descriptor = os.open(stand_in.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    noise = [b":S 1 2 3*0000\n", b"\xff\x00garbage\n", b":S 65535 0 255 0 1*", b"\n\n::", b":E - CRC*12\n"]
+    try:
+        seen = len(stand_in.told)
+        for number in range(40):
+            os.write(stand_in.board._master, noise[number % 5])
+            os.write(descriptor, noise[(number + 2) % 5])
+            time.sleep(0.02)
+    finally:
+        os.close(descriptor)
+    stand_in.until(lambda: len(stand_in.told) > seen + 5)
+    if stand_in.gate.fault is None:
+        assert all(applied is not None and applied.pwm == 120 for applied, _ in stand_in.told[seen:])
+    else:  # a request may be unlucky three times; then it is a lost link, and nothing else
+        assert stand_in.kind() is FaultKind.LINK
+
+
+def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
+    board = StandInArduino(tmp_path / "ttyACM0")
+    board.unplug()
+    board.run()
+    bench = Bench(board).start()
+    try:
+        bench.until(lambda: bench.health.report().level is Level.ERROR)
+        assert "cannot be opened" in bench.health.report().message
+        assert bench.gate.fault is None
+        board.plug()
+        bench.drive(90.0)
+        assert bench.health.report().level is not Level.ERROR
+    finally:
+        bench.close()
+
+
+def test_another_protocol_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arduino_model, "PROTOCOL", 9)
+    board = StandInArduino()
+    board.run()
+    bench = Bench(board).start()
+    try:
+        bench.until(lambda: bench.driver.failure is not None)
+        assert isinstance(bench.driver.failure, PwmVersionError)
+    finally:
+        bench.close()
+
+
+def test_a_board_that_had_tripped_on_its_driver_is_not_cleared_by_itself() -> None:
+    board = StandInArduino()
+    board.run()
+    with PwmLink(board.port, PATIENT) as link:
+        link.clear()
+        link.command(50.0)
+        board.set_fault(True)
+        end = time.monotonic() + 30
+        while not link.query().flags & Flags.DRIVER:
+            assert time.monotonic() < end
+    board.set_fault(False)
+    bench = Bench(board).start()
+    try:
+        bench.pwm = 50.0
+        bench.until(lambda: bench.kind() is FaultKind.DRIVER)
+        bench.stays_at_zero()
+        bench.clear()
+        bench.drive(50.0)
+    finally:
+        bench.close()
+
+
+def test_a_board_that_does_something_else_than_it_was_sent_is_a_fault(
+    stand_in: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stand_in.drive(120.0)
+    command = stand_in.link.command
+
+    def other(pwm: float) -> Applied:
+        applied = command(pwm)
+        return Applied(applied.pwm // 2, applied.current, applied.flags, applied.device_time)
+
+    monkeypatch.setattr(stand_in.link, "command", other)
+    stand_in.until(lambda: stand_in.kind() is FaultKind.BOARD)
+    assert "applies 60 where 120 was sent" in str(stand_in.gate.fault)
+
+
+def test_what_trips_while_the_board_is_woken_is_heeded(
+    stand_in: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stand_in.until(lambda: stand_in.driver.connected)
+    query, command = stand_in.link.query, stand_in.link.command
+    sent: list[float] = []
+
+    def tripping() -> Applied:
+        if stand_in.gate.armed:
+            stand_in.gate.trip(FaultKind.STOPPED, "now")
+        return query()
+
+    def noting(pwm: float) -> Applied:
+        sent.append(pwm)
+        return command(pwm)
+
+    monkeypatch.setattr(stand_in.link, "query", tripping)
+    monkeypatch.setattr(stand_in.link, "command", noting)
+    stand_in.pwm = 200.0
+    stand_in.until(lambda: stand_in.kind() is FaultKind.STOPPED)
+    stand_in.stays_at_zero()
+    assert 200.0 not in sent
+
+
+def test_answers_slower_than_the_deadline_allows_are_warned_of() -> None:
+    board = StandInArduino()
+    board.run()
+    bench = Bench(board, LinkSettings(timeout=0.4, retries=2)).start()
+    try:
+        bench.until(lambda: bench.health.report().level is Level.WARN)
+        assert "an answer may take 1.3 s, the board waits 1 s" in bench.health.report().message
+    finally:
+        bench.close()

@@ -1,0 +1,426 @@
+"""The recorder as a process: everything that was sent, whatever ends it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image, Temperature
+from std_msgs.msg import Float64, String
+
+from twinmatch.nodes.conversions import sample_message
+from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.sessions import Session, read_session
+from twinmatch.sessions.repair import repair_session
+from twinmatch.sessions.settings import CANDIDATES, parameters_of
+from twinmatch.sessions.topics import SAMPLE
+from twinmatch.signals import Sample
+from twinmatch.verify import verify_session
+from twinmatch_msgs.msg import LoopSample, ModelScore
+
+pytestmark = pytest.mark.ros
+
+SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Rig:
+    """Publishes what a rig publishes."""
+
+    def __init__(self, listener: Any, namespace: str = "") -> None:
+        self.listener = listener
+        make = listener.node.create_publisher
+        self.samples = make(LoopSample, f"{namespace}plant/sample", RELIABLE)
+        self.temperatures = make(Temperature, f"{namespace}plant/temperature", SENSOR)
+        self.references = make(Float64, f"{namespace}plant/reference", LATCHED)
+        self.images = make(Image, f"{namespace}thermal/image_raw", SENSOR)
+        self.health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+
+    def wait_for_reader(self) -> None:
+        publishers = (self.samples, self.temperatures, self.references, self.images)
+        self.listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers), "the recorder")
+
+    def sample(self, index: int) -> LoopSample:
+        message = sample_message(Sample(index, 10**18 + index * 10**9, 30.0, 25.0 + 1e-9 * index, -3.5))
+        self.samples.publish(message)
+        return message
+
+    def said(self, words: str) -> bool:
+        return any(words in status.message for m in self.health for status in m.status)
+
+
+@pytest.fixture
+def rig(listener: Any) -> Rig:
+    return Rig(listener)
+
+
+@pytest.fixture
+def record(start: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+    """Start a recorder; it records into `run` in the test's folder."""
+    return lambda *arguments: start(
+        "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0", *arguments
+    )
+
+
+def messages_of(session: Session, topic: str, kind: Any) -> list[Any]:
+    """The messages of a topic; their bytes differ from others of the same content in the padding."""
+    return [deserialize_message(message.data, kind) for message in session.messages([topic])]
+
+
+def test_everything_is_recorded_as_it_was_sent(record: Any, rig: Rig, tmp_path: Path) -> None:
+    rig.references.publish(Float64(data=40.0))
+    process = record()
+    rig.wait_for_reader()
+    sent: dict[str, list[Any]] = {"sample": [], "temperature": [], "image_raw": []}
+    for k in range(300):
+        sent["sample"].append(rig.sample(k))
+        temperature = Temperature(temperature=25.0 + k)
+        rig.temperatures.publish(temperature)
+        sent["temperature"].append(temperature)
+        if k % 3 == 0:
+            data = os.urandom(9600)
+            image = Image(height=60, width=80, encoding="mono16", step=160, data=data)
+            rig.images.publish(image)
+            sent["image_raw"].append(image)
+        time.sleep(0.004)
+    late = rig.listener.node.create_publisher(String, "notes", 10)
+    rig.listener.spin_until(late.get_subscription_count, "the recorder at the new topic")
+    late.publish(String(data="seen"))
+    time.sleep(0.3)
+    assert process.end() == 0
+    session = read_session(tmp_path / "run")
+    assert session.notes == []
+    assert messages_of(session, "/plant/sample", LoopSample) == sent["sample"]
+    assert messages_of(session, "/plant/temperature", Temperature) == sent["temperature"]
+    assert messages_of(session, "/thermal/image_raw", Image) == sent["image_raw"]
+    assert messages_of(session, "/plant/reference", Float64) == [Float64(data=40.0)]
+    assert messages_of(session, "/notes", String) == [String(data="seen")]
+    with Reader(tmp_path / "run") as reader:
+        assert reader.message_count == sum(session.counts.values())
+    qos = {topic.name: (topic.qos.reliability, topic.qos.durability) for topic in session.topics}
+    assert qos["/plant/temperature"] == ("best_effort", "volatile")
+    assert qos["/plant/reference"] == ("reliable", "transient_local")
+    (sample,) = [topic for topic in session.topics if topic.name == "/plant/sample"]
+    assert (sample.schema, sample.type_hash) == (SAMPLE.schema, SAMPLE.type_hash)
+
+
+def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Any, rig: Rig, tmp_path: Path) -> None:
+    """Twenty times the rig: 20 samples, 180 images and temperatures a second."""
+    process = record()
+    rig.wait_for_reader()
+    image = Image(height=60, width=80, encoding="mono16", step=160, data=bytes(9600))
+    begun = time.monotonic()
+    for k in range(900):
+        rig.images.publish(image)
+        rig.temperatures.publish(Temperature(temperature=float(k)))
+        if k % 9 == 0:
+            rig.sample(k // 9)
+        time.sleep(max(0.0, begun + (k + 1) / 180 - time.monotonic()))
+    time.sleep(0.3)
+    assert process.end() == 0
+    session = read_session(tmp_path / "run")
+    assert session.counts["/thermal/image_raw"] == session.counts["/plant/temperature"] == 900
+    assert [s.index for s in session.samples] == list(range(100))
+
+
+@pytest.fixture
+def start_to_kill() -> Iterator[Callable[[Path], subprocess.Popen[bytes]]]:
+    """Start a recorder that may be killed; the shared fixture takes a killed process for a failure."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start_one(folder: Path) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "twinmatch.nodes.recorder", "--ros-args"]
+        for value in (f"folder:={folder}", "name:=run", "min_free_mb:=1.0"):
+            command += ["-p", value]
+        started.append(subprocess.Popen(command, stderr=subprocess.DEVNULL))
+        return started[-1]
+
+    yield start_one
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("after", [0.7, 1.5])
+def test_a_killed_recorder_loses_less_than_a_second(
+    start_to_kill: Callable[[Path], subprocess.Popen[bytes]], rig: Rig, tmp_path: Path, after: float
+) -> None:
+    process = start_to_kill(tmp_path)
+    rig.wait_for_reader()
+    sent = []
+    deadline = time.monotonic() + after
+    while time.monotonic() < deadline:
+        rig.sample(len(sent))
+        sent.append(time.monotonic())
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    killed = time.monotonic()
+    process.wait()
+    session = read_session(tmp_path / "run")
+    indices = [s.index for s in session.samples]
+    assert indices == list(range(len(indices)))
+    assert all(killed - at < 1.0 for at in sent[len(indices) :])
+    assert "metadata.yaml is missing" in session.notes[0]
+    found = repair_session(tmp_path / "run")
+    assert found.messages == sum(session.counts.values())
+    assert [s.index for s in read_session(tmp_path / "run").samples] == indices
+    with Reader(tmp_path / "run") as reader:
+        assert reader.message_count == found.messages
+
+
+def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
+    record: Any, listener: Any, tmp_path: Path
+) -> None:
+    mine, other = Rig(listener, "/one/"), Rig(listener, "/two/")
+    process = record("-r", "__ns:=/one", "-p", "leave_out:=[thermal/]", "-p", "also:=[/weather]")
+    weather = listener.node.create_publisher(Float64, "/weather", 10)
+    listener.spin_until(mine.samples.get_subscription_count, "the recorder")
+    listener.spin_until(weather.get_subscription_count, "the recorder")
+    mine.sample(0)
+    other.sample(5)
+    weather.publish(Float64(data=18.0))
+    time.sleep(0.5)
+    assert mine.images.get_subscription_count() == 0
+    assert other.samples.get_subscription_count() == 0
+    assert process.end() == 0
+    session = read_session(tmp_path / "run")
+    assert session.topic == "/one/plant/sample"
+    assert {"/weather", "/one/plant/temperature"} < set(session.counts)
+    assert not {"/clock", "/rosout", "/diagnostics", "/one/thermal/image_raw"} & set(session.counts)
+
+
+def test_a_publisher_that_offers_less_is_heard_too(
+    record: Any, listener: Any, rig: Rig, tmp_path: Path
+) -> None:
+    process = record()
+    first = listener.node.create_publisher(Float64, "extra", RELIABLE)
+    listener.spin_until(first.get_subscription_count, "the recorder")
+    first.publish(Float64(data=1.0))
+    time.sleep(0.3)
+    quiet = PublisherEventCallbacks(use_default_callbacks=False)  # at first the recorder asks for more
+    second = listener.node.create_publisher(Float64, "extra", SENSOR, event_callbacks=quiet)
+    listener.spin_until(second.get_subscription_count, "the recorder")
+    second.publish(Float64(data=2.0))
+    rig.wait_for_reader()
+    rig.sample(0)
+    time.sleep(0.5)
+    assert process.end() == 0
+    extra = messages_of(read_session(tmp_path / "run"), "/extra", Float64)
+    assert extra == [Float64(data=1.0), Float64(data=2.0)]
+
+
+def test_parameters_of_the_nodes_are_in_the_session(
+    record: Any, start: Callable[..., Any], rig: Rig, tmp_path: Path
+) -> None:
+    family = tmp_path / "family.yaml"
+    family.write_text("candidates:\n  - {name: a, operating_point: 40.0, seebeck: 0.08}\n")
+    process = record()
+    start("matcher", "-p", "seed:=7")
+    start("discriminator", "-p", "seed:=7", "-p", f"candidates:={family}")
+
+    def recorded() -> bool:
+        scans = read_session(tmp_path / "run").records if rig.samples.get_subscription_count() > 2 else {}
+        return {"twinmatch/parameters/discriminator", "twinmatch/parameters/matcher"} <= set(scans)
+
+    rig.wait_for_reader()
+    rig.sample(0)
+    rig.listener.spin_until(recorded, "the parameters")
+    assert process.end() == 0
+    records = read_session(tmp_path / "run").records
+    parameters = parameters_of(records, "/matcher")
+    assert parameters["seed"] == 7
+    assert parameters["free"] == ["seebeck", "conductance", "heat_capacity"]
+    assert parameters["use_sim_time"] is False
+    assert records[CANDIDATES]["text"] == family.read_text()
+    assert json.loads(records["twinmatch/parameters/discriminator"]["period"]) == 1.0
+
+
+def test_a_recorded_run_of_the_twin_verifies(
+    record: Any, start: Callable[..., Any], listener: Any, session: Path, tmp_path: Path
+) -> None:
+    """Everything together: a plant, the twin beside it, the recorder beside both; then the same verdicts."""
+    process = record()
+    start("twin")
+    listener.spin_until(
+        lambda: all(
+            listener.node.count_subscribers(t) for t in ("twin/match", "twin/model_score", "twin/nominal")
+        ),
+        "the twin and the recorder",
+    )
+    start("player", "-p", f"session:={session}", "-p", "rate:=60.0", "-p", "wait_for:=4")
+    scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
+    listener.spin_until(lambda: scores and scores[-1].sample >= 910 - 60, "the verdicts", 120.0)
+    time.sleep(1.0)
+    assert process.end() == 0
+    found = verify_session(tmp_path / "run")
+    assert found.identical, found.difference
+    assert (found.samples, found.matches) == (920, 3)
+    assert found.verdicts >= 14
+
+
+def test_files_are_split(record: Any, rig: Rig, tmp_path: Path) -> None:
+    process = record("-p", "split_s:=0.5")
+    rig.wait_for_reader()
+    for k in range(100):
+        rig.sample(k)
+        time.sleep(0.02)
+    assert process.end() == 0
+    assert len(list((tmp_path / "run").glob("run_*.mcap"))) >= 2
+    session = read_session(tmp_path / "run")
+    assert [s.index for s in session.samples] == list(range(100))
+    assert session.notes == []
+    with Reader(tmp_path / "run") as reader:
+        assert reader.message_count == sum(session.counts.values())
+
+
+def test_too_little_room_is_one_line(start: Callable[..., Any], tmp_path: Path) -> None:
+    process = start(
+        "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=900000000.0"
+    )
+    assert process.wait() == 2
+    assert "recording run: will not begin" in process.text
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_session_that_exists_is_refused(record: Any, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    process = record()
+    assert process.wait() == 2
+    assert "exists already" in process.text
+
+
+def test_a_full_disk_ends_it_with_one_line(
+    start_script: Callable[[str], Any], rig: Rig, tmp_path: Path
+) -> None:
+    """A limit on the size of files stands for the disk; the session is readable up to there."""
+    process = start_script(f"""
+import resource, sys
+from twinmatch.nodes.recorder import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+sys.argv = ["recorder", "--ros-args", "-p", "folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0"]
+main()
+""")
+    rig.wait_for_reader()
+    image = Image(height=60, width=80, encoding="mono16", step=160, data=bytes(9600))
+    k = 0
+    deadline = time.monotonic() + 60
+    while process.running:
+        assert time.monotonic() < deadline
+        rig.images.publish(image)
+        rig.sample(k)
+        k += 1
+        time.sleep(0.02)
+    assert process.wait() == 2
+    assert "make room or choose another folder" in process.text
+    assert "Traceback" not in process.text
+    session = read_session(tmp_path / "run")
+    assert len(session.samples) > 5
+    assert "the file is truncated" in session.notes[1]
+    repair_session(tmp_path / "run")
+    assert read_session(tmp_path / "run").samples == session.samples
+    with Reader(tmp_path / "run") as reader:
+        assert reader.message_count == sum(session.counts.values())
+
+
+def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
+    start_script: Callable[[str], Any], rig: Rig, tmp_path: Path
+) -> None:
+    process = start_script(f"""
+import sys, time
+from twinmatch.nodes.recorder import main
+from twinmatch.sessions import recording
+end = time.monotonic() + 6
+recording._free = lambda _: 20_000_000 if time.monotonic() < end else 9_000_000
+sys.argv = ["recorder", "--ros-args"]
+for given in ("folder:={tmp_path}", "name:=run", "min_free_mb:=10.0"):
+    sys.argv += ["-p", given]
+main()
+""")
+    rig.wait_for_reader()
+    deadline = time.monotonic() + 60
+    k = 0
+    while process.running:
+        assert time.monotonic() < deadline
+        rig.sample(k)
+        k += 1
+        time.sleep(0.02)
+    assert process.wait() == 2
+    assert "recording run: stopped after" in process.text
+    assert "9 MB are free on the disk and 10 MB have to stay" in process.text
+    session = read_session(tmp_path / "run")
+    assert session.notes == []
+    assert len(session.samples) > 5
+
+
+def test_rates_and_silence_are_on_diagnostics(record: Any, rig: Rig) -> None:
+    record()
+    rig.wait_for_reader()
+    for k in range(40):
+        rig.sample(k)
+        time.sleep(0.05)
+    rig.listener.spin_until(lambda: rig.said("silent: /plant/sample"), "the complaint")
+    values = {
+        value.key: value.value
+        for message in rig.health
+        for status in message.status
+        if status.name == "recorder: topics"
+        for value in status.values
+    }
+    rate, unit, count, _ = values["/plant/sample"].split()
+    assert (unit, count) == ("Hz,", "40")
+    assert 5 < float(rate) < 21
+
+
+def test_a_type_that_is_not_installed_is_named(
+    rig: Rig, start_script: Callable[[str], Any], tmp_path: Path
+) -> None:
+    start_script(f"""
+import sys
+from twinmatch.nodes import recorder
+from twinmatch.sessions import SessionError
+real = recorder.schema_of
+def schema_of(kind):
+    if kind == "std_msgs/msg/String":
+        raise SessionError("session: the definition of std_msgs/msg/String is not installed")
+    return real(kind)
+recorder.schema_of = schema_of
+sys.argv = ["recorder", "--ros-args", "-p", "folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0"]
+recorder.main()
+""")
+    rig.listener.node.create_publisher(String, "notes", 10)
+    rig.listener.spin_until(
+        lambda: rig.said("/notes is not recorded: session: the definition"), "the complaint"
+    )
+    rig.wait_for_reader()
+
+
+def test_with_simulated_time_the_times_are_those_of_the_clock(record: Any, rig: Rig, tmp_path: Path) -> None:
+    clock = rig.listener.node.create_publisher(Clock, "/clock", 10)
+    process = record("-p", "use_sim_time:=true")
+    rig.listener.spin_until(clock.get_subscription_count, "the recorder")
+
+    def tick() -> bool:
+        message = Clock()
+        message.clock.sec = 5000
+        clock.publish(message)
+        return bool(rig.samples.get_subscription_count())
+
+    rig.listener.spin_until(tick, "the recorder at the samples")
+    rig.sample(0)
+    time.sleep(0.5)
+    assert process.end() == 0
+    (message,) = read_session(tmp_path / "run").messages(["/plant/sample"])
+    assert message.log_time == 5000 * 10**9

@@ -1,0 +1,197 @@
+"""Starting and ending processes of nodes."""
+
+from __future__ import annotations
+
+import signal
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+PROGRAM = """
+import sys, time
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes import runner
+from twinmatch.nodes.node import TwinmatchNode
+
+class First(TwinmatchNode):
+    NAME = "first"
+    def open(self):
+        self.create_timer(0.2, lambda: print("up", flush=True))
+        {opening}
+    def tick(self):
+        {ticking}
+    def close(self):
+        {closing}
+        return True
+
+class Second(TwinmatchNode):
+    NAME = "second"
+
+{before}
+sys.exit(runner.run([First, Second], {arguments}))
+"""
+
+
+def program(
+    opening: str = "pass",
+    ticking: str = "pass",
+    closing: str = "pass",
+    before: str = "",
+    arguments: str = '["program"]',
+) -> str:
+    return PROGRAM.format(
+        opening=opening, ticking=ticking, closing=closing, before=before, arguments=arguments
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signal_ends_with_zero_and_leaves_nothing(
+    start_script: Callable[[str], Any], number: signal.Signals
+) -> None:
+    process = start_script(program())
+    process.wait_for_text("up")
+    files = process.shared_memory()
+    assert files
+    assert process.end(number) == 0
+    assert not [name for name in files if Path(name).exists()]
+
+
+def test_node_ends_its_process_with_its_code(start_script: Callable[[str], Any]) -> None:
+    process = start_script(program(opening="self.exit_code = 7"))
+    assert process.wait() == 7
+
+
+@pytest.mark.parametrize("place", ["opening", "ticking"])
+def test_users_mistake_is_one_line(start_script: Callable[[str], Any], place: str) -> None:
+    wrong = "raise TwinmatchError('the rig is unplugged; plug it in')"
+    opening = wrong if place == "opening" else "self.create_timer(0.01, self.tick)"
+    process = start_script(program(opening=opening, ticking=wrong))
+    assert process.wait() == 2
+    lines = [line for line in process.text.splitlines() if "rig is unplugged" in line]
+    assert "the rig is unplugged; plug it in" in lines
+    assert "Traceback" not in process.text
+
+
+def test_our_mistake_keeps_its_traceback(start_script: Callable[[str], Any]) -> None:
+    process = start_script(program(opening="self.create_timer(0.01, self.tick)", ticking="1 / 0"))
+    assert process.wait() == 1
+    assert "Traceback" in process.text
+    assert "ZeroDivisionError" in process.text
+
+
+def test_end_that_hangs_is_cut_short(start_script: Callable[[str], Any]) -> None:
+    process = start_script(program(closing="time.sleep(600)", before="runner.TEARDOWN = 1"))
+    process.wait_for_text("up")
+    assert process.end() == -signal.SIGALRM
+
+
+def test_end_may_take_as_long_as_a_node_says(start_script: Callable[[str], Any]) -> None:
+    process = start_script(
+        program(closing="time.sleep(1.5)", before="runner.TEARDOWN = 1; First.CLOSING = 20")
+    )
+    process.wait_for_text("up")
+    assert process.end() == 0
+
+
+def test_thread_that_goes_on_does_not_hold_the_end_up(start_script: Callable[[str], Any]) -> None:
+    process = start_script(program(closing="return False"))
+    process.wait_for_text("up")
+    assert process.end() == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ('["program", "fast"]', "program: unknown argument fast; --help says what there is"),
+        ('["program", "--ros-args", "-p"]', "program: Couldn't parse trailing -p flag"),
+        (
+            '["program", "--ros-args", "--params-file", "/nowhere.yaml"]',
+            "program: Couldn't parse params file",
+        ),
+    ],
+)
+def test_wrong_command_line(start_script: Callable[[str], Any], arguments: str, line: str) -> None:
+    process = start_script(program(arguments=arguments))
+    assert process.wait() == 2
+    assert process.text.splitlines()[-1].startswith(line)
+    assert "Traceback" not in process.text
+
+
+def test_help_shows_the_parameters(start_script: Callable[[str], Any]) -> None:
+    process = start_script(
+        "import sys; from twinmatch.nodes.player import Player; from twinmatch.nodes.runner import run\n"
+        "sys.exit(run([Player], ['player', '--help']))"
+    )
+    assert process.wait() == 0
+    assert "rate: 1.0" in process.text
+
+
+def test_sockets_are_on_loopback(start_script: Callable[[str], Any]) -> None:
+    from twinmatch.nodes.network import sockets_elsewhere
+
+    process = start_script(program())
+    process.wait_for_text("up")
+    assert sockets_elsewhere(process.id) == []
+
+
+def test_discovery_is_joined_on_loopback_alone(start_script: Callable[[str], Any]) -> None:
+    """Counted over the whole machine, where others may come and go: so one undisturbed try is enough."""
+    for _ in range(5):
+        before = members("0100FFEF")  # 239.255.0.1
+        process = start_script(program())
+        process.wait_for_text("up")
+        joined = members("0100FFEF") - before
+        process.end()
+        if set(joined) == {"lo"}:
+            return
+    pytest.fail(f"every start joined the discovery on {set(joined)}")
+
+
+def test_open_network_has_to_be_written_and_is_loud(
+    start_script: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the range of one machine, so that this test sends nothing to the network either."""
+    from twinmatch.nodes.network import sockets_elsewhere
+
+    monkeypatch.setenv("TWINMATCH_NETWORK", "open")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.delenv("FASTDDS_DEFAULT_PROFILES_FILE", raising=False)
+    process = start_script(program())
+    process.wait_for_text("up")
+    assert "NETWORK OPEN" in process.text
+    assert sockets_elsewhere(process.id)
+
+
+def test_profile_that_is_not_read_stops_the_node(start_script: Callable[[str], Any]) -> None:
+    """Sockets elsewhere in spite of the profile: a process with one of its own stands in for it."""
+    holder = "import socket; held = socket.socket(type=socket.SOCK_DGRAM); held.bind(('', 0))"
+    process = start_script(program(before=holder))
+    assert process.wait() == 2
+    assert "network: bound to udp 0.0.0.0:" in process.text
+
+
+def members(group: str) -> Counter[str]:
+    """How many sockets of this machine have joined a group, by interface."""
+    name, found = "", Counter[str]()
+    for line in Path("/proc/net/igmp").read_text().splitlines()[1:]:
+        fields = line.split()
+        if not line.startswith("\t"):
+            name = fields[1]
+        elif fields[0] == group:
+            found[name] += int(fields[1])
+    return found
+
+
+def test_end_is_prompt_in_a_row_of_starts(start_script: Callable[[str], Any]) -> None:
+    """A lost SIGTERM or a hanging end shows here as another code."""
+    codes = []
+    for _ in range(5):
+        process = start_script(program())
+        process.wait_for_text("up")
+        codes.append(process.end())
+    assert codes == [0] * 5

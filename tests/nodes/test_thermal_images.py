@@ -1,0 +1,58 @@
+"""Thermal frames as ROS images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+
+from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags
+from twinmatch.links.thermal_region import RegionError
+from twinmatch.nodes.thermal_images import celsius_image, centikelvin, raw_image
+
+
+def exposure(counts: list[list[int]], resolution: float = 0.01, **values: Any) -> Exposure:
+    image = np.array(counts, dtype=np.uint16)
+    return Exposure(image=image, stamp=0, resolution=resolution, frame_counter=0, **values)
+
+
+def no_header(_: object) -> None:
+    """Leave it as it is."""
+
+
+def test_centikelvin_are_the_counts_of_a_fine_camera() -> None:
+    counts = [[0, 29815, 65535]]
+    assert centikelvin(exposure(counts)).tolist() == counts
+
+
+def test_a_coarse_camera_is_scaled_but_not_its_ends() -> None:
+    """0 and 65535 mean no value, and no value becomes one of them."""
+    found = centikelvin(exposure([[0, 2982, 6600, 65535]], resolution=0.1))
+    assert found.tolist() == [[0, 29820, 65534, 65535]]
+
+
+def test_raw_is_mono16_row_by_row() -> None:
+    message = raw_image(exposure([[1, 2, 3], [4, 5, 65535]]), no_header)
+    assert (message.height, message.width, message.step, message.encoding) == (2, 3, 6, "mono16")
+    assert message.is_bigendian == 0
+    assert np.frombuffer(bytes(message.data), "<u2").tolist() == [1, 2, 3, 4, 5, 65535]
+
+
+def test_celsius_has_nan_where_there_is_no_value() -> None:
+    message = celsius_image(exposure([[0, 29815], [27315, 65535]]), no_header)
+    assert (message.height, message.width, message.step, message.encoding) == (2, 2, 8, "32FC1")
+    degrees = np.frombuffer(bytes(message.data), "<f4")
+    np.testing.assert_allclose(degrees, [np.nan, 25.0, 0.0, np.nan], atol=1e-5)
+
+
+def test_a_closed_shutter_shows_nothing() -> None:
+    closed = exposure([[29815, 29815]], flat_field=FlatField.RUNNING)
+    assert np.isnan(np.frombuffer(bytes(celsius_image(closed, no_header).data), "<f4")).all()
+
+
+def test_a_picture_is_no_temperatures() -> None:
+    with pytest.raises(RegionError, match="counts are no temperatures"):
+        celsius_image(exposure([[1, 2]], flags=FrameFlags.GAIN_CONTROL), no_header)

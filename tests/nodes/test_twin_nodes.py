@@ -1,0 +1,130 @@
+"""The twin's nodes on a played session: what comes out is what the core gives offline, bit for bit.
+
+Messages are compared as text: that writes every float64 exactly, and NaN is equal to NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile
+
+from twinmatch.nodes.conversions import (
+    match_from,
+    match_message,
+    sample_message,
+    score_message,
+    state_message,
+    verdict_from,
+)
+from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.signals import Sample
+from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
+from twinmatch_msgs.msg import Candidate, LoopSample, Match, ModelScore, TwinState
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module")
+def offline(steps: list[Sample]) -> list[Outcome]:
+    """What the core makes of the samples."""
+    twin = Twin(TwinSettings())
+    return [twin.push(sample) for sample in steps]
+
+
+def test_live_verdicts_are_the_offline_ones(
+    start: Callable[..., Any], listener: Any, session: Path, steps: list[Sample], offline: list[Outcome]
+) -> None:
+    verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
+    matches = [outcome.match for outcome in offline if outcome.match is not None]
+    assert any(report.match.accepted for report in matches)
+    heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
+    heard_matches = listener.hear(Match, "twin/match", EVERYTHING)
+    states = listener.hear(TwinState, "twin/state", EVERYTHING)
+    nominals = listener.hear(Candidate, "twin/nominal", LATCHED)
+    for name in ("discriminator", "twin_simulator", "matcher"):
+        start(name)
+    topics = ("twin/match", "twin/model_score", "twin/state")
+    listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the nodes")
+    start("player", "-p", f"session:={session}", "-p", "rate:=0.0", "-p", "wait_for:=3")
+    listener.spin_until(lambda: len(heard) == len(verdicts) and len(states) == len(steps), "the last verdict")
+    stamps = {sample.index: sample.stamp for sample in steps}
+    expected: list[Any] = [score_message(verdict, stamps[verdict.sample]) for verdict in verdicts]
+    assert [repr(m) for m in heard] == [repr(m) for m in expected]
+    expected = [match_message(report, stamps[report.sample]) for report in matches]
+    assert [repr(m) for m in heard_matches] == [repr(m) for m in expected]
+    assert [state.index for state in states] == [sample.index for sample in steps]
+    listener.spin_until(lambda: nominals[-1].name == verdicts[-1].nominal, "the last nominal")
+    assert repr(verdict_from(heard[-1])) == repr(verdicts[-1])
+    assert repr(match_from(heard_matches[-1])) == repr(matches[-1])
+
+
+def test_late_simulator_is_given_the_nominal(
+    start: Callable[..., Any], listener: Any, steps: list[Sample]
+) -> None:
+    """And its state is that of a mirror with those parameters."""
+    candidate = Candidate(name="60 °C")
+    candidate.parameters.seebeck, candidate.parameters.resistance = 0.08, 3.3
+    candidate.parameters.conductance, candidate.parameters.heat_capacity = 0.4, 30.0
+    candidate.parameters.ambient, candidate.parameters.sink_heat_capacity = 296.0, float("inf")
+    listener.node.create_publisher(Candidate, "twin/nominal", LATCHED).publish(candidate)
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
+    states = listener.hear(TwinState, "twin/state", EVERYTHING)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    start("twin_simulator")
+    listener.spin_until(
+        lambda: any(value.value == "60 °C" for m in health for value in m.status[0].values), "the nominal"
+    )
+    for sample in steps[:50]:
+        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: len(states) == 50, "the states")
+    mirror = Mirror(TwinSettings().start)
+    mirror.parameters = mirror.parameters.__class__(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
+    assert states == [state_message(mirror.push(sample), "60 °C") for sample in steps[:50]]
+
+
+def test_gap_is_an_error_on_diagnostics(
+    start: Callable[..., Any], listener: Any, steps: list[Sample]
+) -> None:
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    start("matcher")
+    listener.spin_until(samples.get_subscription_count, "the matcher")
+    for sample in [*steps[:5], *steps[8:12]]:
+        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: any("missing" in m.status[0].message for m in health), "the complaint")
+    status = next(m.status[0] for m in health if "missing" in m.status[0].message)
+    assert status.level == b"\x02"
+    assert status.name == "matcher: health"
+    assert "samples 5 to 7 are missing" in status.message
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "line"),
+    [
+        ("matcher", ["-p", "sed:=3"], "matcher: there is no parameter sed; did you mean seed?"),
+        ("matcher", ["-p", "seed:=-3"], "matcher: parameter seed is -3; allowed is 0 to"),
+        ("discriminator", ["-p", "candidates:=/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
+        ("twin_simulator", ["-p", "schedule.span:=700", "-p", "schedule.capacity:=600"], "must grow"),
+        ("twin_simulator", ["-p", "recent:=[]"], "a parameter is empty"),
+    ],
+)
+def test_wrong_parameters_are_one_line_and_exit_code_2(
+    start: Callable[..., Any], name: str, arguments: list[str], line: str
+) -> None:
+    process = start(name, *arguments)
+    assert process.wait() == 2
+    assert line in process.text
+    assert len(process.text.splitlines()) == 1
+
+
+def test_three_in_one_process_have_nothing_to_say(start: Callable[..., Any], listener: Any) -> None:
+    process = start("twin")
+    names = {"matcher", "discriminator", "twin_simulator"}
+    listener.spin_until(lambda: names <= set(listener.node.get_node_names()), "the nodes")
+    assert process.end() == 0
+    assert process.text == ""

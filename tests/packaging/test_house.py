@@ -1,0 +1,29 @@
+"""The rules of the house: style, types and which room may import which."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[2]
+TOOLS = Path(sys.executable).parent
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(["ruff", "check", "."], id="ruff"),
+        pytest.param(["ruff", "format", "--check", "."], id="format"),
+        pytest.param(["mypy"], id="types"),
+        pytest.param(["lint-imports"], id="layers"),
+    ],
+)
+def test_house_rules_hold(command: list[str]) -> None:
+    tool = TOOLS / command[0]
+    if not tool.exists():
+        pytest.skip(f"{command[0]} is not installed; it is in the extra 'test'")
+    done = subprocess.run([tool, *command[1:]], cwd=PROJECT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,85 @@
+"""What pip and colcon install."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import twinmatch
+
+PROJECT = Path(__file__).resolve().parents[2]
+SCRIPTS = re.findall(
+    r'^(\w+) = "(twinmatch\.\S+):main"', (PROJECT / "pyproject.toml").read_text(), re.MULTILINE
+)
+
+
+@pytest.fixture(scope="session")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of what is packaged, so that a build leaves nothing behind in the project."""
+    copy = tmp_path_factory.mktemp("sources")
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
+        shutil.copy(PROJECT / name, copy)
+    for name in ("src/twinmatch", "config", "resource"):
+        shutil.copytree(PROJECT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return copy
+
+
+def test_wheel_carries_share_and_profile(sources: Path, tmp_path: Path) -> None:
+    options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet", "--wheel-dir", str(tmp_path)]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", *options, str(sources)], check=True)
+    (wheel,) = tmp_path.glob("twinmatch-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name.split(".data/data/")[-1] for name in archive.namelist()}
+    assert "share/twinmatch/package.xml" in names
+    assert "share/ament_index/resource_index/packages/twinmatch" in names
+    assert "twinmatch/nodes/fastdds_loopback.xml" in names
+    for path in (PROJECT / "config").iterdir():
+        assert f"share/twinmatch/config/{path.name}" in names
+
+
+def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:
+    colcon = shutil.which("colcon")
+    if colcon is None:
+        pytest.skip("colcon is not installed: apt-get install colcon python3-colcon-ros")
+    ours = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "VIRTUAL_ENV", "PYTHONPATH")
+    environment = {k: v for k, v in os.environ.items() if k not in ours}
+    environment["PATH"] = os.pathsep.join(
+        folder for folder in environment["PATH"].split(os.pathsep) if not folder.startswith(sys.prefix)
+    )
+    folders = [f"--build-base={tmp_path}/build", f"--install-base={tmp_path}/install"]
+    command = [colcon, f"--log-base={tmp_path}/log", "build", "--paths", str(sources), *folders]
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    installed = tmp_path / "install" / "twinmatch"
+    assert {path.name for path in (installed / "lib" / "twinmatch").iterdir()} == dict(SCRIPTS).keys()
+    assert (installed / "share" / "twinmatch" / "package.xml").exists()
+    assert (installed / "share" / "ament_index" / "resource_index" / "packages" / "twinmatch").exists()
+
+
+@pytest.mark.parametrize(("name", "module"), SCRIPTS)
+def test_console_script_has_its_module(name: str, module: str) -> None:
+    """`ros2 run twinmatch <name>` starts what is called so."""
+    source = PROJECT / "src" / (module.replace(".", "/") + ".py")
+    assert source.stem == ("cli" if name == "twinmatch" else name)
+    assert "def main(" in source.read_text()
+
+
+def test_every_node_has_a_console_script() -> None:
+    nodes = PROJECT / "src" / "twinmatch" / "nodes"
+    modules = {path.stem for path in nodes.glob("*.py") if "def main() -> None" in path.read_text()}
+    assert modules == dict(SCRIPTS).keys() - {"twinmatch"}
+
+
+@pytest.mark.parametrize("folder", [".", "src/twinmatch_msgs"])
+def test_package_xml_has_the_version(folder: str) -> None:
+    root = ET.parse(PROJECT / folder / "package.xml").getroot()
+    assert root.findtext("version") == twinmatch.__version__
+    assert root.get("format") == "3"

@@ -1,0 +1,60 @@
+"""An independent integrator of the plant's equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from twinmatch.plant import PlantState, RigParameters
+
+SUPPLY, BRIDGE, LIMIT = 12.0, 0.1, 5.0
+
+Integrator = Callable[[RigParameters, PlantState, float, float], PlantState]
+
+
+def free_current(rig: RigParameters, pwm: float, plate: float, sink: float) -> float:
+    """Current if there were no limiter, A."""
+    return (-SUPPLY * pwm / 255.0 - rig.seebeck * (sink - plate)) / (rig.resistance + BRIDGE)
+
+
+@pytest.fixture(scope="session")
+def integrated() -> Integrator:
+    """One tick by scipy's integrator, restarted wherever the limiter switches."""
+
+    def integrate(rig: RigParameters, start: PlantState, pwm: float, period: float) -> PlantState:
+        def rates(_t: float, state: np.ndarray, regime: int) -> list[float]:
+            plate, sink = state
+            current = regime * LIMIT if regime else free_current(rig, pwm, plate, sink)
+            joule = current**2 * rig.resistance / 2
+            from_plate = rig.seebeck * plate * current - joule + rig.conductance * (plate - sink)
+            from_sink = -rig.seebeck * sink * current - joule + rig.conductance * (sink - plate)
+            lost = rig.sink_convection * (sink - rig.ambient)
+            return [-from_plate / rig.heat_capacity, -(from_sink + lost) / rig.sink_heat_capacity]
+
+        def upper(_t: float, state: np.ndarray, _regime: int) -> float:
+            return free_current(rig, pwm, state[0], state[1]) - LIMIT
+
+        def lower(_t: float, state: np.ndarray, _regime: int) -> float:
+            return free_current(rig, pwm, state[0], state[1]) + LIMIT
+
+        upper.terminal = lower.terminal = True  # type: ignore[attr-defined]
+        now, state = 0.0, np.array([start.plate, start.sink])
+        current = free_current(rig, pwm, start.plate, start.sink)
+        regime = int(current > LIMIT) - int(current < -LIMIT)
+        while True:
+            # From a threshold the first event is the departure itself: watch only the others.
+            watch = [f for f in (upper, lower) if abs(f(0.0, state, 0)) > 1e-9]
+            run = solve_ivp(
+                rates, (now, period), state, "DOP853", rtol=1e-12, atol=1e-12, events=watch, args=(regime,)
+            )
+            now, state = float(run.t[-1]), run.y[:, -1]
+            if run.status != 1:
+                return PlantState(float(state[0]), float(state[1]))
+            met = watch[next(i for i, times in enumerate(run.t_events) if times.size)]
+            edge = 1 if met is upper else -1
+            regime = 0 if regime == edge else edge
+
+    return integrate

@@ -1,0 +1,137 @@
+"""The controller: against the recordings of the real one, and its state found again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.plant import (
+    Camera,
+    Pid,
+    PidGains,
+    PidState,
+    PlantError,
+    RigParameters,
+    controller_state,
+    simulate_closed_loop,
+)
+from twinmatch.signals import Window
+
+errors = st.lists(st.floats(-30.0, 30.0), min_size=3, max_size=40)
+
+
+def test_every_recorded_command_is_reproduced(
+    recordings: dict[int, Path], recorded_hour: Callable[[int], Window]
+) -> None:
+    for number in recordings:
+        window, pid = recorded_hour(number), Pid()
+        pwm = [pid.step(r, y) for r, y in zip(window.reference, window.temperature, strict=True)]
+        np.testing.assert_allclose(pwm, window.pwm, atol=1e-4)
+        assert np.max(np.abs(pwm)) == 255.0  # saturation was among them
+
+
+def test_a_controller_picked_up_anywhere_in_a_recording_goes_on(
+    recorded_hour: Callable[[int], Window],
+) -> None:
+    hour = recorded_hour(5)
+    for first in range(0, len(hour) - 20, 37):  # steps, saturated stretches and rest alike
+        window = hour.part(first, first + 19)
+        pid = Pid(state=controller_state(window))
+        pwm = [pid.step(window.reference[k], window.temperature[k]) for k in range(2, 20)]
+        np.testing.assert_allclose(pwm, window.pwm[2:], atol=1e-3)
+
+
+def test_a_hand_calculation() -> None:
+    pid = Pid(PidGains(proportional=2.0, integral=0.5, derivative=1.0, back_calculation=0.25, limit=10.0))
+    assert pid.step(3.0, 1.0) == 2.0 * 2.0 + 1.0 * 2.0
+    assert pid.state == PidState(1.0, 2.0)
+    assert pid.step(8.0, 1.0) == 10.0  # 14 + 1 + 5 = 20 wanted
+    assert pid.state == PidState(1.0 + 3.5 + 0.25 * (10.0 - 20.0), 7.0)
+
+
+@given(errors)
+def test_following_a_controller_adopts_its_state(values: list[float]) -> None:
+    leader, follower = Pid(), Pid(state=PidState(77.0, 0.0))
+    for error in values:
+        follower.follow(error, 0.0, leader.step(error, 0.0))
+        assert follower.state.previous_error == leader.state.previous_error
+        assert follower.state.integral == pytest.approx(leader.state.integral, rel=1e-9, abs=1e-9)
+
+
+@given(errors, st.sampled_from([0.0, 0.3, 0.8, 1.0, 1.5]), st.sampled_from([0.5, 1.0, 2.0]))
+def test_the_state_is_found_for_any_back_calculation(
+    values: list[float], back_calculation: float, period: float
+) -> None:
+    gains = PidGains(back_calculation=back_calculation, period=period)
+    pid, pwm, states = Pid(gains), [], []
+    for error in values:
+        pwm.append(pid.step(error, 0.0))
+        states.append(pid.state)
+    window = Window(np.array(values), np.zeros(len(values)), np.array(pwm), period=period)
+    free = next((k for k in range(1, len(pwm)) if abs(pwm[k]) < 255.0), None)
+    found = controller_state(window, gains)
+    assert found.previous_error == states[1].previous_error
+    kept = abs(1.0 - back_calculation * period)
+    if kept == 0.0 or (free is not None and kept ** (free - 1) >= 1e-3):
+        assert found.integral == pytest.approx(states[1].integral, rel=1e-8, abs=1e-6)
+    else:
+        assert math.isfinite(found.integral)
+
+
+def test_a_window_limited_throughout_gets_the_least_state_that_explains_it() -> None:
+    gains = PidGains(back_calculation=0.5)
+    window = Window(np.full(5, 30.0), np.zeros(5), np.full(5, 255.0))
+    least = 255.0 - gains.proportional * 30.0
+    assert controller_state(window, gains) == PidState(least + gains.integral * 30.0, 30.0)
+    pid = Pid(gains, PidState(least, 30.0))
+    assert pid.step(30.0, 0.0) == 255.0
+
+
+def test_a_limited_follower_without_exact_back_calculation_forgets_its_error() -> None:
+    gains = PidGains(back_calculation=0.5)
+    leader, follower = Pid(gains), Pid(gains, PidState(500.0, 0.0))
+    gaps = []
+    for _ in range(12):
+        follower.follow(20.0, 0.0, leader.step(20.0, 0.0))
+        gaps.append(abs(follower.state.integral - leader.state.integral))
+    np.testing.assert_allclose(gaps, 500.0 * 0.5 ** np.arange(1, 13), rtol=1e-6)
+    follower.follow(12.0, 0.0, leader.step(12.0, 0.0))
+    assert abs(leader.state.integral - follower.state.integral) < 1e-9  # the first free sample tells it
+
+
+def test_a_simulation_from_a_found_state_goes_on_where_the_first_left_off() -> None:
+    rig, reference = RigParameters(), np.repeat([30.0, 70.0, 40.0], 60)
+    camera = Camera(noise=0.0, resolution=0.0, flat_field_period=None).realise(180, 1.0, 0)
+    whole = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
+    window = Window(reference, whole.temperature, whole.pwm).part(100, 179)
+    rest = simulate_closed_loop(
+        rig,
+        window.reference[2:],
+        plate=window.temperature[2] + 273.15,
+        controller=controller_state(window),
+    )
+    np.testing.assert_allclose(rest.temperature, window.temperature[2:], atol=1e-9)
+    np.testing.assert_allclose(rest.pwm, window.pwm[2:], atol=1e-7)
+
+
+def test_what_is_no_number_is_refused_and_changes_nothing() -> None:
+    pid = Pid(state=PidState(3.0, 1.0))
+    with pytest.raises(PlantError, match="PID: temperature is nan"):
+        pid.step(40.0, math.nan)
+    with pytest.raises(PlantError, match="PID: reference is inf"):
+        pid.step(math.inf, 30.0)
+    with pytest.raises(PlantError, match="PID: pwm is nan"):
+        pid.follow(40.0, 30.0, math.nan)
+    assert pid.state == PidState(3.0, 1.0)
+    with pytest.raises(PlantError, match="holds a value that is not finite"):
+        PidGains(integral=math.nan)
+    with pytest.raises(PlantError, match=r"period 0.0 s and limit 255.0 must both be positive"):
+        PidGains(period=0.0)
+    with pytest.raises(PlantError, match="the window holds 1 sample; two are needed"):
+        controller_state(Window(np.zeros(1), np.zeros(1), np.zeros(1)))

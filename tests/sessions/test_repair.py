@@ -1,0 +1,267 @@
+"""Repairing sessions: nothing readable is lost, nothing is changed without need, the result is a bag."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader
+
+from twinmatch.cli import main
+from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session
+from twinmatch.sessions import repair as repairing
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.repair import repair_session
+from twinmatch.sessions.topics import SAMPLE
+from twinmatch.signals import Sample
+
+SECOND = 10**9
+NOTE = Topic("/notes", "std_msgs/msg/String", "string data\n", "RIHS01_ab", Qos())
+
+
+def record(folder: Path, count: int = 60, *, split: int = 0, finish: bool = False) -> Path:
+    """A session that was flushed every ten samples; not finished, as after a kill."""
+    writer = SessionWriter(folder, ros_distro="kilted")
+    writer.add_record("twinmatch/parameters/matcher", {"seed": "7"})
+    writer.add_topic(SAMPLE)
+    writer.add_topic(NOTE)
+    for k in range(count):
+        writer.write(SAMPLE.name, encode_sample(Sample(k, k * SECOND, 30.0, 25.0, 1.0)), k * SECOND)
+        if k % 10 == 9:
+            writer.flush()
+        if split and k % split == split - 1:
+            writer.split()
+    writer.close() if finish else writer.abandon()
+    return folder
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def indices(folder: Path) -> list[int]:
+    return [sample.index for sample in read_session(folder).samples]
+
+
+def check_whole(folder: Path, count: int) -> None:
+    session = read_session(folder)
+    assert session.notes == []
+    assert [s.index for s in session.samples] == list(range(count))
+    with Reader(folder) as reader:
+        assert reader.message_count == count
+        assert [t for _, t, _ in reader.messages()] == [k * SECOND for k in range(count)]
+    assert [p.name for p in folder.parent.iterdir()] == [folder.name], "nothing is left beside it"
+
+
+@pytest.mark.parametrize("split", [0, 25])
+def test_a_killed_recording_is_made_whole(tmp_path, split):
+    folder = record(tmp_path / "run", split=split)
+    found = repair_session(folder)
+    assert (found.messages, found.duration, found.original) == (60, 59.0, None)
+    assert any("truncated" in fault for fault in found.faults)
+    check_whole(folder, 60)
+    assert read_session(folder).records["twinmatch/parameters/matcher"] == {"seed": "7"}
+    assert {t.name for t in read_session(folder).topics} == {"/plant/sample", "/notes"}
+    files = [p.name for p in sorted(folder.glob("*.mcap"))]
+    assert files == ["run_0.mcap"] if not split else ["run_0.mcap", "run_1.mcap", "run_2.mcap"]
+
+
+def test_a_second_repair_changes_nothing(tmp_path):
+    folder = record(tmp_path / "run")
+    repair_session(folder)
+    before = content(folder)
+    again = repair_session(folder)
+    assert again.faults == ()
+    assert again.messages == 60
+    assert content(folder) == before
+
+
+def test_a_whole_session_is_left_alone(tmp_path):
+    folder = record(tmp_path / "run", finish=True)
+    before = content(folder)
+    found = repair_session(folder)
+    assert (found.faults, found.messages, found.original) == ((), 60, None)
+    assert content(folder) == before
+
+
+@settings(max_examples=30)
+@given(cut=st.integers(1, 8000))
+def test_whatever_can_be_read_of_a_torn_file_is_kept(tmp_path_factory, cut):
+    folder = record(tmp_path_factory.mktemp("cut") / "run")
+    file = folder / "run_0.mcap"
+    size = max(1, file.stat().st_size - cut)
+    with file.open("r+b") as stream:
+        stream.truncate(size)
+    try:
+        readable = indices(folder)
+    except SessionError:
+        before = content(folder)
+        with pytest.raises(SessionError):
+            repair_session(folder)
+        assert content(folder) == before
+        return
+    assert repair_session(folder).messages == len(readable)
+    check_whole(folder, len(readable))
+
+
+def test_only_the_metadata_are_missing(tmp_path):
+    folder = record(tmp_path / "run", finish=True)
+    (folder / "metadata.yaml").unlink()
+    found = repair_session(folder)
+    assert found.faults == ("metadata.yaml is missing or unreadable",)
+    check_whole(folder, 60)
+
+
+def test_the_metadata_list_another_file(tmp_path):
+    folder = record(tmp_path / "run", finish=True)
+    (folder / "run_0.mcap").rename(folder / "other_0.mcap")
+    assert repair_session(folder).faults == ("metadata.yaml lists other files than there are",)
+    check_whole(folder, 60)
+
+
+def test_an_empty_last_file_is_passed_over(tmp_path):
+    folder = record(tmp_path / "run")
+    (folder / "run_1.mcap").touch()
+    assert "run_1.mcap is empty" in repair_session(folder).faults
+    check_whole(folder, 60)
+
+
+def test_of_a_damaged_session_the_original_is_kept(tmp_path):
+    folder = record(tmp_path / "run", finish=True)
+    file = folder / "run_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    file.write_bytes(data)
+    before = content(folder)
+    found = repair_session(folder)
+    assert found.original == tmp_path / "run.broken"
+    assert content(found.original) == before
+    assert "damaged" in found.faults[0]
+    assert 0 < found.messages < 60
+    assert indices(folder) == list(range(found.messages))
+    with Reader(folder) as reader:
+        assert reader.message_count == found.messages
+    assert repair_session(folder).faults == ()
+    (folder / "metadata.yaml").unlink()
+    with pytest.raises(SessionError, match=r"run\.broken is in the way"):
+        repair_session(folder)
+
+
+def test_the_distribution_is_kept(tmp_path):
+    folder = record(tmp_path / "run", finish=True)
+    with (folder / "run_0.mcap").open("r+b") as stream:
+        stream.truncate(3000)
+    repair_session(folder)
+    assert "ros_distro: kilted" in (folder / "metadata.yaml").read_text()
+
+
+def test_a_repair_that_was_interrupted_is_done_again(tmp_path):
+    record(tmp_path / "run").rename(tmp_path / "run.broken")
+    assert repair_session(tmp_path / "run").messages == 60
+    check_whole(tmp_path / "run", 60)
+
+
+@pytest.mark.parametrize(
+    ("prepare", "message"),
+    [
+        (lambda _: None, "does not exist"),
+        (lambda path: path.mkdir(), "the folder holds no MCAP file"),
+        (lambda path: path.touch(), "is a file; give the folder it is in"),
+        (
+            lambda path: (path.mkdir(), (path / "run_0.mcap").touch()),
+            "run_0.mcap is empty.*; not one message",
+        ),
+        (lambda path: (path.mkdir(), (path / "a.mcap").write_text("no such thing")), "begins otherwise"),
+    ],
+)
+def test_what_is_no_session_is_said(tmp_path, prepare, message):
+    prepare(tmp_path / "run")
+    with pytest.raises(SessionError, match=message):
+        repair_session(tmp_path / "run")
+
+
+def test_a_copy_that_differs_does_not_take_the_place(tmp_path, monkeypatch):
+    folder = record(tmp_path / "run")
+    before = content(folder)
+    real = repairing._write
+
+    def write_less(copy, files, distro):
+        real(copy, files, distro)
+        shutil.rmtree(copy)
+        record(copy, 59, finish=True)
+
+    monkeypatch.setattr(repairing, "_write", write_less)
+    with pytest.raises(
+        SessionError, match="the repaired copy differs from the original; nothing was changed"
+    ):
+        repair_session(folder)
+    assert content(folder) == before
+
+
+def test_a_copy_that_is_not_whole_does_not_take_the_place(tmp_path, monkeypatch):
+    folder = record(tmp_path / "run")
+    before = content(folder)
+    real = repairing._write
+
+    def write_no_metadata(copy, files, distro):
+        real(copy, files, distro)
+        (copy / "metadata.yaml").unlink()
+
+    monkeypatch.setattr(repairing, "_write", write_no_metadata)
+    with pytest.raises(SessionError, match=r"the repaired copy is not whole \(metadata.yaml is missing"):
+        repair_session(folder)
+    assert content(folder) == before
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def test_the_disk_may_refuse(tmp_path, monkeypatch):
+    folder = record(tmp_path / "run")
+    before = content(folder)
+
+    def refuse(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(repairing.tempfile, "mkdtemp", refuse)
+    with pytest.raises(SessionError, match=r"cannot be repaired \(No space left on device\)"):
+        repair_session(folder)
+    assert content(folder) == before
+
+
+def test_a_failed_rename_puts_the_original_back(tmp_path, monkeypatch):
+    folder = record(tmp_path / "run")
+    before = content(folder)
+    real = Path.rename
+
+    def refuse_the_copy(self, target):
+        if ".partial" in str(self):
+            raise OSError(13, "Permission denied")
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse_the_copy)
+    with pytest.raises(SessionError, match="Permission denied"):
+        repair_session(folder)
+    assert content(folder) == before
+
+
+def test_the_command_says_what_was_saved(tmp_path, capsys):
+    folder = record(tmp_path / "run")
+    assert main(["repair", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert "the file is truncated" in said
+    assert "60 messages over 59.0 s were saved" in said
+    assert main(["repair", str(folder)]) == 0
+    assert "is whole, 60 messages over 59.0 s; nothing to repair" in capsys.readouterr().out
+    assert main(["repair", str(tmp_path / "nothing")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+
+
+def test_the_command_says_where_a_damaged_original_is(tmp_path, capsys):
+    folder = record(tmp_path / "run", finish=True)
+    data = bytearray((folder / "run_0.mcap").read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (folder / "run_0.mcap").write_bytes(data)
+    assert main(["repair", str(folder)]) == 0
+    assert f"the original was kept: {folder}.broken" in capsys.readouterr().out

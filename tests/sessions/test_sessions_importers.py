@@ -1,0 +1,239 @@
+"""Recordings of other programs: what is read, and one clear message for each thing that is wrong."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.sessions import RecordingError, read_recording
+
+
+def matrix(count: int = 20, period: float = 1.0) -> np.ndarray:
+    k = np.arange(count)
+    return np.column_stack([k - 5.0, 25 + k / 8, k * period, np.full(count, 30.0)])
+
+
+def save(path: Path, **variables: object) -> Path:
+    scipy.io.savemat(path, variables)
+    return path
+
+
+def table(path: Path, text: str) -> Path:
+    path.write_text(text, "utf-8")
+    return path
+
+
+CSV = "time,reference,temperature,pwm\n0,30,25.5,-1\n1,30,26,2\n2,31,26.5,3.5\n"
+
+
+def check_small(window):
+    assert window.reference.tolist() == [30, 30, 31]
+    assert window.temperature.tolist() == [25.5, 26, 26.5]
+    assert window.pwm.tolist() == [-1, 2, 3.5]
+    assert (window.first, window.period) == (0, 1.0)
+
+
+def test_the_rig_recordings_are_read_to_the_last_bit(recordings, recorded_hour):
+    for number, path in recordings.items():
+        window, plain = read_recording(path), recorded_hour(number)
+        assert window.period == 1.0
+        for name in ("reference", "temperature", "pwm"):
+            assert np.array_equal(getattr(window, name), getattr(plain, name))
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_a_mat_file_is_read(tmp_path, compress):
+    path = tmp_path / "run.MAT"
+    with path.open("wb") as file:
+        scipy.io.savemat(file, {"simout": matrix(), "tout": np.arange(20.0)}, do_compression=compress)
+    window = read_recording(path)
+    u, y, _, r = matrix().T
+    assert np.array_equal(window.pwm, u)
+    assert np.array_equal(window.temperature, y)
+    assert np.array_equal(window.reference, r)
+
+
+def test_a_csv_file_is_read(tmp_path):
+    check_small(read_recording(str(table(tmp_path / "run.csv", CSV))))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeff" + CSV,
+        CSV.replace(",", ";"),
+        CSV.replace(",", "\t").replace("\n", "\r\n"),
+        CSV.replace("time,reference,temperature,pwm", "t, Setpoint [degC] ,Y (°C),U"),
+        CSV.replace("time,reference,temperature,pwm", '"seconds","set_point","temp [C]","COMMAND"'),
+        CSV.replace("\n1,", "\n\n ,,,\n1,"),
+        "pwm,note,temperature,time (s),reference\n-1,a,25.5,5,30\n2,,26,6,30\n3.5,b,26.5,7,31\n",
+    ],
+)
+def test_a_csv_file_may_be_written_in_several_ways(tmp_path, text):
+    check_small(read_recording(table(tmp_path / "run.csv", text)))
+
+
+@given(st.sampled_from([0.001, 0.01, 1 / 30, 0.1, 0.25, 1.0, 2.0, 60.0]), st.integers(2, 500))
+def test_the_period_is_the_one_the_loop_was_set_to(tmp_path_factory, period, count):
+    path = save(
+        tmp_path_factory.getbasetemp() / "period.mat", simout=matrix(count, period)[:, :] / [300, 300, 1, 1]
+    )
+    assert read_recording(path).period == pytest.approx(period, abs=5e-10)
+
+
+def test_jitter_and_a_clock_a_little_off_do_not_change_the_period(tmp_path):
+    rows = matrix(200)
+    rows[:, 0] /= 10
+    rows[:, 2] = rows[:, 2] * 1.0001 + np.random.default_rng(3).uniform(-0.02, 0.02, 200)
+    assert read_recording(save(tmp_path / "run.mat", simout=rows)).period == 1.0
+
+
+def changed(row: int, column: int, value: float) -> np.ndarray:
+    rows = matrix()
+    rows[row, column] = value
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (changed(3, 1, np.nan), "temperature in row 4 is nan, which is not a finite number"),
+        (changed(0, 0, np.inf), "pwm in row 1 is inf"),
+        (changed(19, 3, -np.inf), "reference in row 20 is -inf"),
+        (changed(7, 2, np.nan), "time in row 8 is nan"),
+        (changed(4, 0, 255.5), "pwm in row 5 is 255.5, which is beyond ±255"),
+        (changed(4, 0, -1023), "pwm in row 5 is -1023"),
+        (matrix() * [60, 1, 1, 1], r"pwm in row 1 \(and in 10 more\) is -300"),
+        (changed(2, 1, -273.16), "temperature in row 3 is -273.16, which is below absolute zero"),
+        (changed(2, 3, -500), "reference in row 3 is -500"),
+        (changed(5, 2, 5.5), "1.5 s pass from row 5 to row 6, elsewhere 1 s"),
+        (changed(5, 2, 4.0), "time does not advance from 4 s in row 5 to 4 s in row 6"),
+        (changed(5, 2, 3.0), "time does not advance from 4 s in row 5 to 3 s in row 6"),
+        (np.delete(matrix(), [9, 10], axis=0), "3 s pass from row 9 to row 10, elsewhere 1 s"),
+        (matrix(1), "has 1 rows; at least two"),
+        (matrix(0), "has 0 rows; at least two"),
+        (matrix()[:, :3], r"simout has the shape \(20, 3\); it needs 4 columns"),
+        (np.zeros((5, 4, 2)), r"simout has the shape \(5, 4, 2\)"),
+        (matrix() + 0j, "is no matrix of real numbers"),
+        (scipy.sparse.csc_matrix(matrix()), "is no matrix of real numbers"),
+        ({"time": matrix()}, "is no matrix of real numbers"),
+        ("text", "is no matrix of real numbers"),
+    ],
+)
+def test_matrices_that_cannot_be_used_are_explained(tmp_path, rows, message):
+    path = save(tmp_path / "run.mat", simout=rows)
+    with pytest.raises(RecordingError, match=message):
+        read_recording(path)
+
+
+def test_a_mat_file_of_something_else_lists_what_it_has(tmp_path):
+    with pytest.raises(RecordingError, match="has no matrix simout; it has a, tout"):
+        read_recording(save(tmp_path / "run.mat", a=[1.0], tout=[2.0]))
+    with pytest.raises(RecordingError, match="has no matrix simout; it has nothing"):
+        read_recording(save(tmp_path / "none.mat"))
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_a_truncated_mat_file_is_never_read_as_whole(tmp_path, compress):
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"simout": matrix(300) / [2, 1, 1, 1]}, do_compression=compress)
+    content = path.read_bytes()
+    for cut in range(0, len(content), 97):
+        path.write_bytes(content[:cut])
+        with pytest.raises(
+            RecordingError, match=r"is truncated or damaged|is no MATLAB file|has no matrix simout"
+        ):
+            read_recording(path)
+
+
+@given(st.binary(min_size=1, max_size=60), st.integers(0, 600))
+def test_a_damaged_mat_file_gives_our_error_or_numbers(tmp_path_factory, damage, place):
+    path = tmp_path_factory.getbasetemp() / "damaged.mat"
+    scipy.io.savemat(path, {"simout": matrix()})
+    content = bytearray(path.read_bytes())
+    content[place : place + len(damage)] = damage
+    path.write_bytes(content)
+    try:
+        window = read_recording(path)
+    except RecordingError as error:
+        assert path.name in str(error)  # noqa: PT017 - either outcome is right
+    else:
+        assert np.isfinite(window.temperature).all()
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage", bytes(500), b"MATLAB 5", os.urandom(0) + b"\xff" * 900])
+def test_a_file_that_is_no_mat_file_is_refused(tmp_path, content):
+    (tmp_path / "run.mat").write_bytes(content)
+    with pytest.raises(RecordingError, match="is no MATLAB file of version 5"):
+        read_recording(tmp_path / "run.mat")
+
+
+def test_a_newer_mat_file_says_how_to_save_it(tmp_path):
+    (tmp_path / "run.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(500))
+    with pytest.raises(RecordingError, match="save it again with the option -v7"):
+        read_recording(tmp_path / "run.mat")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("\n", "has no column time and no column reference"),
+        (
+            "time,pwm\n0,1\n",
+            "has no column reference and no column temperature; its first line has 'time', 'pwm'",
+        ),
+        (CSV.replace("pwm", "power"), "has no column pwm; its first line has 'time', 'reference', 'temp"),
+        (CSV.replace("pwm", "y"), "columns 'temperature' and 'y' are both the temperature"),
+        (
+            CSV.replace("temperature", "temperature (K)"),
+            r"column 'temperature \(K\)': temperature is needed in °C",
+        ),
+        (CSV.replace("time", "time [ms]"), r"column 'time \[ms\]': time is needed in s"),
+        (CSV.replace("pwm", "pwm [%]"), "pwm is needed in steps of −255 to 255"),
+        (CSV.replace("26,2", "x,2"), "temperature in line 3 is 'x', which is not a number"),
+        (CSV.replace("\n1,30,26,2", "\n\n1,30,,2"), "temperature in line 4 is ''"),
+        (CSV.replace("1,30,26,2", "1,30"), "temperature in line 3 is ''"),
+        (CSV.replace("26,2", "nan,2"), "temperature in line 3 is nan, which is not a finite number"),
+        (CSV.replace("\n1,30", "\n\n1,30").replace(",3.5", ",256"), "pwm in line 5 is 256"),
+        (CSV.replace("\n2,31", "\n9,31"), "8 s pass from line 3 to line 4, elsewhere 1 s"),
+        ("time,reference,temperature,pwm\n", "has 0 rows; at least two"),
+        (CSV.splitlines()[0] + "\n" + "1" * 200_000 + ",1,1,1\n", "is no table"),
+        (CSV.replace("26,2", "26,'2,5'").replace(",", ";").replace("'2;5'", "2,5"), "pwm in line 3 is '2,5'"),
+    ],
+)
+def test_tables_that_cannot_be_used_are_explained(tmp_path, text, message):
+    with pytest.raises(RecordingError, match=message):
+        read_recording(table(tmp_path / "run.csv", text))
+
+
+def test_a_csv_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "run.csv").write_bytes(b"\xff\xfe\x00garbage")
+    with pytest.raises(RecordingError, match="is no text in UTF-8"):
+        read_recording(tmp_path / "run.csv")
+
+
+def test_paths_that_are_no_recording_are_refused(tmp_path):
+    with pytest.raises(RecordingError, match="does not exist"):
+        read_recording(tmp_path / "run.mat")
+    with pytest.raises(RecordingError, match="is a folder"):
+        read_recording(tmp_path)
+    with pytest.raises(RecordingError, match=r"a recording's name ends in \.mat or \.csv, not in '\.txt'"):
+        read_recording(table(tmp_path / "run.txt", CSV))
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+    def refuse(*_args: object) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_text", refuse)
+    (tmp_path / "run.csv").write_bytes(b"x")
+    with pytest.raises(RecordingError, match=r"run\.csv: cannot be read \(Permission denied\)"):
+        read_recording(tmp_path / "run.csv")

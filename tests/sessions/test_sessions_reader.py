@@ -1,0 +1,260 @@
+"""Sessions as they are found: whole folders, single files, unfinished recordings, several rigs."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import yaml
+
+from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session, write_session
+from twinmatch.sessions.cdr import encode_float64, encode_sample
+from twinmatch.sessions.definitions import FLOAT64
+from twinmatch.sessions.metadata import Part, Summary, files_listed, parse_qos, qos_text
+from twinmatch.sessions.topics import REFERENCE, SAMPLE
+from twinmatch.signals import Sample, SignalError
+
+
+def run(count: int = 30, first: int = 0, step: int = 10**9) -> list[Sample]:
+    return [Sample(first + k, (first + k) * step, 30.0, 25.0, float(first + k)) for k in range(count)]
+
+
+def record(folder: Path, *rigs: tuple[Topic, list[Sample]], name: str | None = None) -> Path:
+    with SessionWriter(folder, name=name) as writer:
+        for topic, samples in rigs:
+            writer.add_topic(topic)
+            for sample in samples:
+                writer.write(topic.name, encode_sample(sample), sample.stamp)
+    return folder
+
+
+def test_a_folder_and_its_file_hold_the_same(tmp_path):
+    folder = write_session(tmp_path / "night", run())
+    by_folder, by_file = read_session(folder), read_session(str(folder / "night_0.mcap"))
+    assert by_folder.samples == by_file.samples == run()
+    assert by_folder.name == by_file.name == "night"
+    assert (by_folder.path, by_file.path) == (folder, folder / "night_0.mcap")
+
+
+def test_duration_period_and_window(tmp_path):
+    session = read_session(write_session(tmp_path / "fast", run(31, first=5, step=100_000_000)))
+    assert session.duration == 3.0
+    assert session.period == 0.1
+    window = session.window()
+    assert (window.first, len(window), window.period) == (5, 31, 0.1)
+    assert session.window(period=0.2).period == 0.2
+
+
+def test_messages_can_be_chosen(tmp_path):
+    session = read_session(write_session(tmp_path / "run", run()))
+    assert session.counts == {"/plant/sample": 30, "/plant/temperature": 30, "/plant/reference": 1}
+    chosen = list(session.messages(["/plant/reference"]))
+    assert [m.data for m in chosen] == [encode_float64(30.0)]
+    assert chosen[0].topic == REFERENCE
+    assert len(list(session.messages())) == 61
+    with pytest.raises(SessionError, match="has no topic /plant/speed; it has /plant/reference, "):
+        list(session.messages(["/plant/speed"]))
+
+
+def test_any_namespace_is_found(tmp_path):
+    rig = SAMPLE._replace(name="/lab/rig7/plant/sample")
+    assert read_session(record(tmp_path / "run", (rig, run()))).topic == "/lab/rig7/plant/sample"
+
+
+def test_of_two_rigs_one_has_to_be_named(tmp_path):
+    a, b = (SAMPLE._replace(name=f"/{rig}/plant/sample") for rig in "ab")
+    folder = record(tmp_path / "run", (a, run(5)), (b, run(7)))
+    with pytest.raises(
+        SessionError, match=r"several rigs \(/a/plant/sample, /b/plant/sample\); name the topic"
+    ):
+        read_session(folder)
+    assert len(read_session(folder, topic="/b/plant/sample").samples) == 7
+    with pytest.raises(
+        SessionError, match=r"/c/plant/sample of type .* is not in it; it has /a/plant/sample, /b"
+    ):
+        read_session(folder, topic="/c/plant/sample")
+
+
+def test_samples_under_another_name_are_used_only_when_named(tmp_path):
+    folder = record(tmp_path / "run", (SAMPLE._replace(name="/loop"), run(5)))
+    with pytest.raises(SessionError, match="a topic ending in plant/sample"):
+        read_session(folder)
+    assert len(read_session(folder, topic="/loop").samples) == 5
+
+
+def test_a_session_of_something_else_lists_what_it_has(tmp_path):
+    with SessionWriter(tmp_path / "car") as writer:
+        for name in ("/speed", "/plant/sample"):
+            writer.add_topic(Topic.of(name, FLOAT64, Qos()))
+            writer.write(name, encode_float64(1.0), 0)
+    with pytest.raises(SessionError, match="LoopSample is not in it; it has /plant/sample, /speed"):
+        read_session(tmp_path / "car")
+
+
+def test_another_definition_of_the_sample_is_refused(tmp_path):
+    older = SAMPLE._replace(schema=SAMPLE.schema.replace("float64 pwm", "float32 pwm"))
+    with pytest.raises(SessionError, match="another definition of LoopSample"):
+        read_session(record(tmp_path / "run", (older, run())))
+
+
+def test_other_comments_are_the_same_definition(tmp_path):
+    bare = SAMPLE._replace(schema=SAMPLE.schema.replace("# set-point r, degC", ""))
+    assert read_session(record(tmp_path / "run", (bare, run()))).samples == run()
+
+
+def test_a_gap_is_noted(tmp_path):
+    samples = run(10) + run(5, first=12)
+    session = read_session(record(tmp_path / "run", (SAMPLE, samples)))
+    assert session.samples == samples
+    assert session.period == 1.0
+    assert session.notes == ["the samples' indices step from 9 to 12: windows begin anew there"]
+    with pytest.raises(SignalError, match="sample 12 follows sample 9"):
+        session.window()
+
+
+def test_many_gaps_are_counted(tmp_path):
+    samples = [sample for k in range(6) for sample in run(4, first=10 * k)]
+    session = read_session(record(tmp_path / "run", (SAMPLE, samples)))
+    assert session.notes == [
+        "the samples' indices step from 3 to 10, from 13 to 20, from 23 to 30 and 2 more: "
+        "windows begin anew there"
+    ]
+
+
+def test_a_controller_restart_is_noted(tmp_path):
+    session = read_session(record(tmp_path / "run", (SAMPLE, run(10) + run(10))))
+    assert len(session.samples) == 20
+    assert "step from 9 to 0" in session.notes[0]
+
+
+@pytest.mark.parametrize("field", ["reference", "temperature", "pwm"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_values_that_are_not_finite_are_named(tmp_path, field, value):
+    samples = run(10)
+    samples[6] = dataclasses.replace(samples[6], **{field: value})
+    with pytest.raises(SessionError, match=f"session run: {field} of sample 6 is {value}"):
+        read_session(record(tmp_path / "run", (SAMPLE, samples)))
+
+
+def test_a_message_too_short_is_refused(tmp_path):
+    with SessionWriter(tmp_path / "run") as writer:
+        writer.add_topic(SAMPLE)
+        writer.write(SAMPLE.name, b"\0\1\0\0", 0)
+    with pytest.raises(SessionError, match="4 bytes is too short"):
+        read_session(tmp_path / "run")
+
+
+def test_missing_paths_and_other_things_are_refused(tmp_path):
+    with pytest.raises(SessionError, match="does not exist"):
+        read_session(tmp_path / "nothing")
+    with pytest.raises(SessionError, match="the folder holds no MCAP file"):
+        read_session(tmp_path)
+    (tmp_path / "empty.mcap").touch()
+    with pytest.raises(SessionError, match="the file is empty"):
+        read_session(tmp_path / "empty.mcap")
+    (tmp_path / "notes.txt").write_text("dear diary")
+    with pytest.raises(SessionError, match="is no session"):
+        read_session(tmp_path / "notes.txt")
+
+
+@pytest.mark.parametrize("text", [None, "", "[1, 2", "a: b", "rosbag2_bagfile_information: 3", "\0"])
+def test_a_folder_without_usable_metadata_is_read_and_noted(tmp_path, text):
+    folder = write_session(tmp_path / "run", run())
+    (folder / "metadata.yaml").unlink()
+    if text is not None:
+        (folder / "metadata.yaml").write_text(text)
+    session = read_session(folder)
+    assert session.samples == run()
+    assert session.notes == ["metadata.yaml is missing or unreadable: the recording was not finished"]
+
+
+def test_a_session_of_several_files_is_one(tmp_path):
+    folder = record(tmp_path / "run", (SAMPLE, run(10)))
+    second = record(tmp_path / "more", (SAMPLE, run(10, first=10)), name="run")
+    (second / "run_0.mcap").rename(folder / "run_1.mcap")
+    metadata = yaml.safe_load((folder / "metadata.yaml").read_text())
+    names = ["run_0.mcap", "run_1.mcap", "run_2.mcap"]
+    metadata["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    session = read_session(folder)
+    assert session.samples == run(20)
+    assert session.counts == {"/plant/sample": 20}
+    assert session.notes == ["run_2.mcap is listed in metadata.yaml but missing"]
+    (folder / "metadata.yaml").unlink()
+    assert read_session(folder).samples == run(20)
+
+
+def test_a_torn_file_is_read_and_the_note_says_how_far(tmp_path):
+    folder = write_session(tmp_path / "run", run(100, first=50))
+    file = folder / "run_0.mcap"
+    content = file.read_bytes()
+    file.write_bytes(content[: content.index(encode_sample(run(100, first=50)[70]))])
+    session = read_session(folder)
+    assert session.samples == run(100, first=50)[:70]
+    assert session.notes == ["run_0.mcap: the file is truncated; 70 samples up to t = 119 s could be read"]
+    assert len(list(session.messages(["/plant/sample"]))) == 70
+
+
+def test_a_file_torn_before_its_first_sample_says_so(tmp_path):
+    folder = write_session(tmp_path / "run", run())
+    file = folder / "run_0.mcap"
+    file.write_bytes(file.read_bytes()[:40])
+    with pytest.raises(
+        SessionError, match=r"session run; run_0\.mcap: the file is truncated: a topic ending in"
+    ):
+        read_session(folder)
+
+
+@pytest.mark.parametrize(("jump", "step"), [(-(10**9) // 2, 0.5), (5 * 10**9, 6.0), (-(10**9), 0.0)])
+def test_a_clock_that_was_set_is_noted(tmp_path, jump, step):
+    samples = [
+        dataclasses.replace(s, stamp=s.stamp + 10**10 + (jump if s.index >= 20 else 0)) for s in run(400)
+    ]
+    notes = read_session(record(tmp_path / "run", (SAMPLE, samples))).notes
+    assert notes == ([] if step == 0.5 else [f"the stamps step by {step:g} s from sample 19 to 20"])
+
+
+def test_stamps_that_stand_still_have_no_period(tmp_path):
+    samples = [dataclasses.replace(s, stamp=7) for s in run()]
+    with pytest.raises(SessionError, match="the stamps do not advance between samples 0 and 29"):
+        read_session(record(tmp_path / "run", (SAMPLE, samples)))
+
+
+def test_one_sample_has_the_usual_period(tmp_path):
+    session = read_session(write_session(tmp_path / "run", run(1)))
+    assert session.period == 1.0
+    assert session.notes == []
+
+
+def test_a_file_that_has_gone_is_said_when_its_messages_are_wanted(tmp_path):
+    session = read_session(write_session(tmp_path / "run", run()))
+    (tmp_path / "run" / "run_0.mcap").unlink()
+    with pytest.raises(SessionError, match="cannot be read"):
+        list(session.messages())
+
+
+@pytest.mark.parametrize("reliability", ["reliable", "best_effort"])
+@pytest.mark.parametrize("durability", ["volatile", "transient_local"])
+def test_qos_survives_its_text(reliability, durability):
+    qos = Qos(reliability, durability, 42)
+    assert parse_qos(qos_text(qos)) == qos
+
+
+def test_qos_of_older_and_of_discovered_profiles():
+    assert parse_qos("- {reliability: 2, durability: 1, depth: 0}") == Qos(
+        "best_effort", "transient_local", 10
+    )
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "7", "- 7", "- {depth: 1}", "[", "- {reliability: x, durability: y, depth: 1}"]
+)
+def test_qos_that_makes_no_sense_falls_back(text):
+    assert parse_qos(text) == Qos()
+
+
+def test_listed_files_stay_in_their_folder(tmp_path):
+    text = Summary((Part("../../etc/passwd", 0, 0, 0),), {}, "unknown").file_text()
+    (tmp_path / "metadata.yaml").write_text(text)
+    assert files_listed(tmp_path) == ["passwd"]

@@ -1,0 +1,226 @@
+"""Whole sessions: what goes in comes out, the same bytes each time, all of it or nothing."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+
+from twinmatch.sessions import EPOCH, SessionError, read_session, samples_of, write_session
+from twinmatch.sessions.definitions import FLOAT64, LOOP_SAMPLE, TEMPERATURE
+from twinmatch.signals import Sample, Window
+
+values = st.floats(allow_nan=False, allow_infinity=False)
+runs = st.builds(
+    lambda first, start, step, rows: [
+        Sample(first + i, start + i * step, *row) for i, row in enumerate(rows)
+    ],
+    st.integers(0, 2**63),
+    st.integers(0, 2**31 * 10**9 - 1 - 40 * 10**9),
+    st.integers(1, 10**9),
+    st.lists(st.tuples(values, values, values), min_size=1, max_size=40),
+)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def hour(count: int = 3601) -> list[Sample]:
+    k = np.arange(count)
+    return samples_of(
+        Window(30.0 + 20.0 * (k // 600 % 2), 25.0 + 5.0 * np.sin(k / 50), np.clip(k * 0.1 - 100, -255, 255))
+    )
+
+
+@given(runs)
+def test_samples_survive_the_round_trip(tmp_path_factory, samples):
+    folder = tmp_path_factory.mktemp("round") / "trip"
+    session = read_session(write_session(folder, samples))
+    assert session.samples == samples
+    assert session.notes == []
+    assert session.counts["/plant/sample"] == session.counts["/plant/temperature"] == len(samples)
+
+
+def test_two_writes_give_the_same_bytes(tmp_path):
+    for place in ("a", "b"):
+        write_session(tmp_path / place / "run", hour(900))
+    for name in ("metadata.yaml", "run_0.mcap"):
+        assert (tmp_path / "a/run" / name).read_bytes() == (tmp_path / "b/run" / name).read_bytes()
+
+
+def test_samples_of_a_window_are_stamped_by_its_period():
+    window = Window([1.0, 2.0], [3.0, 4.0], [5.0, 6.0], first=10, period=0.1)
+    assert samples_of(window) == [
+        Sample(10, EPOCH + 1_000_000_000, 1.0, 3.0, 5.0),
+        Sample(11, EPOCH + 1_100_000_000, 2.0, 4.0, 6.0),
+    ]
+
+
+def test_rosbags_reads_folder_metadata_and_messages(tmp_path):
+    samples = hour(700)
+    folder = write_session(tmp_path / "run", samples)
+    with AnyReader([folder]) as reader:
+        assert {c.topic: (c.msgtype, c.digest) for c in reader.connections} == {
+            "/plant/sample": (LOOP_SAMPLE.name, LOOP_SAMPLE.type_hash),
+            "/plant/temperature": (TEMPERATURE.name, TEMPERATURE.type_hash),
+            "/plant/reference": (FLOAT64.name, FLOAT64.type_hash),
+        }
+        offered = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
+        assert offered["/plant/sample"].reliability == QosReliability.RELIABLE
+        assert offered["/plant/temperature"].reliability == QosReliability.BEST_EFFORT
+        assert offered["/plant/reference"].durability == QosDurability.TRANSIENT_LOCAL
+        assert reader.start_time == EPOCH
+        assert reader.duration == 699 * 10**9 + 1  # rosbags counts the end as the nanosecond after
+        theirs = [
+            (c.topic, stamp, bytes(data), reader.deserialize(data, c.msgtype))
+            for c, stamp, data in reader.messages()
+        ]
+    ours = [(m.topic.name, m.log_time, m.data) for m in read_session(folder).messages()]
+    assert sorted(t[:3] for t in theirs) == sorted(ours)
+    stored = [m for topic, *_, m in theirs if topic == "/plant/sample"]
+    assert [
+        Sample(
+            m.index, m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, m.reference, m.temperature, m.pwm
+        )
+        for m in stored
+    ] == samples
+    assert {m.header.frame_id for m in stored} == {"plate"}
+    readings = [m for topic, *_, m in theirs if topic == "/plant/temperature"]
+    assert [(m.temperature, m.variance) for m in readings] == [(s.temperature, 0.0) for s in samples]
+    changes = [(stamp, m.data) for topic, stamp, _, m in theirs if topic == "/plant/reference"]
+    assert changes == [(EPOCH, 30.0), (EPOCH + 600 * 10**9, 50.0)]
+
+
+def test_an_existing_session_is_kept_unless_asked(tmp_path):
+    folder = write_session(tmp_path / "run", hour(10))
+    with pytest.raises(SessionError, match="exists already"):
+        write_session(folder, hour(20))
+    assert len(read_session(folder).samples) == 10
+    write_session(folder, hour(20), overwrite=True)
+    assert len(read_session(folder).samples) == 20
+    assert names(tmp_path) == ["run"]
+
+
+def test_only_sessions_are_overwritten(tmp_path):
+    folder = tmp_path / "home"
+    folder.mkdir()
+    (folder / "thesis.tex").write_text("years of work")
+    with pytest.raises(SessionError, match="something else than a session"):
+        write_session(folder, hour(3), overwrite=True)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(SessionError, match="something else than a session"):
+        write_session(tmp_path / "file", hour(3), overwrite=True)
+    (tmp_path / "link").symlink_to(write_session(tmp_path / "run", hour(3)))
+    with pytest.raises(SessionError, match="something else than a session"):
+        write_session(tmp_path / "link", hour(3), overwrite=True)
+    assert (folder / "thesis.tex").read_text() == "years of work"
+
+
+def test_the_replaced_session_comes_back_when_the_new_one_cannot_move(tmp_path, monkeypatch):
+    folder = write_session(tmp_path / "run", hour(10))
+    rename = Path.rename
+
+    def refuse(self, target):
+        if self.parent != tmp_path and self.name == "run":
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(SessionError, match="cannot be put in its place"):
+        write_session(folder, hour(20), overwrite=True)
+    assert len(read_session(folder).samples) == 10
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_session_needs_a_name():
+    with pytest.raises(SessionError, match="a folder with a name"):
+        write_session("/", hour(3))
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(SessionError, match="cannot be written"):
+        write_session(tmp_path / "file" / "run", hour(3))
+
+
+@pytest.mark.parametrize(
+    ("samples", "message"),
+    [
+        ([], "there is no sample"),
+        ([Sample(0, 0, 1.0, 2.0, 3.0), Sample(2, 2, 1.0, 2.0, 3.0)], "sample 2 follows sample 0"),
+        ([Sample(5, 0, 1.0, float("nan"), 3.0)], "temperature of sample 5 is nan"),
+        ([Sample(5, -1, 1.0, 2.0, 3.0)], "negative time"),
+        ([Sample(5, 2**61, 1.0, 2.0, 3.0)], "outside 1970 to 2038"),
+    ],
+)
+def test_samples_that_are_no_session_leave_nothing(tmp_path, samples, message):
+    with pytest.raises(SessionError, match=message):
+        write_session(tmp_path / "run", samples)
+    assert names(tmp_path) == []
+
+
+@pytest.fixture
+def small_disk():
+    """No file may grow beyond 100 kB, which fails as a full disk does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_a_full_disk_leaves_nothing(tmp_path):
+    with pytest.raises(
+        SessionError, match=r"session run: cannot be written \(File too large\) after \d+ messages"
+    ):
+        write_session(tmp_path / "run", hour())
+    assert names(tmp_path) == []
+
+
+def test_a_full_disk_keeps_the_session_that_was_there(tmp_path, request):
+    folder = write_session(tmp_path / "run", hour(10))
+    request.getfixturevalue("small_disk")
+    with pytest.raises(SessionError, match="cannot be written"):
+        write_session(folder, hour(), overwrite=True)
+    assert len(read_session(folder).samples) == 10
+
+
+def test_a_kill_while_writing_leaves_no_session(tmp_path):
+    program = """
+        import sys, time
+        from twinmatch.sessions import store
+        from twinmatch.signals import Sample
+
+        whole = store.plant_messages
+        def slow(samples):
+            for count, message in enumerate(whole(samples)):
+                if count == 3000:
+                    print("writing", flush=True)
+                    time.sleep(60)
+                yield message
+        store.plant_messages = slow
+        store.write_session(sys.argv[1], [Sample(k, k, 1.0, 2.0, 3.0) for k in range(3000)])
+    """
+    folder = tmp_path / "run"
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program), str(folder)], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"writing\n"
+        os.kill(process.pid, signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL
+    assert not folder.exists()
+    write_session(folder, hour(5))
+    assert len(read_session(folder).samples) == 5

@@ -1,0 +1,260 @@
+"""Programs that are not ours read what the graph says."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twinmatch.nodes import network
+from twinmatch.replay import judge_session
+from twinmatch.sessions import read_session
+
+pytestmark = pytest.mark.ros
+
+HERE = Path(__file__).resolve().parent
+RATE = 80
+SETTLED = 400
+"""Sample from which on everybody has found everybody: five seconds after the first; three are needed."""
+KEPT_IN = {
+    "FASTDDS_DEFAULT_PROFILES_FILE": str(network.PROFILE),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+}
+"""The two variables that keep a subscriber of somebody else on this machine, as docs/subscribing.md says."""
+
+LENGTHS = {"a": 120, "b": 200}
+"""Samples of two rigs."""
+
+needs_cyclone = pytest.mark.skipif(
+    importlib.util.find_spec("cyclonedds") is None, reason="no cyclonedds here; pip install cyclonedds"
+)
+
+
+@pytest.fixture(scope="module")
+def said(session: Path) -> list[dict[str, Any]]:
+    """The verdicts of an offline run, as reader.py shows them."""
+    from twinmatch.nodes.conversions import score_message
+
+    specification = importlib.util.spec_from_file_location("reader", HERE / "reader.py")
+    assert specification is not None
+    assert specification.loader is not None
+    reader = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(reader)
+    stamps = {sample.index: sample.stamp for sample in read_session(session).samples}
+    verdicts = judge_session(session).verdicts
+    shown = [reader.plain(score_message(verdict, stamps[verdict.sample])) for verdict in verdicts]
+    return [json.loads(json.dumps(score)) for score in shown]
+
+
+def as_text(messages: Sequence[Any]) -> list[str]:
+    """Comparable to the last bit, NaN and all."""
+    return [json.dumps(message) for message in messages]
+
+
+def assert_heard_from_then_on(heard: Sequence[Any], said: Sequence[Any]) -> None:
+    """What is not latched is heard from when its reader was found, then without a hole."""
+    assert as_text(heard) == as_text(said[-len(heard) :])
+    assert heard[0]["sample"] <= SETTLED < heard[-1]["sample"]
+
+
+@dataclass
+class Replayed:
+    """What was heard while the launch script played a session."""
+
+    scores: dict[str, list[Any]]
+    last_words: dict[str, str]
+    elsewhere: dict[str, list[str]]
+    temperatures: list[Any]
+
+
+@pytest.fixture(scope="module")
+def replayed(lasting_programs: Any, session: Path, project: Path) -> Replayed:
+    """One run of launch_scripts/replay.py, with a reader without settings, one kept in, and Cyclone's."""
+    start = lasting_programs
+    readers = {
+        "no settings": start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score"),
+        "kept in": start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", **KEPT_IN),
+    }
+    cyclone = None
+    if importlib.util.find_spec("cyclonedds") is not None:
+        cyclone = start.start(HERE / "cyclone_reader.py")
+        cyclone.wait_for(lambda text: "ready" in text)
+    elsewhere = {name: network.sockets_elsewhere(reader.process.pid) for name, reader in readers.items()}
+    replay = start.start(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
+    assert replay.wait(120) == 0, replay.text
+    time.sleep(0.5)  # for what is still on its way
+    for reader in readers.values():
+        assert reader.end() == 0, reader.text
+    if cyclone is not None:
+        assert cyclone.end() == 0, cyclone.text
+    return Replayed(
+        scores={name: reader.json for name, reader in readers.items()},
+        last_words={name: reader.text.splitlines()[-1] for name, reader in readers.items()},
+        elsewhere=elsewhere,
+        temperatures=[line for line in cyclone.json if line[0] == "temperature"] if cyclone else [],
+    )
+
+
+@pytest.mark.parametrize("name", ["no settings", "kept in"])
+def test_verdicts_reach_a_stranger_to_the_last_bit(replayed: Replayed, said: list[Any], name: str) -> None:
+    assert_heard_from_then_on(replayed.scores[name], said)
+    assert replayed.scores[name][-1]["level_name"] == "trusted"
+
+
+@pytest.mark.parametrize("name", ["no settings", "kept in"])
+def test_stranger_needs_no_twinmatch(replayed: Replayed, name: str) -> None:
+    assert replayed.last_words[name] == "imported []"
+
+
+def test_two_variables_keep_a_stranger_in(replayed: Replayed) -> None:
+    assert replayed.elsewhere["kept in"] == []
+    assert replayed.elsewhere["no settings"], "without them it listens on the network: the page says so"
+
+
+def test_shell_lines_are_those_two(stranger: dict[str, str]) -> None:
+    """And the place of the wheels, for tools that look for packages."""
+    command = [sys.executable, "-m", "twinmatch.nodes.network"]
+    done = subprocess.run(command, env=stranger, capture_output=True, text=True, check=True)
+    words = [shlex.split(line) for line in done.stdout.splitlines()]
+    lines = dict(word.split("=", 1) for _, word in words)
+    lines.pop("AMENT_PREFIX_PATH", None)
+    assert {word for word, _ in words} == {"export"}
+    assert lines == KEPT_IN
+
+
+def test_shell_lines_unset_what_would_lead_elsewhere() -> None:
+    environment = {"HOME": "/", "ROS_STATIC_PEERS": "10.0.0.1", **KEPT_IN, "AMENT_PREFIX_PATH": "/here"}
+    assert network.shell_lines(environment) == ["unset ROS_STATIC_PEERS"]
+
+
+def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> None:
+    command = [sys.executable, "-m", "twinmatch.nodes.network"]
+    environment = {**stranger, "TWINMATCH_NETWORK": "wide"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "use 'loopback' (the default) or 'open'" in done.stderr
+    assert done.stdout == ""
+
+
+@needs_cyclone
+def test_cyclone_reads_the_temperatures(replayed: Replayed, session: Path) -> None:
+    """Best effort: some may be missing, none may be changed or come twice or late."""
+    samples = read_session(session).samples
+    measured = {sample.stamp: sample.temperature for sample in samples}
+    heard = [(stamp, temperature) for _, stamp, temperature in replayed.temperatures]
+    assert all(measured[stamp] == temperature for stamp, temperature in heard)
+    assert [stamp for stamp, _ in heard] == sorted({stamp for stamp, _ in heard})
+    assert len(heard) > (len(samples) - SETTLED) / 2
+
+
+@needs_cyclone
+def test_cyclone_reads_every_sample(programs: Any, session: Path) -> None:
+    """Reliable: from when it has found the player on, all of them, to the last bit."""
+    cyclone = programs.start(HERE / "cyclone_reader.py")
+    cyclone.wait_for(lambda text: "ready" in text)
+    player = programs.start(
+        *("-m", "twinmatch.nodes.player", "--ros-args", "-p", f"session:={session}", "-p", f"rate:={RATE}.0")
+    )
+    assert player.wait() == 0, player.text
+    samples = read_session(session).samples
+    cyclone.wait_for(lambda text: f'["sample", {samples[-1].stamp},' in text)
+    heard = [line for line in cyclone.json if line[0] == "sample"]
+    assert heard == [
+        ["sample", s.stamp, s.index, s.reference, s.temperature, s.pwm] for s in samples[-len(heard) :]
+    ]
+    assert len(heard) >= len(samples) - SETTLED
+
+
+def play(programs: Any, session: Path, *more: str, rate: float = RATE) -> Any:
+    """The twin and the player; returns the twin after the player has ended."""
+    twin = programs.start("-m", "twinmatch.nodes.twin", *(["--ros-args", *more] if more else []))
+    player = programs.start(
+        *("-m", "twinmatch.nodes.player", "--ros-args", *more, "-p", f"session:={session}"),
+        *("-p", f"rate:={float(rate)}", "-p", "wait_for:=3", "-p", "wait_timeout:=60.0"),
+    )
+    assert player.wait() == 0, player.text
+    return twin
+
+
+def test_late_reader_is_given_the_nominal(programs: Any, session: Path) -> None:
+    """Nothing is published any more when it subscribes, so that it was given what stood is certain."""
+    scores = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
+    play(programs, session)
+    last = session_end(scores)
+    late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
+    late.wait_for(lambda text: "{" in text, patience=20)
+    (nominal,) = late.json
+    (candidate,) = [c for c in last["candidates"] if c["name"] == last["nominal"]]
+    identity = ("name", "first", "last", "parameters")
+    assert {key: nominal[key] for key in identity} == {key: candidate[key] for key in identity}
+
+
+def session_end(scores: Any, sample: int = 599) -> Any:
+    """Wait for the verdict on a sample, and the one after which nothing comes for a second."""
+    scores.wait_for(lambda _: any(score["sample"] >= sample for score in scores.json))
+    while True:
+        count = len(scores.json)
+        time.sleep(1.0)
+        if len(scores.json) == count:
+            return scores.json[-1]
+
+
+def test_volatile_late_reader_is_given_nothing(programs: Any, session: Path) -> None:
+    """The counterpart that shows what `latched` is needed for."""
+    scores = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
+    play(programs, session)
+    session_end(scores)
+    late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal")
+    latched = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
+    latched.wait_for(lambda text: "{" in text, patience=20)
+    assert late.json == []
+
+
+def test_rigs_do_not_mix(programs: Any, session: Path, tmp_path: Path) -> None:
+    """Two rigs at once, each in its namespace, with sessions of different lengths."""
+    topics = {f"/rig_{rig}/plant/sample": LENGTHS[rig] for rig in "ab"}
+    readers = {
+        topic: programs.start_reader("twinmatch_msgs/LoopSample", topic, "everything") for topic in topics
+    }
+    outside = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample", "everything")
+    from twinmatch.sessions import write_session
+
+    players = []
+    for rig in "ab":
+        part = write_session(tmp_path / rig, read_session(session).samples[: LENGTHS[rig]])
+        players.append(
+            programs.start(
+                *("-m", "twinmatch.nodes.player", "--ros-args", "-r", f"__ns:=/rig_{rig}"),
+                *("-p", f"session:={part}", "-p", "rate:=200.0", "-p", "clock:=false"),
+            )
+        )
+    for player in players:
+        assert player.wait() == 0, player.text
+    for topic, length in topics.items():
+        readers[topic].wait_for(lambda text, length=length: text.count("{") >= length)
+        assert [message["index"] for message in readers[topic].json] == list(range(length))
+    assert outside.json == []
+
+
+def test_readers_that_hang_or_die_hold_nobody_up(
+    programs: Any, session: Path, project: Path, said: list[Any]
+) -> None:
+    hanging = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
+    dying = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
+    healthy = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
+    replay = programs.start(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
+    healthy.wait_for(lambda text: "{" in text)
+    hanging.process.send_signal(signal.SIGSTOP)
+    dying.process.send_signal(signal.SIGKILL)
+    assert replay.wait(120) == 0, replay.text
+    assert_heard_from_then_on(healthy.json, said)

@@ -1,0 +1,98 @@
+"""Both packages built by colcon: the messages by CMake, the nodes into lib/twinmatch, and they talk.
+
+Debian's colcon and ament_cmake are used together with the ROS wheels (see wheels_shim.py).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twinmatch.sessions import read_session
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+HERE = Path(__file__).resolve().parent
+DEBIAN = Path("/usr/lib/python3/dist-packages/ament_package")
+PACKAGES = "colcon python3-colcon-ros ament-cmake"
+
+
+def write_shim(prefix: Path) -> None:
+    specification = importlib.util.spec_from_file_location("wheels_shim", HERE / "wheels_shim.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    module.write_shim(prefix)
+
+
+@pytest.fixture(scope="module")
+def installed(project: Path, stranger: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The install space of a workspace with both packages."""
+    ament_cmake = Path("/usr/share/ament_cmake/cmake").is_dir()
+    if shutil.which("colcon") is None or not DEBIAN.is_dir() or not ament_cmake:
+        pytest.skip(f"no colcon with ament_cmake: apt-get install {PACKAGES}")
+    if not (Path(sys.prefix) / "share" / "rosidl_generator_py").is_dir():
+        pytest.skip("ROS 2 does not come from wheels here")
+    folder = tmp_path_factory.mktemp("workspace")
+    ignored = shutil.ignore_patterns("__pycache__", "build", "*.egg-info", "twinmatch_msgs")
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
+        (folder / "twinmatch").mkdir(exist_ok=True)
+        shutil.copy(project / name, folder / "twinmatch")
+    for name in ("src", "config", "resource"):
+        shutil.copytree(project / name, folder / "twinmatch" / name, ignore=ignored)
+    shutil.copytree(project / "src" / "twinmatch_msgs", folder / "twinmatch_msgs", ignore=ignored)
+    write_shim(folder / "shim")
+    (folder / "python").mkdir()
+    (folder / "python" / "ament_package").symlink_to(DEBIAN)
+    paths = (folder / "shim", sys.prefix, "/usr")
+    cmake = [
+        f"-DCMAKE_PREFIX_PATH={';'.join(map(str, paths))}",
+        f"-DPython3_EXECUTABLE={sys.executable}",
+        *("-DBUILD_SHARED_LIBS=ON", "-DCMAKE_C_FLAGS=-O0", "-DCMAKE_CXX_FLAGS=-O0"),
+    ]
+    environment = {
+        **{name: value for name, value in stranger.items() if not name.startswith("ROS_")},
+        "PATH": "/usr/bin:/bin",
+        "AMENT_PREFIX_PATH": sys.prefix,
+        "PYTHONPATH": str(folder / "python"),
+    }
+    command = ["colcon", "build", "--paths", "twinmatch", "twinmatch_msgs", "--cmake-args", *cmake]
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=900
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder / "install"
+
+
+def start(programs: Any, installed: Path, *command: object) -> Any:
+    """Start a Python program after the install space was sourced, as ROS 2 people do."""
+    words = " ".join(map(str, command))
+    script = f". {installed}/setup.sh && exec {sys.executable} {words}"
+    return programs.start("-c", script, python="sh", AMENT_PREFIX_PATH=sys.prefix)
+
+
+def test_nodes_and_messages_of_the_install_space(programs: Any, installed: Path, session: Path) -> None:
+    where = start(programs, installed, "-c", "'import twinmatch, twinmatch_msgs as m; print(twinmatch, m)'")
+    assert where.wait() == 0, where.text
+    assert where.text.count(str(installed)) == 2
+
+    ours = start(programs, installed, HERE / "reader.py", "twinmatch_msgs/LoopSample", "plant/sample")
+    ours.wait_for(lambda text: "ready" in text)
+    theirs = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample")
+    player = installed / "twinmatch" / "lib" / "twinmatch" / "player"
+    assert os.access(player, os.X_OK)
+    options = ("--ros-args", "-p", f"session:={session}", "-p", "rate:=200.0", "-p", "wait_for:=2")
+    played = start(programs, installed, player, *options)
+    assert played.wait() == 0, played.text
+    last = read_session(session).samples[-1]
+    for reader in (ours, theirs):
+        reader.wait_for(lambda text: f'"index": {last.index},' in text)
+        assert reader.json[-1]["temperature"] == last.temperature

@@ -1,0 +1,140 @@
+"""What docs/subscribing.md tells people to write works as it stands there."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twinmatch.nodes import network
+from twinmatch.sessions import read_session
+
+pytestmark = pytest.mark.ros
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "subscribing.md"
+VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+"""The page's other table."""
+LIVE = ("/thermal/", "/plant/pwm", "/plant/uniformity")
+"""Topics that only a live rig has."""
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+ROW = re.compile(r"^\| `([/\w]+)` \| `(\w+)/(\w+)` \|([^|]*)\|([^|]*)\|[^|]*\|$", re.MULTILINE)
+
+
+def blocks(kind: str) -> list[str]:
+    return [text for language, text in BLOCK.findall(PAGE.read_text()) if language == kind]
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Path:
+    """A folder with the page's programs, under the names in their first lines."""
+    folder = tmp_path / "page"
+    folder.mkdir()
+    for text in blocks("python"):
+        (folder / text.split()[1]).write_text(text)
+    return folder
+
+
+def start_shell(programs: Any, page: Path, text: str, more: str = "", **variables: str) -> Any:
+    """Run a block of the page in its folder, with this interpreter as `python`."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    # exec: a signal has to reach the program and not the shell around it
+    script = re.sub(r"^python (?!-m)", "exec python ", text, flags=re.MULTILINE) + more
+    return programs.start("-c", f"cd {page}\n{script}", python="bash", PATH=path, **variables)
+
+
+def start_player(programs: Any, session: Path, *more: str, rate: float = 80.0, **variables: str) -> Any:
+    options = ("-p", f"session:={session}", "-p", f"rate:={rate}", "-p", "wait_timeout:=60.0", *more)
+    return programs.start("-m", "twinmatch.nodes.player", "--ros-args", *options, **variables)
+
+
+def start_twin(programs: Any, *more: str) -> Any:
+    return programs.start("-m", "twinmatch.nodes.twin", *(["--ros-args", *more] if more else []))
+
+
+def test_page_has_the_blocks_that_are_run_here() -> None:
+    assert [text.split()[1] for text in blocks("python")] == ["verdicts.py", "nominal.py", "temperatures.py"]
+    assert len(blocks("sh")) == 3
+    assert len(blocks("python")[0].splitlines()) <= 20
+
+
+def test_verdicts_and_nominal(programs: Any, page: Path, session: Path) -> None:
+    verdicts = start_shell(programs, page, blocks("sh")[0])
+    twin = start_twin(programs)
+    player = start_player(programs, session, "-p", "wait_for:=3")
+    verdicts.wait_for(lambda text: "sample 600: trusted, 70 °C" in text)
+    assert player.wait() == 0, player.text
+    assert network.sockets_elsewhere(verdicts.process.pid) == []
+    late = programs.start(page / "nominal.py")
+    late.wait_for(lambda text: re.search(r"^70 °C: α \d+\.\d mV/K, C \d+\.\d J/K$", text, re.MULTILINE))
+    assert verdicts.end(signal.SIGINT) == 0, verdicts.text
+    assert "Traceback" not in verdicts.text
+    assert twin.end() == 0
+
+
+def test_namespace(programs: Any, page: Path, session: Path) -> None:
+    beside = programs.start(page / "verdicts.py", "--ros-args", "-r", "__ns:=/rig_b")
+    verdicts = start_shell(programs, page, blocks("sh")[1])
+    start_twin(programs, "-r", "__ns:=/rig_a")
+    player = start_player(programs, session, "-p", "wait_for:=3", "-r", "__ns:=/rig_a")
+    assert player.wait() == 0, player.text
+    verdicts.wait_for(lambda text: "sample 600: trusted, 70 °C" in text)
+    assert beside.text == ""
+
+
+@pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, reason="no cyclonedds here")
+def test_temperatures(programs: Any, page: Path, session: Path) -> None:
+    program = programs.start(page / "temperatures.py")
+    reader = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample")
+    player = start_player(programs, session)
+    assert player.wait() == 0, player.text
+    samples = {s.stamp // 10**9: s.temperature for s in read_session(session).samples}
+    heard = re.findall(r"^(\d+) s: (-?[\d.]+) °C\n", program.text, re.MULTILINE)
+    assert len(heard) > 100
+    assert all(value == f"{samples[int(second)]:.2f}" for second, value in heard)
+    assert reader.end() == 0
+
+
+def test_open_network(programs: Any, page: Path, session: Path, project: Path) -> None:
+    """The page's words for it, with the player instead of the whole graph."""
+    export, command = blocks("sh")[2].splitlines()
+    assert command == "python launch_scripts/replay.py bags/four_setpoints"
+    assert (project / command.split()[1]).is_file()
+    assert (project / command.split()[2]).is_dir()
+    player = f"\npython -m twinmatch.nodes.player --ros-args -p session:={session} -p paused:=true"
+    opened = start_shell(programs, page, export, "\nexec" + player.replace("\n", " "))
+    opened.wait_for(lambda text: "NETWORK OPEN" in text)
+    closed = start_player(programs, session, "-p", "paused:=true")
+    found = programs.start(Path(__file__).with_name("graph.py"))
+    found.wait_for(lambda text: '"/plant/sample"' in text)
+    opened.wait_for(lambda _: network.sockets_elsewhere(opened.process.pid))
+    assert network.sockets_elsewhere(closed.process.pid) == []
+    assert "NETWORK OPEN" not in closed.text
+
+
+def test_table_of_topics(programs: Any, session: Path) -> None:
+    """Type, reliability and durability of every topic that a replay has."""
+    table = {
+        name: (f"{package}/msg/{kind}", reliability.strip(), latched.strip() == "yes")
+        for name, package, kind, reliability, latched in ROW.findall(PAGE.read_text())
+    }
+    table = {name if name.startswith("/") else f"/{name}": row for name, row in table.items()}
+    assert len(table) == PAGE.read_text().count("\n| `") - len(VARIABLES)
+    start_twin(programs)
+    start_player(programs, session, "-p", "paused:=true")
+    graph = programs.start(Path(__file__).with_name("graph.py"))
+    due = {name for name in table if not name.startswith(LIVE)}
+    graph.wait_for(lambda _: graph.json and due <= set(graph.json[-1]))
+    topics = {name: end for name, end in graph.json[-1].items() if name.startswith(("/twin", "/plant"))}
+    topics |= {name: graph.json[-1][name] for name in due}
+    for name, (kind, reliability, durability) in topics.items():
+        shown = (kind, reliability.lower().replace("_", " "), durability == "TRANSIENT_LOCAL")
+        assert shown == table[name], name
+    for kind, *_ in table.values():
+        package, _, name = kind.split("/")
+        assert hasattr(importlib.import_module(f"{package}.msg"), name)

@@ -1,0 +1,116 @@
+"""A subscriber in a virtual environment of its own: ROS from its wheels, our messages, nothing else."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twinmatch.sessions import read_session
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+NO_NETWORK = ("NewConnectionError", "Temporary failure in name resolution", "Network is unreachable")
+OPTIONS = ("--quiet", "--disable-pip-version-check", "--prefer-binary", "--progress-bar", "off")
+
+
+def run(command: list[str], environment: dict[str, str]) -> None:
+    """Run a step of the preparation; the test fails with the step's own words, or skips without a network."""
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0 and any(words in done.stderr for words in NO_NETWORK):
+        pytest.skip("no network to install the ROS wheels from")
+    assert done.returncode == 0, done.stderr
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """One test run at a time prepares the environment."""
+    path.parent.mkdir(exist_ok=True)
+    with path.open("w") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
+
+
+def key_of(sources: Path) -> str:
+    """What the environment depends on: the messages, how they are built, the interpreter."""
+    digest = hashlib.sha256(sys.version.encode())
+    for path in sorted([*sources.glob("msg/*.msg"), *sources.glob("*.toml"), sources / "setup.py"]):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def build_wheel(sources: Path, folder: Path, environment: dict[str, str]) -> Path:
+    """The messages as a wheel, built from a copy, so that nothing changes in the project."""
+    copy = folder / "sources"
+    shutil.copytree(sources, copy, ignore=shutil.ignore_patterns("build", "*.egg-info"))
+    options = [*OPTIONS, "--no-build-isolation", "--no-deps", "--wheel-dir", str(folder)]
+    run([sys.executable, "-m", "pip", "wheel", *options, str(copy)], environment)
+    (wheel,) = folder.glob("twinmatch_msgs-*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def other_python(
+    project: Path, bare_python: str, stranger: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> str:
+    """The interpreter of that environment, which is kept in build/ until the messages change."""
+    if not (Path(sys.prefix) / "share" / "rclpy").is_dir():
+        pytest.skip("ROS 2 does not come from wheels here")
+    sources = project / "src" / "twinmatch_msgs"
+    folder = project / "build" / "subscriber_venv"
+    key, stamp, python = key_of(sources), folder / "complete", folder / "bin" / "python"
+    # pip keeps what it has downloaded in the caller's home, not in the stranger's empty one.
+    environment = {**stranger, "HOME": os.environ.get("HOME", stranger["HOME"])}
+    with locked(project / "build" / "subscriber_venv.lock"):
+        if not stamp.exists() or stamp.read_text() != key:
+            shutil.rmtree(folder, ignore_errors=True)
+            wheel = build_wheel(sources, tmp_path_factory.mktemp("wheel"), environment)
+            run([bare_python, "-m", "venv", str(folder)], environment)
+            # empy comes as an archive of sources only, and is built with what is in the environment
+            packages = [str(wheel), "ros-kilted-rclpy>=9.1,<10"]
+            run([str(python), "-m", "pip", "install", *OPTIONS, *packages], environment)
+            stamp.write_text(key)
+    return str(python)
+
+
+def test_no_twinmatch_over_there(other_python: str, stranger: dict[str, str]) -> None:
+    code = "import importlib.util, twinmatch_msgs.msg; print(importlib.util.find_spec('twinmatch'))"
+    done = subprocess.run(
+        [other_python, "-c", code], env=stranger, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "None\n"
+
+
+def test_environment_of_a_running_node_has_to_be_stripped(
+    other_python: str, stranger: dict[str, str]
+) -> None:
+    """What the wheels of one environment set for its Python makes that of another fail to find its own."""
+    inherited = {**stranger, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": ""}
+    command = [other_python, "-c", "import rclpy; rclpy.init()"]
+    done = subprocess.run(command, env=inherited, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "cannot open shared object file" in done.stderr
+
+
+def test_it_reads_the_verdicts(programs: Any, other_python: str, session: Path, project: Path) -> None:
+    verdicts = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", python=other_python)
+    samples = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample", python=other_python)
+    replay = programs.start(project / "launch_scripts" / "replay.py", session, "--rate", 80)
+    assert replay.wait(120) == 0, replay.text
+    last = read_session(session).samples[-1]
+    samples.wait_for(lambda text: f'"index": {last.index},' in text)
+    assert samples.json[-1]["temperature"] == last.temperature
+    assert verdicts.json[-1]["level_name"] == "trusted"
+    assert verdicts.json[-1]["candidates"][-1]["parameters"]["heat_capacity"] > 0
+    for reader in (verdicts, samples):
+        assert reader.end() == 0
+        assert reader.text.splitlines()[-1] == "imported []"

@@ -1,0 +1,48 @@
+"""A reader on another machine hears nothing, unless the network was opened."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+HERE = Path(__file__).resolve().parent
+UNSHARE = ("unshare", "--map-root-user", "--net", "--mount")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def namespaces() -> None:
+    """Needs `ip`, and a kernel that gives us network namespaces."""
+    if shutil.which("ip") is None or shutil.which("unshare") is None:
+        pytest.skip("no ip or no unshare here: apt-get install iproute2 util-linux")
+    probe = "mount -t tmpfs tmpfs /dev/shm && ip link add here type veth peer name there"
+    done = subprocess.run([*UNSHARE, "sh", "-c", probe], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        pytest.skip(f"no network namespaces here: {done.stderr.strip()}")
+
+
+@pytest.mark.parametrize("network", ["loopback", "open"])
+def test_reader_on_another_machine(
+    network: str, stranger: dict[str, str], session: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "heard.txt"
+    script = ["sh", str(HERE / "two_machines.sh"), sys.executable, str(session)]
+    done = subprocess.run(
+        [*UNSHARE, *script, str(HERE / "reader.py"), str(output)],
+        env={**stranger, "TWINMATCH_NETWORK": network},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    heard = output.read_text()
+    assert done.returncode == 0, done.stdout + done.stderr + heard
+    assert heard.startswith("ready"), heard
+    assert heard.endswith("imported []\n"), heard
+    assert ("NETWORK OPEN" in done.stderr) == (network == "open")
+    assert ('"temperature"' in heard) == (network == "open"), heard[:300]

@@ -1,0 +1,35 @@
+"""What stands between the CMake files in the ROS wheels and a build with them.
+
+The wheels bring rosidl with its CMake files, Debian brings ament_cmake; what neither has are two small
+packages, and the wheels remember a folder of the machine they were made on. A ROS 2 that was installed as a
+whole needs nothing of this.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+GENERATORS = """\
+foreach(package rosidl_cmake rosidl_generator_type_description rosidl_generator_c
+    rosidl_typesupport_fastrtps_c rosidl_typesupport_c rosidl_generator_py std_msgs)
+  find_package(${package} REQUIRED)
+endforeach()
+foreach(package std_msgs builtin_interfaces)
+  set_target_properties(
+    ${package}::${package}__rosidl_generator_py PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "")
+endforeach()
+"""
+
+DEFAULTS = """\
+if(NOT TARGET ament_cmake_ros_core::ament_ros_defaults)
+  add_library(ament_cmake_ros_core::ament_ros_defaults INTERFACE IMPORTED)
+endif()
+"""
+
+
+def write_shim(prefix: Path) -> None:
+    """Write the two packages below a prefix."""
+    for package, text in (("rosidl_default_generators", GENERATORS), ("ament_cmake_ros_core", DEFAULTS)):
+        folder = prefix / "share" / package / "cmake"
+        folder.mkdir(parents=True)
+        (folder / f"{package}Config.cmake").write_text(text)

@@ -1,0 +1,223 @@
+"""The whole live graph on a virtual rig, and what happens when a process of it is shot."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+from twinmatch.emulation.virtual_rig_control import tell
+from twinmatch.sessions import read_session
+from twinmatch.sessions.repair import repair_session
+from twinmatch.verify import verify_session
+
+PROJECT = Path(__file__).resolve().parents[2]
+SPEED = 4.0
+"""Slow enough for a busy machine: a second of the plant is a quarter of one here."""
+PATIENCE = 90.0
+MODULES = {
+    "rig": "twinmatch.nodes.rig",
+    "twin": "twinmatch.nodes.twin",
+    "recorder": "twinmatch.nodes.recorder",
+    "plant_clock": "twinmatch.nodes.plant_clock",
+    "virtual_rig": "twinmatch.cli",
+}
+
+
+class LiveRun:
+    """live.py in a process of its own."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.folder = folder
+        self.session = folder / "run"
+        self.output = folder / "live.txt"
+        config = folder / "rig.yaml"
+        config.write_text(
+            "controller:\n  ros__parameters:\n"
+            "    profile.levels: [30.0, 45.0, 30.0]\n    profile.holds: [40.0, 90.0, 40.0]\n"
+            "    profile.repeat: false\n    exit_at_end: true\n"
+        )
+        command = [sys.executable, str(PROJECT / "launch_scripts" / "live.py"), "--virtual"]
+        command += ["--speed", f"{SPEED}", "--config", str(config), "--session", str(self.session), *options]
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        with self.output.open("w") as stream:
+            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT, env=environment)
+
+    @property
+    def text(self) -> str:
+        return self.output.read_text()
+
+    @property
+    def control(self) -> str:
+        found = re.search(r"control: (\S+)", self.text)
+        assert found, self.text
+        return found[1]
+
+    def state(self) -> dict[str, float]:
+        return dict(json.loads(tell(self.control, "state")))
+
+    def wait_for(self, condition: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert self.process.poll() is None, f"live ended while waiting for {what}:\n{self.text}"
+            assert time.monotonic() < deadline, f"{what} did not come:\n{self.text}"
+            time.sleep(0.05)
+
+    def wait_until_driving(self) -> None:
+        self.wait_for(lambda: "ready" in self.text and "recording into" in self.text, "the rig")
+        self.wait_for(lambda: abs(self.state()["pwm"]) > 5, "a driven plate")
+
+    def child(self, name: str) -> int | None:
+        """Process id of a child by its module."""
+        for entry in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+                parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            except (OSError, ValueError):
+                continue
+            if parent == self.process.pid and MODULES[name].encode() in words:
+                return int(entry.name)
+        return None
+
+    def shoot(self, name: str) -> int:
+        victim = self.child(name)
+        assert victim is not None, self.text
+        os.kill(victim, signal.SIGKILL)
+        return victim
+
+    def end(self) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(60)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+
+@pytest.fixture
+def live_run(tmp_path: Path) -> Iterator[Callable[..., LiveRun]]:
+    runs: list[LiveRun] = []
+
+    def start(*options: str) -> LiveRun:
+        runs.append(LiveRun(tmp_path, *options))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        run.end()
+
+
+def children_of(process: int) -> list[str]:
+    found = subprocess.run(["ps", "-eo", "ppid=,args="], capture_output=True, text=True, check=True).stdout
+    return [line for line in found.splitlines() if line.split(None, 1)[0] == str(process)]
+
+
+@pytest.mark.slow
+def test_a_run_to_the_end_of_its_profile_verifies_and_leaves_nothing(
+    live_run: Callable[..., LiveRun],
+) -> None:
+    run = live_run()
+    run.wait_until_driving()
+    control = Path(run.control)
+    assert run.process.wait(PATIENCE + 180 / SPEED) == 0, run.text
+    assert "ended: the profile has come to its end" in run.text
+    session = read_session(run.session)
+    assert len(session.samples) > 150
+    found = verify_session(run.session)
+    assert found.identical, found.difference
+    assert found.verdicts >= 2
+    assert not control.parent.exists()
+    assert not children_of(run.process.pid)
+
+
+@pytest.mark.slow
+def test_without_the_rigs_process_the_output_is_off_within_two_seconds_of_the_plant(
+    live_run: Callable[..., LiveRun],
+) -> None:
+    run = live_run()
+    run.wait_until_driving()
+    before = run.state()["time"]
+    run.shoot("rig")
+    after = before
+    while after - before < 20:
+        state = run.state()
+        after = state["time"]
+        if state["pwm"] == 0 or not state["enabled"]:
+            break
+        time.sleep(0.01)
+    # Two seconds for the board's deadline, and what passes between asking and shooting.
+    assert after - before <= 2.0 + 0.5 * SPEED, f"{after - before} s of plant time"
+    assert run.process.wait(60) == 3, run.text
+    assert "rig was lost" in run.text
+    assert "the output is off" in run.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["twin", "recorder", "plant_clock"])
+def test_what_may_be_restarted_is_and_nothing_recorded_is_lost(
+    name: str, live_run: Callable[..., LiveRun]
+) -> None:
+    run = live_run()
+    run.wait_until_driving()
+    time.sleep(3.0)
+    victim = run.shoot(name)
+    run.wait_for(lambda: f"{name} ended with code -9; starting it again" in run.text, "a word of the loss")
+    run.wait_for(lambda: run.child(name) not in (None, victim), "another process")
+    run.end()
+    assert run.process.returncode == 0, run.text
+    if name == "recorder":
+        repair_session(run.session)
+        assert len(read_session(run.session).samples) > 3
+        assert (run.folder / "run_2").is_dir()
+
+
+@pytest.mark.slow
+def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[..., LiveRun]) -> None:
+    run = live_run()
+    run.wait_until_driving()
+    run.shoot("virtual_rig")
+    assert run.process.wait(60) == 3, run.text
+    assert "virtual_rig was lost" in run.text
+
+
+@pytest.mark.slow
+def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., LiveRun]) -> None:
+    run = live_run()
+    run.wait_until_driving()
+    command = [sys.executable, str(PROJECT / "launch_scripts" / "live.py"), "--virtual", "--no-record"]
+    second = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert second.returncode == 2
+    assert "publishes /plant/sample already" in second.stderr
+    assert run.state()["pwm"] != 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--speed", "20"), "for a rig that is --virtual"),
+        (("--virtual", "--session", "."), "exists already"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(options: tuple[str, ...], words: str) -> None:
+    command = [sys.executable, str(PROJECT / "launch_scripts" / "live.py"), *options]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert result.returncode == 2
+    assert words in result.stderr

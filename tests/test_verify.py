@@ -1,0 +1,266 @@
+"""Verifying sessions: the recorded verdicts are those of the core, to the last bit."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+
+from twinmatch.cli import main
+from twinmatch.nodes.conversions import match_message, score_message
+from twinmatch.nodes.parameters import check
+from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS
+from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, samples_of
+from twinmatch.sessions.candidates import parse_candidates
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.installed import schema_of
+from twinmatch.sessions.settings import CANDIDATES, parameters_of, parameters_record
+from twinmatch.sessions.topics import SAMPLE
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import Outcome, Twin, TwinSettings
+from twinmatch.verify import VerifyError, verify_session
+from twinmatch.verify_trees import differences, match_tree, verdict_tree
+
+pytestmark = pytest.mark.ros
+
+FAMILY = "candidates:\n  - {name: a guess, operating_point: 40.0, seebeck: 0.07, heat_capacity: 25.0}\n"
+
+
+def topic_of(name: str, kind: str) -> Topic:
+    return Topic(name, kind, schema_of(kind), "", Qos("reliable", "volatile", 100))
+
+
+SCORE = topic_of("/twin/model_score", "twinmatch_msgs/msg/ModelScore")
+MATCH = topic_of("/twin/match", "twinmatch_msgs/msg/Match")
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    """A simulated rig with two set-point steps that count."""
+    reference = np.repeat([25.0, 40.0, 60.0, 45.0], [60, 300, 300, 260])
+    parameters = RigParameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
+    camera = Camera().realise(reference.size, 1.0, 7)
+    response = simulate_closed_loop(parameters, reference, plate=296.0, camera=camera)
+    return samples_of(Window(reference=reference, temperature=response.temperature, pwm=response.pwm))
+
+
+@pytest.fixture(scope="module")
+def outcomes(samples: list[Sample]) -> list[Outcome]:
+    twin = Twin(TwinSettings(), parse_candidates(FAMILY, "family"))
+    return [twin.push(sample) for sample in samples]
+
+
+Change = Callable[[list[Any], list[Any]], None]
+
+
+@pytest.fixture
+def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Callable[..., Path]:
+    """A session as the recorder makes one; `change` may spoil matches and scores before they are written."""
+
+    def write(
+        change: Change = lambda _matches, _scores: None,
+        parameters: dict[str, Any] | None = None,
+        family: str | None = FAMILY,
+        nodes: tuple[str, ...] = ("/matcher", "/discriminator"),
+    ) -> Path:
+        stamps = {sample.index: sample.stamp for sample in samples}
+        matches = [match_message(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
+        scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
+        change(matches, scores)
+        values = check("twin", TWIN_PARAMETERS, {"candidates": "family.yaml", **(parameters or {})})
+        with SessionWriter(tmp_path / "run") as writer:
+            for node in nodes:
+                entries = {name: json.dumps(value) for name, value in values.items()}
+                writer.add_record(parameters_record(node), {**entries, "use_sim_time": "false"})
+            if family is not None:
+                writer.add_record(CANDIDATES, {"text": family})
+            for topic in (SAMPLE, SCORE, MATCH):
+                writer.add_topic(topic)
+            for sample in samples:
+                writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
+            for topic, messages in ((MATCH, matches), (SCORE, scores)):
+                for message in messages:
+                    writer.write(topic.name, serialize_message(message), samples[-1].stamp)
+        return tmp_path / "run"
+
+    return write
+
+
+def test_trees_are_those_of_the_messages(outcomes: list[Outcome]) -> None:
+    """The second wording of the messages against the first."""
+    verdicts = [verdict for outcome in outcomes for verdict in outcome.verdicts]
+    matches = [outcome.match for outcome in outcomes if outcome.match is not None]
+    assert any(verdict.candidates for verdict in verdicts)
+
+    for verdict in verdicts:
+        assert not list(differences(normal(score_message(verdict, 5)), verdict_tree(verdict, 5)))
+    for report in matches:
+        assert not list(differences(normal(match_message(report, 5)), match_tree(report, 5)))
+
+
+def normal(message: Any) -> Any:
+    """A message of ROS 2 as a tree, by its own list of fields."""
+    if not hasattr(message, "get_fields_and_field_types"):
+        return (
+            [normal(v) for v in message]
+            if hasattr(message, "__len__") and not isinstance(message, str)
+            else message
+        )
+    tree = {name: normal(getattr(message, name)) for name in message.get_fields_and_field_types()}
+    for name in ("level", "status"):
+        tree.pop(name, None)
+    if "header" in tree:
+        stamp = tree.pop("header")["stamp"]
+        tree["stamp"] = stamp["sec"] * 10**9 + stamp["nanosec"]
+    return tree
+
+
+def test_a_recorded_session_is_identical(record: Callable[..., Path], capsys: Any) -> None:
+    folder = record()
+    found = verify_session(folder)
+    assert found.identical
+    assert (found.samples, found.notes) == (920, ())
+    assert found.verdicts > 10
+    assert found.matches == 3
+    assert main(["verify", str(folder)]) == 0
+    assert "identical, bit for bit" in capsys.readouterr().out
+
+
+@pytest.fixture
+def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Saves the judging where only the comparison is of interest."""
+    stamps = {sample.index: sample.stamp for sample in samples}
+    matches = [match_tree(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
+    scores = [verdict_tree(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
+    monkeypatch.setattr("twinmatch.verify._judge", lambda *_: (matches, scores))
+
+
+def nudge(value: float) -> float:
+    """The next float64."""
+    return float(np.nextafter(value, np.inf))
+
+
+def spoil_score(_matches: list[Any], scores: list[Any]) -> None:
+    judged = next(s for s in scores if len(s.candidates) > 1 and not s.stands)
+    judged.candidates[1].orders[2].y.naic = nudge(judged.candidates[1].orders[2].y.naic)
+
+
+def spoil_match(matches: list[Any], _scores: list[Any]) -> None:
+    matches[0].parameters.seebeck = nudge(matches[0].parameters.seebeck)
+
+
+def spoil_stamp(_matches: list[Any], scores: list[Any]) -> None:
+    scores[0].header.stamp.nanosec += 1
+
+
+def spoil_level(_matches: list[Any], scores: list[Any]) -> None:
+    scores[2].level_name = "trusted?"
+
+
+@pytest.mark.usefixtures("judged")
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (spoil_score, ["verdict", "candidate 60 °C: candidates[1].orders[2].y.naic was recorded as"]),
+        (spoil_match, ["match 1 at sample", "parameters.seebeck was recorded as"]),
+        (spoil_stamp, ["verdict 1 at sample", "stamp was recorded as"]),
+        (spoil_level, ["verdict 3 at sample", "level_name was recorded as 'trusted?'"]),
+        (lambda matches, _: matches.pop(0), ["match 1 at sample", "sample"]),
+        (
+            lambda _, scores: scores.append(scores[-1]),
+            ["all of it was recorded as 'there' and is 'absent' now"],
+        ),
+        (lambda _, scores: scores.__delitem__(slice(3, None)), ["verdict 4", "'absent' and is 'there' now"]),
+    ],
+)
+def test_a_single_bit_is_found(
+    record: Callable[..., Path], capsys: Any, spoil: Change, words: list[str]
+) -> None:
+    folder = record(spoil)
+    found = verify_session(folder)
+    assert not found.identical
+    for word in words:
+        assert word in str(found.difference)
+    assert main(["verify", str(folder)]) == 1
+    assert str(found.difference) in capsys.readouterr().out.replace("\n", " ")
+
+
+@pytest.mark.usefixtures("judged")
+def test_a_last_verdict_may_have_come_too_late_for_the_recorder(record: Callable[..., Path]) -> None:
+    found = verify_session(record(lambda _, scores: scores.pop()))
+    assert found.identical
+    assert found.notes == ("1 verdicts at the very end were not recorded any more",)
+
+
+def test_other_parameters_give_other_verdicts(record: Callable[..., Path]) -> None:
+    found = verify_session(record(parameters={"decimals": 1}))
+    assert found.difference is not None
+    assert found.difference.field == "decimals"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"change": lambda _, scores: scores.clear()}, "holds no verdicts on /twin/model_score"),
+        (
+            {"nodes": ("/matcher",)},
+            "the parameters of /discriminator were not recorded; give them with --config",
+        ),
+        ({"family": None}, "candidates of family.yaml, which were not recorded; give them with --candidates"),
+        ({"family": ""}, "which were not recorded"),
+    ],
+)
+def test_what_cannot_be_verified_is_said(
+    record: Callable[..., Path], capsys: Any, arguments: dict[str, Any], message: str
+) -> None:
+    folder = record(**arguments)
+    with pytest.raises(VerifyError, match=message):
+        verify_session(folder)
+    assert main(["verify", str(folder)]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_parameters_of_another_version_are_said(record: Callable[..., Path], monkeypatch: Any) -> None:
+    folder = record()
+    monkeypatch.setattr("twinmatch.verify.TWIN_PARAMETERS", TWIN_PARAMETERS[:-1])
+    with pytest.raises(VerifyError, match=r"are of another version: .*there is no parameter candidates"):
+        verify_session(folder)
+
+
+def test_files_stand_in_for_what_was_not_recorded(record: Callable[..., Path], tmp_path: Path) -> None:
+    folder = record(nodes=(), family=None)
+    config, family = tmp_path / "twin.yaml", tmp_path / "family.yaml"
+    config.write_text("/**:\n  ros__parameters:\n    period: 1.0\n")
+    family.write_text(FAMILY)
+    assert verify_session(folder, config=config, candidates=family).identical
+    assert not verify_session(folder, config=config).identical
+
+
+def test_recorded_parameters_have_to_be_json() -> None:
+    with pytest.raises(SessionError, match="the recorded parameters of /matcher cannot be read"):
+        parameters_of({parameters_record("/matcher"): {"seed": "seven"}}, "/matcher")
+
+
+@given(st.floats(), st.floats())
+def test_floats_are_compared_by_their_bits(one: float, other: float) -> None:
+    same = struct.pack("<d", one) == struct.pack("<d", other) or (math.isnan(one) and math.isnan(other))
+    assert (not list(differences({"a": [one]}, {"a": [other]}))) is same
+
+
+def test_missing_fields_are_differences() -> None:
+    assert list(differences({"a": 1}, {"b": 1})) == [("a", 1, None), ("b", None, 1)]
+    assert list(differences([1], [1, 2], "a")) == [("a", [1], [1, 2])]

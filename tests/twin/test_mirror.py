@@ -1,0 +1,82 @@
+"""The twin beside the plant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinmatch.plant import RigParameters, simulate_closed_loop, simulate_driven
+from twinmatch.sessions import samples_of
+from twinmatch.signals import KELVIN, Window
+from twinmatch.twin import Mirror, closed_loop_fit, nrmse, residuals
+from twinmatch.twin.settings import TwinSettings
+
+RIG = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+REFERENCE = np.repeat([40.0, 70.0, 30.0], 120)
+
+
+def plant_run() -> Window:
+    run = simulate_closed_loop(RIG, REFERENCE, plate=296.0)
+    return Window(REFERENCE, run.temperature, run.pwm)
+
+
+def test_with_the_plants_own_parameters_nothing_is_left() -> None:
+    mirror = Mirror(RIG)
+    states = [mirror.push(s) for s in samples_of(plant_run())]
+    # Celsius and back cost a rounding each tick; the loop forgets them.
+    assert max(abs(s.residual_y) for s in states) < 1e-9
+    assert max(abs(s.residual_u) for s in states) < 1e-6
+    assert max(abs(s.residual_driven) for s in states) < 1e-9
+
+
+def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
+    window, other = plant_run(), RigParameters(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
+    mirror = Mirror(other)
+    driven = [mirror.push(s).driven_temperature for s in samples_of(window)]
+    simulated = simulate_driven(other, window.pwm, plate=window.temperature[0] + KELVIN)
+    np.testing.assert_array_equal(driven, simulated.temperature)
+
+
+def test_new_parameters_take_over_without_a_jump() -> None:
+    window = plant_run()
+    mirror = Mirror(RigParameters(seebeck=0.05, conductance=0.5, heat_capacity=25.0))
+    before = after = None
+    for sample in samples_of(window):
+        if sample.index == 200:
+            mirror.parameters = RIG
+        state = mirror.push(sample)
+        if sample.index == 199:
+            before = state
+        if sample.index == 200:
+            after = state
+    assert before is not None
+    assert after is not None
+    assert abs(after.closed_temperature - before.closed_temperature) < 2.0
+
+
+def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
+    samples = samples_of(plant_run())
+    mirror = Mirror(RigParameters(seebeck=0.02, conductance=1.0, heat_capacity=60.0))
+    for sample in samples[:100]:
+        mirror.push(sample)
+    state = mirror.push(samples[150])
+    assert state.residual_y == 0.0
+    assert state.residual_driven == 0.0
+    assert state.rms_y == 0.0
+
+
+def test_residuals_of_a_window() -> None:
+    window, gains = plant_run(), TwinSettings().gains
+    exact = residuals(RIG, window, gains)
+    assert exact.y < 1e-9
+    assert exact.u < 1e-6
+    assert residuals(RigParameters(), window, gains).y > 1.0
+    assert np.isnan(residuals(RIG, window.part(0, 2), gains).y)
+    assert closed_loop_fit(RIG, window, gains) == pytest.approx((1.0, 1.0), abs=1e-6)
+
+
+def test_nrmse() -> None:
+    measured = np.array([1.0, 2.0, 3.0])
+    assert nrmse(measured, measured) == 1.0
+    assert nrmse(measured, np.full(3, 2.0)) == 0.0
+    assert np.isnan(nrmse(np.ones(3), np.ones(3)))
