@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +74,18 @@ class Match:
     status: Status
     reason: str
     """One sentence on the status."""
+    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
+    to `eigenvalues[j]`, so column 0 is the combination of parameters that the window shows least."""
+    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Profile-likelihood interval (95 %) of each parameter, its own unit, shape (n, 2); an end is
+    infinite where the interval is open and NaN where no fit was made."""
+    believed: tuple[str, ...] = ()
+    """Names of the parameters that this window determines."""
+    determined: str = ""
+    """One sentence: which combination of the parameters the window determines."""
+    suggestion: str = ""
+    """One sentence: which set-point step would determine what this window leaves open; or nothing."""
 
     @property
     def accepted(self) -> bool:
