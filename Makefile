@@ -7,6 +7,7 @@ STAMPS := $(VENV)/.stamps
 MESSAGES := src/twinmatch_msgs
 PYTEST_ARGS ?= -n auto --dist loadfile
 SESSION ?=
+BENCH_ARGS ?=
 
 # One thread per process: the matrices are small, and sums keep their order from run to run.
 export OMP_NUM_THREADS := 1
@@ -21,7 +22,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 
 PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
 
-.PHONY: help setup test check demo clean
+.PHONY: help setup test check demo bench clean
 .DELETE_ON_ERROR:
 
 help:
@@ -29,6 +30,7 @@ help:
 	@echo "make test                 setup, then every check and test (PYTEST_ARGS='tests/plant -x' picks some)"
 	@echo "make check                setup, then only ruff, mypy and import-linter"
 	@echo "make demo                 setup, then run the twin on a sample session (SESSION=path picks another)"
+	@echo "make bench                setup and the peers, then measure side by side (BENCH_ARGS='--quick nu_gap' picks)"
 	@echo "make clean                remove $(VENV) and everything built"
 
 setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/compiled
@@ -42,6 +44,9 @@ check: setup
 
 demo: setup
 	$(RUN) launch_scripts/demo.py $(SESSION)
+
+bench: setup $(STAMPS)/peers
+	$(RUN) -m benchmarks $(BENCH_ARGS)
 
 clean:
 	rm -rf $(VENV) build install log dist $(MESSAGES)/build src/*.egg-info $(MESSAGES)/*.egg-info
@@ -65,6 +70,11 @@ $(STAMPS)/messages: $(wildcard $(MESSAGES)/msg/*.msg) $(addprefix $(MESSAGES)/,s
 	@echo "setup: building the ROS messages (half a minute)"
 	@$(RUN) .ci/check_machine.py
 	@$(PIP) --no-build-isolation --no-deps --force-reinstall ./$(MESSAGES)
+	@touch $@
+
+$(STAMPS)/peers: pyproject.toml $(STAMPS)/dependencies
+	@echo "bench: installing the peers (a minute)"
+	@$(PIP) --editable '.[bench]'
 	@touch $@
 
 $(STAMPS)/board: .ci/board_tools.sh | $(STAMPS)/venv

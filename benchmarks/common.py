@@ -1,0 +1,262 @@
+"""What all benchmarks share: timing side by side, rows of results, their table, the machine."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import importlib
+import importlib.metadata
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from types import ModuleType
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+__all__ = [
+    "Row",
+    "Timing",
+    "document",
+    "duration",
+    "environment",
+    "main",
+    "measure_side_by_side",
+    "peer",
+    "print_rows",
+    "rows_of",
+]
+
+PACKAGES = (
+    "twinmatch",
+    "numpy",
+    "scipy",
+    "numba",
+    "control",
+    "nugap",
+    "casadi",
+    "statsmodels",
+    "sippy_unipi",
+    "pysid",
+    "timeseries-toolbox",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a benchmark's table.
+
+    Attributes:
+        benchmark: name of the module, for example "nu_gap".
+        case: what was measured, on what, for example "a pair of order 5".
+        program: who did it: "twinmatch", or the peer's name.
+        seconds: median time of one call, s; NaN where it could not be measured.
+        ratio: median over rounds of this program's time divided by twinmatch's in the same round;
+            above 1, the peer is that many times slower. None where there is nothing to compare.
+        repeats: number of calls the median is taken of.
+        target: the most `seconds` (or, for a peer, the least `ratio`) that was aimed at; None without.
+        note: anything that belongs to the figure, for example the accuracy that was reached.
+    """
+
+    benchmark: str
+    case: str
+    program: str
+    seconds: float
+    ratio: float | None = None
+    repeats: int = 0
+    target: float | None = None
+    note: str = ""
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target was met; None without one."""
+        if self.target is None:
+            return None
+        return self.seconds <= self.target if self.ratio is None else self.ratio >= self.target
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Times of one case, s, one per round it took part in; `result` is what its first call returned."""
+
+    seconds: tuple[float, ...]
+    result: Any = None
+    error: str = ""
+
+    @property
+    def median(self) -> float:
+        """Median time of one call, s; NaN where the case failed."""
+        return median(self.seconds) if self.seconds else math.nan
+
+    def ratio_to(self, other: Timing) -> float | None:
+        """How many times longer this case takes than the other: the median over the rounds both ran."""
+        pairs = zip(self.seconds, other.seconds, strict=False)
+        ratios = [mine / its for mine, its in pairs]
+        return median(ratios) if ratios else None
+
+
+def measure_side_by_side(
+    cases: Mapping[str, Callable[[], object]],
+    repeats: int = 7,
+    *,
+    patience: float = 20.0,
+    least: float = 2e-3,
+) -> dict[str, Timing]:
+    """Time several programs in turns (A B C, A B C, …), so that the machine's moods strike all alike.
+
+    Each case is called once unmeasured, which compiles and fills caches, unless that call alone exhausts
+    the patience: then its time counts as the only one. A case faster than `least` is called many times a
+    round. A case that raises is left out and carries the error.
+
+    Args:
+        cases: program → a call without arguments.
+        repeats: number of rounds.
+        patience: most time one case may take altogether, s; it then drops out of the later rounds.
+        least: least time of one measurement, s.
+    """
+    first = {name: _attempt(call, 1) for name, call in cases.items()}
+    times: dict[str, list[float]] = {name: [] for name in cases}
+    spent: dict[str, float] = {}
+    loops: dict[str, int] = {}
+    for name, timing in first.items():
+        if timing.error:
+            continue
+        spent[name] = timing.median
+        if spent[name] >= patience / 2:
+            times[name] += timing.seconds  # there is no time for a second call
+        else:
+            again = _attempt(cases[name], 1).median  # the first call may have compiled
+            loops[name] = max(1, math.ceil(least / max(again, 1e-9)))
+    for _ in range(repeats):
+        for name, number in loops.items():
+            if spent[name] < patience:
+                took = _attempt(cases[name], number).median
+                times[name].append(took)
+                spent[name] += took * number
+    return {name: Timing(tuple(times[name]), first[name].result, first[name].error) for name in cases}
+
+
+def _attempt(call: Callable[[], object], loops: int) -> Timing:
+    gc.collect()
+    gc.disable()
+    try:
+        begin = time.perf_counter()
+        for _ in range(loops):
+            result = call()
+        return Timing(((time.perf_counter() - begin) / loops,), result)
+    except Exception as error:
+        return Timing((), error=f"{type(error).__name__}: {error}".splitlines()[0][:120])
+    finally:
+        gc.enable()
+
+
+def peer(module: str) -> ModuleType | None:
+    """A peer's module, or None where it is not installed; `make bench` installs them all."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        return None
+
+
+def rows_of(
+    benchmark: str,
+    case: str,
+    timings: Mapping[str, Timing],
+    *,
+    own: str = "twinmatch",
+    targets: Mapping[str, float] | None = None,
+    notes: Mapping[str, str] | None = None,
+) -> list[Row]:
+    """One row per program; ratios are to the program named `own`."""
+    targets, notes = targets or {}, notes or {}
+    return [
+        Row(
+            benchmark,
+            case,
+            name,
+            timing.median,
+            None if name == own else timing.ratio_to(timings[own]),
+            len(timing.seconds),
+            targets.get(name),
+            timing.error or notes.get(name, ""),
+        )
+        for name, timing in timings.items()
+    ]
+
+
+def environment() -> dict[str, str]:
+    """What the figures were measured on: machine, load, versions of everything that took part."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = (line.partition(":") for line in info.read_text().splitlines())
+        model = next((value.strip() for key, _, value in lines if key.strip() == "model name"), model)
+    found = {
+        "processor": f"{model}, {os.cpu_count()} cores, one BLAS thread",
+        "load": " ".join(f"{load:.1f}" for load in os.getloadavg()),
+        "python": f"{platform.python_version()} on {platform.system()} {platform.release()}",
+    }
+    for package in PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def print_rows(title: str, rows: Sequence[Row]) -> None:
+    """Print a benchmark's rows as a table."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for column, side in (("case", "left"), ("program", "left"), ("median", "right"), ("ratio", "right")):
+        table.add_column(column, justify="right" if side == "right" else "left", no_wrap=True)
+    table.add_column("runs", justify="right")
+    table.add_column("target", no_wrap=True)
+    table.add_column("note", overflow="fold")
+    shown = ""
+    for row in rows:
+        case, shown = ("" if row.case == shown else row.case), row.case
+        ratio = "" if row.ratio is None else f"{row.ratio:.3g} ×"
+        table.add_row(
+            case, row.program, duration(row.seconds), ratio, str(row.repeats), _target(row), row.note
+        )
+    Console(width=160, highlight=False, markup=False).print(table)
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return "–" if math.isnan(seconds) else f"{seconds / 1e-9:.3g} ns"
+
+
+def _target(row: Row) -> str:
+    if row.target is None:
+        return ""
+    aim = f"≤ {duration(row.target)}" if row.ratio is None else f"≥ {row.target:g} ×"
+    return f"{aim} {'met' if row.met else 'MISSED'}"
+
+
+def document(rows: Sequence[Row]) -> dict[str, object]:
+    """Environment and rows as JSON takes them: what could not be measured is null."""
+    entries = [asdict(row) | {"met": row.met} for row in rows]
+    for entry in entries:
+        if math.isnan(entry["seconds"]):
+            entry["seconds"] = None
+    return {"environment": environment(), "rows": entries}
+
+
+def main(run: Callable[[bool], list[Row]], title: str | None) -> None:
+    """The command line of a single benchmark: `python -m benchmarks.nu_gap [--quick]`."""
+    heading = (title or "").strip().splitlines()[0]
+    parser = argparse.ArgumentParser(description=heading)
+    parser.add_argument("--quick", action="store_true", help="small cases and few rounds: does it run?")
+    options = parser.parse_args()
+    print(", ".join(f"{name} {value}" for name, value in environment().items()))
+    print_rows(heading, run(options.quick))
