@@ -26,6 +26,7 @@ from twinmatch.discrimination import (
     twin_response,
 )
 from twinmatch.errors import TwinmatchError
+from twinmatch.identification import ORDERS
 from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.matcher import MatchReport, candidate_name
@@ -119,11 +120,12 @@ class Discriminator:
         reason = self._admit(trigger, report)
         if not self._judged:
             return self._stand(trigger, reason)
+        order = common_order([self._judged[c.name].chosen for c in self._family.candidates])
         try:
-            plant = {m.order: m for m in identify(trigger.window)}
+            plant = _plant_model(trigger.window, order)
         except TwinmatchError as error:
             return self._stand(trigger, f"nothing could be identified: {error}")
-        candidates, order, matrix = self._score_family(trigger.window, plant)
+        candidates, matrix = self._score_family(trigger.window, plant)
         nominal = nominal_of(candidates)
         found = self._residuals(nominal, trigger.window)
         faulty = report is not None and report.match.status is Status.PLANT_FAULT_SUSPECTED
@@ -207,11 +209,10 @@ class Discriminator:
         return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
 
     def _score_family(
-        self, newest: Window, plant: dict[str, SimoModel]
-    ) -> tuple[tuple[CandidateScore, ...], str, tuple[tuple[float, ...], ...]]:
+        self, newest: Window, plant: SimoModel
+    ) -> tuple[tuple[CandidateScore, ...], tuple[tuple[float, ...], ...]]:
         family = [self._judged[c.name] for c in self._family.candidates]
-        order = common_order([j.chosen for j in family])
-        models = [j.models[order] for j in family]
+        models = [j.models[plant.order] for j in family]
         matrix = nu_gap_matrix([m.symbol for m in models])
         scores = tuple(
             CandidateScore(
@@ -224,17 +225,22 @@ class Discriminator:
                 chosen_order=judged.chosen,
                 nu_gap_sum=float(total),
                 newest=score(model, newest, self.settings.decimals).total,
-                nu_gap_to_plant=nu_gap_of(model.symbol, plant[order].symbol),
+                nu_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
             )
             for judged, model, total in zip(family, models, matrix.sum(axis=0), strict=True)
         )
-        return scores, order, tuple(tuple(float(v) for v in row) for row in matrix)
+        return scores, tuple(tuple(float(v) for v in row) for row in matrix)
 
     def _residuals(self, nominal: str | None, window: Window) -> Residuals:
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
         newest = window.part(max(window.first, window.last - self.settings.schedule.stride + 1), window.last)
         return residuals(self._judged[nominal].candidate.parameters, newest, self.settings.gains)
+
+
+def _plant_model(window: Window, order: str) -> SimoModel:
+    """The measured window's model of one order, climbed to from the lower ones as every other was."""
+    return identify(window, ORDERS[: ORDERS.index(order) + 1])[-1]
 
 
 def trust_level(found: Residuals, limits: TrustLimits) -> TrustLevel:
