@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,6 +34,8 @@ class Criteria:
     """Normalised Akaike criterion; smaller is better, as for the two below."""
     bic: float
     mdl: float
+    two_part_length: float = math.nan
+    """l(p) plus what it takes to write the model's parameters down, characters; NaN where not computed."""
 
     def __add__(self, other: Criteria) -> Criteria:
         """Both outputs together: lengths and criteria add, as in the paper's table."""
@@ -46,6 +49,7 @@ class Criteria:
             naic=self.naic + other.naic,
             bic=self.bic + other.bic,
             mdl=self.mdl + other.mdl,
+            two_part_length=self.two_part_length + other.two_part_length,
         )
 
 
@@ -57,6 +61,10 @@ class OrderScore:
     y: Criteria
     u: Criteria
     total: Criteria
+    aic_difference: float = math.nan
+    """AIC of both outputs together above that of the best order, 0 for the best; NaN where not computed."""
+    weight: float = math.nan
+    """Akaike weight of this order among those scored beside it, 0 to 1; NaN where not computed."""
 
 
 def score(model: SimoModel, window: Window, decimals: int = 2) -> OrderScore:

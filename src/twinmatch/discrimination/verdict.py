@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -44,6 +45,19 @@ class CandidateScore:
     """The family's order scored on the newest window that excited the loop, both outputs together."""
     nu_gap_to_plant: float | None
     """ν-gap to the model of the same order identified on that newest measured window."""
+    margin: float | None = None
+    """Stability margin b(P, C) of the running controller on this candidate's plant, 0 to 1."""
+    plant_gap_to_nominal: float | None = None
+    """ν-gap from the nominal candidate's plant to this one's, PWM to temperature, scaled as `margin`."""
+    nu_gap_low: tuple[float, ...] = ()
+    """Lower ends of the 90 % intervals of the ν-gaps to the candidates, in their order."""
+    nu_gap_high: tuple[float, ...] = ()
+    """Upper ends of the same intervals."""
+    nu_gap_sum_low: float = math.nan
+    """Lower end of the 90 % interval of `nu_gap_sum`; NaN where not computed, as for the two below."""
+    nu_gap_sum_high: float = math.nan
+    nominal_probability: float = math.nan
+    """Probability, given what the models' covariances leave open, of having the smallest ν-gap sum."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +87,14 @@ class Verdict:
     """RMS over the newest samples of measured minus driven-twin temperature, °C; NaN without a nominal."""
     residual_u: float
     """RMS over the same samples of measured minus closed-loop-twin control, PWM; NaN without a nominal."""
+    decided: bool = False
+    """Whether the data tell which candidate is nominal."""
+    certainty: str = ""
+    """One plain sentence: how sure the choice is, and which candidates the running controller holds for."""
+    fault: str = ""
+    """Name of the fault a health monitor found in the plant; empty for none."""
+    structure: str = ""
+    """Name of the plant structure the twins have; empty where only one was tried."""
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:
