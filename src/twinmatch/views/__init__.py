@@ -7,12 +7,14 @@ from twinmatch.views.line import print_header, print_line
 from twinmatch.views.news import News, news
 from twinmatch.views.summary import Summary, sentence, summarise
 from twinmatch.views.table import COLUMNS, STYLES, row
+from twinmatch.views.trust_range import TrustRange, trust_range
 
 __all__ = [
     "COLUMNS",
     "STYLES",
     "News",
     "Summary",
+    "TrustRange",
     "document",
     "news",
     "print_header",
@@ -20,5 +22,6 @@ __all__ = [
     "row",
     "sentence",
     "summarise",
+    "trust_range",
     "verdict_entry",
 ]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, Verdict
-from twinmatch.plant import RigParameters
-from twinmatch.views.summary import Summary
+from twinmatch.plant import PARAMETER_NAMES, RigParameters
+from twinmatch.views.summary import Summary, sentence
 
 __all__ = ["document", "parameters_entry", "verdict_entry"]
 
@@ -23,6 +23,9 @@ def document(session: str, verdicts: Sequence[Verdict], summary: Summary) -> dic
             "level": summary.level.value,
             "parameters": parameters_entry(summary.parameters) if summary.parameters else None,
             "fit": {"y": _finite(summary.fit_y), "u": _finite(summary.fit_u)},
+            "order": summary.order,
+            "range": list(summary.range) if summary.range else None,
+            "sentence": sentence(summary),
             "notes": list(summary.notes),
         },
     }
@@ -37,6 +40,10 @@ def verdict_entry(verdict: Verdict) -> dict[str, Any]:
         "stands": verdict.stands,
         "nominal": verdict.nominal,
         "reason": verdict.reason,
+        "decided": verdict.decided,
+        "certainty": verdict.certainty,
+        "fault": verdict.fault,
+        "structure": verdict.structure,
         "decimals": verdict.decimals,
         "residual": {"y": _finite(verdict.residual_y), "u": _finite(verdict.residual_u)},
         "candidates": [_candidate_entry(c) for c in verdict.candidates],
@@ -46,16 +53,9 @@ def verdict_entry(verdict: Verdict) -> dict[str, Any]:
 
 
 def parameters_entry(parameters: RigParameters) -> dict[str, float | None]:
-    """Rig parameters in V/K, Ω, W/K, J/K and K; a sink held at ambient has no heat capacity (None)."""
-    return {
-        "seebeck": parameters.seebeck,
-        "resistance": parameters.resistance,
-        "conductance": parameters.conductance,
-        "heat_capacity": parameters.heat_capacity,
-        "ambient": parameters.ambient,
-        "sink_heat_capacity": _finite(parameters.sink_heat_capacity),
-        "sink_convection": parameters.sink_convection,
-    }
+    """Rig parameters by name in their own units (V/K, Ω, W/K, J/K, K …); what has no bound is None: a sink
+    held at ambient has no heat capacity."""
+    return {name: _finite(getattr(parameters, name)) for name in PARAMETER_NAMES}
 
 
 def _candidate_entry(candidate: CandidateScore) -> dict[str, Any]:
@@ -68,6 +68,12 @@ def _candidate_entry(candidate: CandidateScore) -> dict[str, Any]:
         "chosen_order": candidate.chosen_order,
         "nu_gap_sum": candidate.nu_gap_sum,
         "nu_gap_to_plant": candidate.nu_gap_to_plant,
+        "nu_gap_sum_interval": [_finite(candidate.nu_gap_sum_low), _finite(candidate.nu_gap_sum_high)],
+        "nu_gap_low": list(candidate.nu_gap_low),
+        "nu_gap_high": list(candidate.nu_gap_high),
+        "nominal_probability": _finite(candidate.nominal_probability),
+        "margin": candidate.margin,
+        "plant_gap_to_nominal": candidate.plant_gap_to_nominal,
         "newest_gain": candidate.newest.gain if candidate.newest else None,
     }
 
@@ -82,10 +88,15 @@ def _order_entry(order: OrderScore) -> dict[str, Any]:
         "naic": "naic",
         "bic": "bic",
         "mdl": "mdl",
+        "two_part_length": "two_part_length",
     }
-    entry: dict[str, Any] = {"order": order.order}
+    entry: dict[str, Any] = {
+        "order": order.order,
+        "aic_difference": _finite(order.aic_difference),
+        "weight": _finite(order.weight),
+    }
     for key, attribute in names.items():
-        entry[key] = {output: getattr(criteria, attribute) for output, criteria in outputs.items()}
+        entry[key] = {output: _finite(getattr(criteria, attribute)) for output, criteria in outputs.items()}
     return entry
 
 

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.plant import PidGains, RigParameters
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import MatchReport, closed_loop_fit
+from twinmatch.twin import MatchReport, TrustLimits, closed_loop_fit
+from twinmatch.views.quantities import number
+from twinmatch.views.trust_range import TrustRange, trust_range
 
 __all__ = ["Summary", "sentence", "summarise"]
 
@@ -32,6 +34,12 @@ class Summary:
     matches: dict[str, int]
     """How many matches ended in each status."""
     notes: tuple[str, ...] = ()
+    order: str | None = None
+    """Box–Jenkins order that was chosen for the nominal candidate."""
+    range: TrustRange | None = None
+    """Temperatures between which the nominal twin was seen to hold, °C."""
+    fault: str = ""
+    """Name of the fault that the plant shows at the end; empty for none."""
 
 
 def summarise(
@@ -40,8 +48,9 @@ def summarise(
     verdicts: Sequence[Verdict],
     gains: PidGains,
     notes: Sequence[str] = (),
+    limits: TrustLimits | None = None,
 ) -> Summary:
-    """Sum up a session from what came out of it."""
+    """Sum up a session from what came out of it; `limits` are those of the trust level."""
     last = verdicts[-1] if verdicts else None
     chosen = next((c for c in last.candidates if c.name == last.nominal), None) if last else None
     fit = (math.nan, math.nan)
@@ -65,29 +74,32 @@ def summarise(
         identified=sum(not v.stands for v in verdicts),
         matches=dict(Counter(m.match.status.value for m in matches)),
         notes=tuple(remarks),
+        order=chosen.chosen_order if chosen else None,
+        range=trust_range(samples, chosen, gains, limits) if chosen else None,
+        fault=last.fault if last else "",
     )
 
 
 def sentence(summary: Summary) -> str:
-    """The summary as a person would say it."""
-    if summary.nominal is None or summary.parameters is None:
+    """The summary as a person would say it, in one line."""
+    if summary.nominal is None:
         return (
             f"No nominal twin: {summary.verdicts} verdicts, but no match was accepted. "
             "The loop needs set-point steps of a few degrees, some minutes apart."
         )
-    p = summary.parameters
-    return (
-        f"Nominal: the twin matched at {summary.nominal} "
-        f"(α {1000 * p.seebeck:.1f} mV/K, R {p.resistance:.2f} Ω, K {p.conductance:.3f} W/K, "
-        f"C {p.heat_capacity:.1f} J/K). Over the whole session it follows the temperature to "
-        f"{100 * summary.fit_y:.1f} % and the control to {100 * summary.fit_u:.1f} %. "
-        f"{_TRUST[summary.level]}"
-    )
+    parts = [f"Nominal: {summary.nominal} set", f"orders {summary.order}"]
+    if math.isfinite(summary.fit_y):
+        parts.append(f"temperature fit {number(100 * summary.fit_y, 1)} %")
+    return f"{'; '.join([*parts, _trust(summary)])}."
 
 
-_TRUST = {
-    TrustLevel.UNKNOWN: "How far to trust it is not known yet.",
-    TrustLevel.TRUSTED: "At the end it can be trusted.",
-    TrustLevel.DOUBTFUL: "At the end it is doubtful: plant and twin differ more than they should.",
-    TrustLevel.FAULT: "It cannot be trusted now: the plant does what no twin explains. Look at the plant.",
-}
+def _trust(summary: Summary) -> str:
+    held = f"between {summary.range}" if summary.range else ""
+    if summary.level is TrustLevel.FAULT:
+        before = f" (it held {held})" if held else ""
+        what = f"the plant shows {summary.fault}" if summary.fault else "the plant does what no twin explains"
+        return f"do not trust it now: {what}{before}"
+    if summary.level is TrustLevel.DOUBTFUL:
+        before = f" (it held {held})" if held else ""
+        return f"doubtful now: plant and twin differ by more than they should{before}"
+    return f"trust it {held}" if held else "how far to trust it is not known yet"
