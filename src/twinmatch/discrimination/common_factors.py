@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import polynomial as power
-from scipy.linalg import block_diag
 
 from twinmatch.discrimination.polynomials import Column, exact, split, trim
 from twinmatch.signals import FloatArray
@@ -82,6 +81,8 @@ def _cofactors(rows: FloatArray) -> FloatArray | None:
 
 def _refined(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArray, float]:
     """Quotients after Gauss–Newton steps on rows = factor·quotients, and the largest difference left."""
+    from scipy.linalg import block_diag  # noqa: PLC0415 — a tenth of a second that few models need
+
     count, width = quotients.shape
     others = rows.shape[1] - width
     products = np.vstack([_times(q, others) for q in quotients])

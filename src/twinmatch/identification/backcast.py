@@ -9,7 +9,6 @@ that everything here is a change of columns in the triangles of `Problem`.
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 
 from twinmatch.identification.kernels import Polynomials, ridge_solve, triangle_of
 from twinmatch.identification.order import Order
@@ -25,13 +24,15 @@ STEP = 1e-6
 
 def noise_factor(C: FloatArray, D: FloatArray) -> FloatArray:
     """L, lower triangular: the state n of C/D driven by white noise of variance 1 is L z, z white."""
+    from scipy.linalg import solve_discrete_lyapunov  # noqa: PLC0415 — a tenth of a second that few need
+
     size = max(C.size, D.size) - 1
     if size == 0:
         return np.zeros((0, 0))
     c, d = np.pad(C, (0, size + 1 - C.size))[1:], np.pad(D, (0, size + 1 - D.size))[1:]
     A = np.eye(size, k=1)
     A[:, 0] -= d
-    P = scipy.linalg.solve_discrete_lyapunov(A, np.outer(c - d, c - d))
+    P = solve_discrete_lyapunov(A, np.outer(c - d, c - d))
     # Where C and D share a root its state is never excited: a floor keeps the factor defined.
     P = 0.5 * (P + P.T) + 1e-12 * (1.0 + np.trace(P)) * np.eye(size)
     return np.asarray(np.linalg.cholesky(P))

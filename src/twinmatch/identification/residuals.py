@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
-import scipy.stats
 from numpy.typing import ArrayLike
 
 from twinmatch.identification.data import checked_pair
@@ -73,20 +72,28 @@ def examine_residuals(
     q = count * (count + 2) * float(np.sum(r**2 / (count - np.arange(1, lags + 1))))
     input_covariance = _covariances(u, u, lags)
     cross = _covariances(e, u, lags)
-    weights = np.linalg.lstsq(scipy.linalg.toeplitz(input_covariance), cross, rcond=1e-10)
+    spacing = np.abs(np.subtract.outer(np.arange(lags + 1), np.arange(lags + 1)))
+    weights = np.linalg.lstsq(input_covariance[spacing], cross, rcond=1e-10)
     unit = float(np.sqrt(power * input_covariance[0])) or 1.0
     # Coloured errors make chance correlations larger: the variance of one lag is Σ r_e(τ) r_u(τ) / N.
     spread = power * input_covariance[0] + 2.0 * float(autocovariance[1:] @ input_covariance[1:])
-    width = float(scipy.stats.norm.ppf(0.5 + confidence / 2.0))
+    width = NormalDist().inv_cdf(0.5 + confidence / 2.0)
     return ResidualTest(
         autocorrelation=r,
         autocorrelation_limit=width / count**0.5,
-        whiteness=float(scipy.stats.chi2.sf(q, max(lags - fitted, 1))),
+        whiteness=_chance(q, max(lags - fitted, 1)),
         cross_correlation=cross / unit,
         cross_correlation_limit=width * (max(spread, 0.0) / count) ** 0.5 / unit,
-        independence=float(scipy.stats.chi2.sf(count / power * float(cross @ weights[0]), int(weights[2]))),
+        independence=_chance(count / power * float(cross @ weights[0]), int(weights[2])),
         confidence=confidence,
     )
+
+
+def _chance(statistic: float, freedom: int) -> float:
+    """Probability that χ² of these degrees of freedom is larger; NaN where there are none."""
+    from scipy.special import chdtrc  # noqa: PLC0415 — scipy.stats has it too, after half a second of imports
+
+    return float(chdtrc(freedom, max(statistic, 0.0))) if freedom > 0 else float("nan")
 
 
 def _covariances(a: FloatArray, b: FloatArray, lags: int) -> FloatArray:
