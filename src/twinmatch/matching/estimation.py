@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.optimize import least_squares
 
+from twinmatch.matching.descent import descend
 from twinmatch.matching.problem import Problem
 from twinmatch.plant import RigParameters
 from twinmatch.signals import FloatArray
@@ -22,7 +22,6 @@ _VALLEY: Final = (
 """More starts, near both ends of the valley along which Seebeck coefficient, conductance and heat
 capacity trade off; in one window out of ten the fit from a single start stops in a side valley."""
 
-_TOLERANCE = 1e-8
 _MOST_EVALUATIONS = 100
 _ON_BOUND = 1e-4
 """Distance from a bound, in units of the interval, below which a parameter sits on it."""
@@ -58,33 +57,16 @@ def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
     """The best of the fits from several starts; the first of equals."""
     best: Estimate | None = None
     for start in starts:
-        found = least_squares(
-            problem.residuals,
-            start,
-            jac=problem.jacobian,
-            bounds=(problem.lower, problem.upper),
-            x_scale=problem.scales,
-            method="trf",
-            ftol=_TOLERANCE,
-            xtol=_TOLERANCE,
-            gtol=_TOLERANCE,
-            max_nfev=_MOST_EVALUATIONS,
+        found = descend(
+            problem.evaluate, start, problem.lower, problem.upper, problem.scales, _MOST_EVALUATIONS
         )
-        values = _snapped(problem, np.asarray(found.x, dtype=np.float64))
-        estimate = Estimate(values, problem.residuals(values).reshape(2, -1), found.status > 0)
+        estimate = Estimate(found.values, found.point.residuals.reshape(2, -1), found.converged)
         if best is None or estimate.chi2 < best.chi2:
             best = estimate
     if best is None:
         msg = "solve: no start was given"
         raise ValueError(msg)
     return best
-
-
-def _snapped(problem: Problem, values: FloatArray) -> FloatArray:
-    """The search only creeps up to a bound; what is next to it is put on it."""
-    near = 1e-6 * (problem.upper - problem.lower)
-    values = np.where(values - problem.lower < near, problem.lower, values)
-    return np.where(problem.upper - values < near, problem.upper, values)
 
 
 def on_bounds(problem: Problem, values: FloatArray) -> tuple[str, ...]:
@@ -117,7 +99,8 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     m_k the residuals that noise at sample k alone would leave, scaled so that the noise accounts for
     the residuals actually found.
     """
-    jacobian = problem.jacobian(estimate.values)
+    evaluation = problem.evaluate(estimate.values)
+    jacobian = evaluation.jacobian
     fisher = jacobian.T @ jacobian
     scales = problem.scales
     eigenvalues = np.maximum(np.linalg.eigvalsh(fisher * np.outer(scales, scales)), 0.0)
@@ -127,16 +110,10 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     n = len(problem.free)
     if not seen:
         return Uncertainty(fisher, eigenvalues, float("inf"), np.full((n, n), np.inf))
-    scores, expected = _noise_scores(problem, estimate.values, jacobian)
+    sums, expected = problem.noise_scores(evaluation)
+    scores = sums.T @ sums
     free_samples = 1.0 - n / estimate.residuals.size
     inverse = np.linalg.inv(fisher * np.outer(scales, scales)) * np.outer(scales, scales)
     covariance = inverse @ scores @ inverse * (estimate.chi2 / free_samples / expected)
     covariance = (covariance + covariance.T) / 2
     return Uncertainty(fisher, eigenvalues, float(np.sqrt(largest / smallest)), covariance)
-
-
-def _noise_scores(problem: Problem, values: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, float]:
-    """S of `uncertainty` for the nominal noise, and the mean squared residual that noise leaves."""
-    left = problem.noise_left(values)
-    scores = left @ jacobian
-    return scores.T @ scores, float(np.sum(np.square(left))) / left.shape[1]

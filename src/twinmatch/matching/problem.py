@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -18,9 +19,10 @@ from twinmatch.plant import (
     noise_sensitivity,
     simulate_closed_loop,
 )
+from twinmatch.plant.sensitivity import DIFFERENTIABLE, LoopSensitivity, Tangents, noise_scores
 from twinmatch.signals import KELVIN, FloatArray, Window
 
-__all__ = ["Noise", "Problem"]
+__all__ = ["Evaluation", "Noise", "Problem"]
 
 
 _STEP = 1e-5
@@ -73,6 +75,31 @@ class Problem:
     def __post_init__(self) -> None:
         object.__setattr__(self, "controller", controller_state(self.window, self.gains))
 
+    @cached_property
+    def _loop(self) -> LoopSensitivity | None:
+        """The loop with its derivatives; None when rig or free parameters ask for finite differences."""
+        if not (LoopSensitivity.handles(self.base) and set(self.free) <= set(DIFFERENTIABLE)):
+            return None
+        return LoopSensitivity(
+            self.free,
+            self.window.reference[_SKIPPED:],
+            plate=float(self.window.temperature[_SKIPPED]) + KELVIN,
+            controller=self.controller,
+            gains=self.gains,
+            driver=self.driver,
+        )
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Of temperature and PWM, shape (2, 1)."""
+        return np.array([[1.0 / self.noise.temperature], [1.0 / self.noise.pwm]])
+
+    @cached_property
+    def _rig(self) -> tuple[FloatArray, list[int]]:
+        """Values of all `DIFFERENTIABLE` parameters, and which of them are free."""
+        fixed = np.array([getattr(self.base, name) for name in DIFFERENTIABLE], dtype=np.float64)
+        return fixed, [DIFFERENTIABLE.index(name) for name in self.free]
+
     @property
     def temperature(self) -> FloatArray:
         """Measured temperature against which the twin is held, °C, shape (N − 2,)."""
@@ -83,17 +110,17 @@ class Problem:
         """Measured command against which the twin is held, shape (N − 2,)."""
         return self.window.pwm[_SKIPPED:]
 
-    @property
+    @cached_property
     def lower(self) -> FloatArray:
         """Lower bounds of the free parameters."""
         return np.array([self.bounds[name][0] for name in self.free])
 
-    @property
+    @cached_property
     def upper(self) -> FloatArray:
         """Upper bounds of the free parameters."""
         return np.array([self.bounds[name][1] for name in self.free])
 
-    @property
+    @cached_property
     def scales(self) -> FloatArray:
         """Typical sizes of the free parameters."""
         return np.array([SCALES[name] for name in self.free])
@@ -134,19 +161,34 @@ class Problem:
 
     def weigh(self, response: Response) -> FloatArray:
         """Measured minus simulated in units of the noise, shape (2, N − 2): temperature, PWM."""
-        return np.stack(
-            [
-                (self.temperature - response.temperature) / self.noise.temperature,
-                (self.pwm - response.pwm) / self.noise.pwm,
-            ]
-        )
+        left = np.empty((2, self.temperature.size))
+        left[0] = self.temperature - response.temperature
+        left[1] = self.pwm - response.pwm
+        left *= self.weights
+        return left
+
+    def evaluate(self, values: FloatArray) -> Evaluation:
+        """Residuals and Jacobian at some values."""
+        return Evaluation(self, values)
 
     def residuals(self, values: FloatArray) -> FloatArray:
         """Weighed residuals of both outputs in a row, shape (2(N − 2),)."""
         return self.weigh(self.simulate(self.parameters_at(values), self.sink_start_at(values))).ravel()
 
+    def tangents(self, values: FloatArray) -> Tangents | None:
+        """The loop and its derivatives in one pass, where this rig is of the kind that has them."""
+        if self._loop is None:
+            return None
+        rig, places = self._rig[0].copy(), self._rig[1]
+        rig[places] = values
+        return self._loop(rig)
+
     def jacobian(self, values: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, shape (2(N − 2), n); central, one-sided at a bound."""
+        """Derivatives of the residuals, shape (2(N − 2), n)."""
+        return self.evaluate(values).jacobian
+
+    def differences(self, values: FloatArray) -> FloatArray:
+        """The Jacobian by finite differences: central, one-sided at a bound."""
         columns = []
         for i, scale in enumerate(self.scales):
             above, below = values.copy(), values.copy()
@@ -155,6 +197,17 @@ class Problem:
             change = self.residuals(above) - self.residuals(below)
             columns.append(change / (above[i] - below[i]))
         return np.stack(columns, axis=1)
+
+    def noise_scores(self, evaluation: Evaluation) -> tuple[FloatArray, float]:
+        """Jᵀ times the residuals that the nominal noise of each sample alone would leave, shape (N − 2, n),
+        and the mean squared residual that all of it leaves."""
+        if evaluation.tangents is None:
+            left = self.noise_left(evaluation.values)
+            return left @ evaluation.jacobian, float(np.sum(np.square(left))) / left.shape[1]
+        weighed = evaluation.jacobian.reshape(2, -1, len(self.free))
+        return noise_scores(
+            evaluation.tangents, weighed, (1.0, self.noise.temperature / self.noise.pwm), self.gains
+        )
 
     def noise_left(self, values: FloatArray) -> FloatArray:
         """Residuals that the nominal noise of each sample alone would leave, shape (N − 2, 2(N − 2)).
@@ -178,3 +231,24 @@ class Problem:
         loop[0, 1] -= (misplaced.pwm - quiet.pwm) / _NOISE_STEP
         weights = np.array([1.0, self.noise.temperature / self.noise.pwm])
         return np.reshape(loop * weights[:, None], (loop.shape[0], -1))
+
+
+class Evaluation:
+    """Residuals of a problem at some values, and their Jacobian when it is asked for."""
+
+    def __init__(self, problem: Problem, values: FloatArray) -> None:
+        self.problem, self.values = problem, values
+        self.tangents = problem.tangents(values)
+        if self.tangents is None:
+            self.residuals = problem.residuals(values)
+        else:
+            response = Response(self.tangents.temperature, self.tangents.pwm)
+            self.residuals = problem.weigh(response).ravel()
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """Shape (2(N − 2), n)."""
+        if self.tangents is None:
+            return self.problem.differences(self.values)
+        derivative = self.tangents.derivative * -self.problem.weights[:, :, None]
+        return derivative.reshape(-1, derivative.shape[2])

@@ -1,0 +1,172 @@
+"""Damped least squares inside bounds, for few parameters and many residuals.
+
+Levenberg–Marquardt on the normal equations. A step is the minimum of the damped quadratic model inside
+the box, found by fixing one parameter after another on the bound it would cross; so a parameter lands
+on its bound exactly, and leaves it again when the residuals ask for it. The search ends where an undamped
+step promises nothing more, which a step cut short by damping cannot pretend.
+"""
+
+# ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, TypeVar, cast
+
+import numba
+import numpy as np
+
+from twinmatch.signals import FloatArray
+
+__all__ = ["Descended", "Point", "descend"]
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+_TOLERANCE = 1e-9
+"""Promised decrease, in units of the sum of squares, below which the search ends."""
+_NOTHING = 1e-13
+"""The same in units of the noise variance of all residuals: exact data leave no sum to compare with."""
+_SMALL = 1e-10
+"""Step, in units of the scales, below which a search between kinks ends."""
+_FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-12
+
+
+class Point(Protocol):
+    """Residuals at some values of the parameters."""
+
+    residuals: FloatArray
+    """Shape (m,)."""
+
+    @property
+    def jacobian(self) -> FloatArray:
+        """Shape (m, n)."""
+
+
+class Descended(NamedTuple):
+    """Where a search ended."""
+
+    values: FloatArray
+    point: Point
+    cost: float
+    """Sum of the squared residuals."""
+    converged: bool
+    evaluations: int
+
+
+def descend(
+    evaluate: Callable[[FloatArray], Point],
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    scales: FloatArray,
+    most_evaluations: int,
+) -> Descended:
+    """Minimise the sum of squared residuals from one start (shape (n,), inside the bounds)."""
+    values = start
+    point = evaluate(values)
+    cost = _cost(point)
+    damping, growth, evaluations = _FIRST_DAMPING, 2.0, 1
+    gradient, hessian = _normal(point)
+    while True:
+        _, promised = box_step(hessian, gradient, values, lower, upper, _LEAST_DAMPING)
+        if promised <= _TOLERANCE * cost + _NOTHING * point.residuals.size:
+            return Descended(values, point, cost, True, evaluations)
+        while True:
+            if evaluations >= most_evaluations:
+                return Descended(values, point, cost, False, evaluations)
+            step, expected = box_step(hessian, gradient, values, lower, upper, damping)
+            if not np.max(np.abs(step) / scales) > _SMALL:
+                return Descended(values, point, cost, bool(np.isfinite(cost)), evaluations)
+            tried = np.minimum(np.maximum(values + step, lower), upper)
+            there = evaluate(tried)
+            evaluations += 1
+            ahead = _cost(there)
+            if ahead < cost:
+                break
+            damping, growth = damping * growth, 2.0 * growth
+        # How far the quadratic model was right decides how far the next one is followed.
+        trusted = (cost - ahead) / expected if expected > 0.0 else 0.0
+        damping = max(damping * max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3), _LEAST_DAMPING)
+        growth = 2.0
+        values, point, cost = tried, there, ahead
+        gradient, hessian = _normal(point)
+
+
+def _cost(point: Point) -> float:
+    return float(point.residuals @ point.residuals)
+
+
+def _normal(point: Point) -> tuple[FloatArray, FloatArray]:
+    jacobian = point.jacobian
+    return jacobian.T @ point.residuals, jacobian.T @ jacobian
+
+
+def _compiled(function: _Function) -> _Function:
+    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+@_compiled
+def box_step(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    values: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    damping: float,
+) -> tuple[FloatArray, float]:
+    """Step to the minimum of gᵀd + ½dᵀ(H + damping·diag H)d with values + d in the box.
+
+    Returns the step, shape (n,), and by how much 2gᵀd + dᵀHd, the change of the sum, is negative.
+    """
+    n = values.size
+    step = np.zeros(n)
+    held = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
+        held[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
+    for _ in range(n + 1):
+        # Cholesky on what is free, in units in which the diagonal is one.
+        free = np.flatnonzero(~held)
+        m = free.size
+        factor, right = np.zeros((m, m)), np.zeros(m)
+        for i in range(m):
+            p = free[i]
+            size = np.sqrt(hessian[p, p])
+            right[i] = -gradient[p]
+            for q in range(n):
+                if held[q]:
+                    right[i] -= hessian[p, q] * step[q]
+            right[i] /= size
+            for j in range(i + 1):
+                q = free[j]
+                value = hessian[p, q] / size / np.sqrt(hessian[q, q])
+                if i == j:
+                    value = 1.0 + damping
+                for k in range(j):
+                    value -= factor[i, k] * factor[j, k]
+                factor[i, j] = np.sqrt(max(value, 1e-15)) if i == j else value / factor[j, j]
+        for i in range(m):
+            for k in range(i):
+                right[i] -= factor[i, k] * right[k]
+            right[i] /= factor[i, i]
+        for i in range(m - 1, -1, -1):
+            for k in range(i + 1, m):
+                right[i] -= factor[k, i] * right[k]
+            right[i] /= factor[i, i]
+        first, reach = -1, 1.0
+        for i in range(m):
+            p = free[i]
+            step[p] = right[i] / np.sqrt(hessian[p, p])
+            room = upper[p] - values[p] if step[p] > 0.0 else lower[p] - values[p]
+            if abs(step[p]) > abs(room) and abs(room) / abs(step[p]) < reach:
+                first, reach = p, abs(room) / abs(step[p])
+        if first < 0:
+            break
+        step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
+        held[first] = True
+    promised = 0.0
+    for i in range(n):
+        promised -= 2.0 * gradient[i] * step[i]
+        for j in range(n):
+            promised -= step[i] * hessian[i, j] * step[j]
+    return step, promised
