@@ -15,9 +15,15 @@ SUPPLY, BRIDGE, LIMIT = 12.0, 0.1, 5.0
 Integrator = Callable[[RigParameters, PlantState, float, float], PlantState]
 
 
+def seebeck_at(rig: RigParameters, temperature: float) -> float:
+    """Seebeck coefficient of the material at one place, V/K."""
+    return rig.seebeck + rig.seebeck_slope * (temperature - 298.15)
+
+
 def free_current(rig: RigParameters, pwm: float, plate: float, sink: float) -> float:
-    """Current if there were no limiter, A."""
-    return (-SUPPLY * pwm / 255.0 - rig.seebeck * (sink - plate)) / (rig.resistance + BRIDGE)
+    """Current if there were no limiter, A: the Seebeck voltage is the integral of α over temperature."""
+    voltage = (seebeck_at(rig, plate) + seebeck_at(rig, sink)) / 2 * (sink - plate)
+    return (-SUPPLY * pwm / 255.0 - voltage) / (rig.resistance + BRIDGE)
 
 
 @pytest.fixture(scope="session")
@@ -26,13 +32,17 @@ def integrated() -> Integrator:
 
     def integrate(rig: RigParameters, start: PlantState, pwm: float, period: float) -> PlantState:
         def rates(_t: float, state: np.ndarray, regime: int) -> list[float]:
-            plate, sink = state
+            plate, sink, sensor = state
             current = regime * LIMIT if regime else free_current(rig, pwm, plate, sink)
             joule = current**2 * rig.resistance / 2
-            from_plate = rig.seebeck * plate * current - joule + rig.conductance * (plate - sink)
-            from_sink = -rig.seebeck * sink * current - joule + rig.conductance * (sink - plate)
+            # Thomson heat: the integral of T·dα/dT from plate to sink, half of it taken from either side.
+            thomson = rig.seebeck_slope * (sink**2 - plate**2) / 2 * current / 2
+            conducted = rig.conductance * (plate - sink)
+            from_plate = seebeck_at(rig, plate) * plate * current - joule + conducted + thomson
+            from_sink = -seebeck_at(rig, sink) * sink * current - joule - conducted + thomson
             lost = rig.sink_convection * (sink - rig.ambient)
-            return [-from_plate / rig.heat_capacity, -(from_sink + lost) / rig.sink_heat_capacity]
+            seen = (plate - sensor) / rig.sensor_lag if rig.sensor_lag else 0.0
+            return [-from_plate / rig.heat_capacity, -(from_sink + lost) / rig.sink_heat_capacity, seen]
 
         def upper(_t: float, state: np.ndarray, _regime: int) -> float:
             return free_current(rig, pwm, state[0], state[1]) - LIMIT
@@ -41,7 +51,7 @@ def integrated() -> Integrator:
             return free_current(rig, pwm, state[0], state[1]) + LIMIT
 
         upper.terminal = lower.terminal = True  # type: ignore[attr-defined]
-        now, state = 0.0, np.array([start.plate, start.sink])
+        now, state = 0.0, np.array([start.plate, start.sink, start.sensor])
         current = free_current(rig, pwm, start.plate, start.sink)
         regime = int(current > LIMIT) - int(current < -LIMIT)
         while True:
@@ -52,7 +62,8 @@ def integrated() -> Integrator:
             )
             now, state = float(run.t[-1]), run.y[:, -1]
             if run.status != 1:
-                return PlantState(float(state[0]), float(state[1]))
+                seen = state[2] if rig.sensor_lag else state[0]
+                return PlantState(float(state[0]), float(state[1]), float(seen))
             met = watch[next(i for i, times in enumerate(run.t_events) if times.size)]
             edge = 1 if met is upper else -1
             regime = 0 if regime == edge else edge

@@ -28,11 +28,14 @@ def test_the_sink_has_mass_when_its_capacity_is_finite() -> None:
 @pytest.mark.parametrize("name", PARAMETER_NAMES)
 @pytest.mark.parametrize("value", [math.nan, -math.inf, -1.0])
 def test_impossible_values_are_refused(name: str, value: float) -> None:
+    if name == "seebeck_slope" and value == -1.0:
+        assert RigParameters(seebeck_slope=value).seebeck_slope == value
+        return
     with pytest.raises(PlantError, match=f"{name} is {value}; it must be finite"):
         RigParameters(**{name: value})
 
 
-@pytest.mark.parametrize("name", sorted(set(PARAMETER_NAMES) - {"seebeck", "conductance", "sink_convection"}))
+@pytest.mark.parametrize("name", ["resistance", "heat_capacity", "sink_heat_capacity"])
 def test_zero_is_refused_where_it_means_nothing(name: str) -> None:
     with pytest.raises(PlantError, match=f"{name} is 0.0; it must be finite and positive"):
         RigParameters(**{name: 0.0})
@@ -41,6 +44,12 @@ def test_zero_is_refused_where_it_means_nothing(name: str) -> None:
 def test_celsius_is_noticed() -> None:
     with pytest.raises(PlantError, match=r"ambient is 23\.0 K; give kelvin between 150 and 600, not °C"):
         RigParameters(ambient=23.0)
+
+
+def test_the_sensor_is_at_the_plate_unless_it_is_told_otherwise() -> None:
+    assert PlantState(300.0, 296.0) == PlantState(300.0, 296.0, 300.0)
+    with pytest.raises(PlantError, match="plant state: sensor is -1"):
+        PlantState(300.0, 296.0, -1.0)
 
 
 @pytest.mark.parametrize("value", [0.0, -3.0, math.inf, math.nan])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from mpmath import mp
 
 from twinmatch.plant import (
     Camera,
@@ -25,6 +26,7 @@ from twinmatch.plant import (
     simulate_closed_loop,
     simulate_driven,
 )
+from twinmatch.plant.kernels import lagged
 from twinmatch.signals import KELVIN
 
 Integrator = Callable[[RigParameters, PlantState, float, float], PlantState]
@@ -38,12 +40,22 @@ rigs = st.builds(
     ambient=st.floats(263.0, 323.0),
     sink_heat_capacity=st.one_of(st.just(math.inf), st.floats(20.0, 5000.0)),
     sink_convection=st.floats(0.0, 100.0),
+    sensor_lag=st.one_of(st.just(0.0), st.floats(1e-3, 1e3)),
+    seebeck_slope=st.one_of(st.just(0.0), st.floats(-5e-5, 5e-4)),
 )
 temperatures = st.floats(260.0, 400.0)
 pwms = st.floats(-255.0, 255.0)
 
 STEPS = np.repeat([40.0, 75.0, 25.0], 120)
 WITH_SINK = RigParameters(sink_heat_capacity=300.0, sink_convection=3.0)
+RICHEST = WITH_SINK.replace(sensor_lag=1.5, seebeck_slope=1e-4)
+STRUCTURES = [
+    RigParameters(),
+    WITH_SINK,
+    RigParameters(sensor_lag=1.5),
+    RigParameters(seebeck_slope=1e-4),
+    RICHEST,
+]
 
 
 @given(rig=rigs, plate=temperatures, sink=temperatures, pwm=pwms)
@@ -86,6 +98,54 @@ def test_a_sink_with_mass_is_integrated_closely(
     exact = integrated(rig, PlantState(plate, sink), pwm, 3.0)
     assert abs(end.plate - exact.plate) < 1e-6
     assert abs(end.sink - exact.sink) < 1e-6
+    assert abs(end.sensor - exact.sensor) < 1e-6
+
+
+@given(
+    rig=rigs.map(lambda rig: rig.replace(sink_heat_capacity=math.inf)),
+    plate=temperatures,
+    sensor=temperatures,
+    pwm=st.one_of(st.sampled_from([-255.0, 255.0]), pwms),
+)
+@example(rig=RigParameters(sensor_lag=2.0), plate=296.0, sensor=296.0, pwm=255.0)
+@example(rig=RigParameters(resistance=1.0, sensor_lag=0.5), plate=296.0, sensor=290.0, pwm=255.0)
+@example(rig=RigParameters(seebeck_slope=2e-4, sensor_lag=2.0), plate=350.0, sensor=350.0, pwm=-255.0)
+def test_lag_and_slope_on_a_held_sink_agree_with_a_general_integrator(
+    integrated: Integrator, rig: RigParameters, plate: float, sensor: float, pwm: float
+) -> None:
+    start = PlantState(plate, rig.ambient, sensor)
+    end, exact = advance(rig, start, pwm, 2.0), integrated(rig, start, pwm, 2.0)
+    assert end.sink == start.sink
+    assert abs(end.plate - exact.plate) < 1e-6
+    # The cubic between two points of the exact solution is off by λ⁴h⁴/384 of the way, λh at most 0.1.
+    assert abs(end.sensor - exact.sensor) < 2e-5
+
+
+@given(time=st.floats(1e-3, 10.0), lag=st.floats(1e-6, 1e6), jerk=st.floats(-1.0, 1.0))
+def test_the_lag_of_a_cubic_is_exact(time: float, lag: float, jerk: float) -> None:
+    # Where the lag has settled it shows x − τ·Dx + τ²·D²x − τ³·D³x of the cubic x(t) = 300 + t + jerk·t³.
+    def settled(t: mp.mpf) -> mp.mpf:
+        own = mp.mpf(300) + t + mp.mpf(jerk) * t**3
+        slope = 1 + 3 * mp.mpf(jerk) * t**2
+        return (
+            own - lag * slope + mp.mpf(lag) ** 2 * 6 * mp.mpf(jerk) * t - mp.mpf(lag) ** 3 * 6 * mp.mpf(jerk)
+        )
+
+    with mp.workdps(60):
+        exact = settled(mp.mpf(time)) + (290 - settled(mp.mpf(0))) * mp.exp(-mp.mpf(time) / mp.mpf(lag))
+    way, rate = time + jerk * time**3, 1.0 + 3.0 * jerk * time**2
+    found = lagged(lag, 290.0, 300.0, 1.0, 300.0 + way, rate, time)
+    assert found == pytest.approx(float(exact), rel=1e-12)
+
+
+def test_the_camera_sees_the_lag_in_the_loop() -> None:
+    lagging = simulate_driven(RigParameters(sensor_lag=4.0), np.full(200, 100.0), plate=296.0)
+    sharp = simulate_driven(RigParameters(), np.full(200, 100.0), plate=296.0)
+    # A slow ramp arrives τ late; at rest both agree.
+    assert np.all(np.diff(sharp.temperature) > 0)
+    late = np.interp(np.arange(30.0, 60.0) - 4.0, np.arange(200.0), sharp.temperature)
+    np.testing.assert_allclose(lagging.temperature[30:60], late, atol=0.3)
+    assert lagging.temperature[-1] == pytest.approx(sharp.temperature[-1], abs=1e-3)
 
 
 def test_a_sink_of_huge_mass_is_a_held_sink() -> None:
@@ -113,21 +173,21 @@ def test_more_pwm_is_warmer(rig: RigParameters, plate: float, pwm: tuple[float, 
     assert warm >= cold - 1e-11
 
 
-@pytest.mark.parametrize("rig", [RigParameters(), WITH_SINK])
+@pytest.mark.parametrize("rig", STRUCTURES)
 @pytest.mark.parametrize("seed", [None, 7])
 def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: RigParameters, seed: int | None) -> None:
     camera = None if seed is None else Camera(flat_field_period=40.0).realise(STEPS.size, 1.0, seed)
     response = simulate_closed_loop(rig, STEPS, plate=296.0, sink=300.0, camera=camera)
     pid, state, last = Pid(), PlantState(296.0, 300.0), None
     for k, reference in enumerate(STEPS):
-        last = state.plate - KELVIN if camera is None else camera.reading(k, state.plate, last)
+        last = state.sensor - KELVIN if camera is None else camera.reading(k, state.sensor, last)
         assert last == response.temperature[k]
         pwm = pid.step(reference, last)
         assert pwm == response.pwm[k]
         state = advance(rig, state, pwm)
 
 
-@pytest.mark.parametrize("rig", [RigParameters(), WITH_SINK])
+@pytest.mark.parametrize("rig", STRUCTURES)
 def test_driven_by_its_own_pwm_the_plant_repeats_the_closed_loop(rig: RigParameters) -> None:
     closed = simulate_closed_loop(rig, STEPS, plate=296.0)
     again = simulate_driven(rig, closed.pwm, plate=296.0)
@@ -149,7 +209,7 @@ def test_noise_feeds_back_through_the_controller() -> None:
     assert 4.5 < np.std((noisy.pwm - quiet.pwm)[200:]) < 9.0
 
 
-@pytest.mark.parametrize("rig", [RigParameters(), WITH_SINK])
+@pytest.mark.parametrize("rig", STRUCTURES)
 def test_the_noise_sensitivity_is_the_derivative_of_the_closed_loop(rig: RigParameters) -> None:
     reference = np.repeat([40.0, 55.0], 20)
     start = {"plate": 310.0, "sink": 300.0, "controller": Pid().state}

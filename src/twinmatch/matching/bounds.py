@@ -40,6 +40,8 @@ BOUNDS: Final[Bounds] = MappingProxyType(
         "ambient": (263.0, 323.0),
         "sink_heat_capacity": (20.0, 5000.0),
         "sink_convection": (0.1, 100.0),
+        "sensor_lag": (0.0, 20.0),
+        "seebeck_slope": (-5e-4, 5e-4),
         SINK_START: (253.0, 393.0),
     }
 )
@@ -59,6 +61,8 @@ SCALES: Final[Mapping[str, float]] = MappingProxyType(
         "ambient": 10.0,
         "sink_heat_capacity": 300.0,
         "sink_convection": 3.0,
+        "sensor_lag": 2.0,
+        "seebeck_slope": 1e-4,
         SINK_START: 10.0,
     }
 )

@@ -53,6 +53,10 @@ TWIN_PARAMETERS: tuple[Parameter, ...] = (
         1e6,
     ),
     Parameter("start.sink_convection", _R.sink_convection, "Convection of the heat sink.", "W/K", 0.0, 1e4),
+    Parameter(
+        "start.sensor_lag", _R.sensor_lag, "Lag with which the camera follows the plate.", "s", 0.0, 1e3
+    ),
+    Parameter("start.seebeck_slope", _R.seebeck_slope, "Change of α with temperature.", "V/K²", -1e-2, 1e-2),
     Parameter("noise.temperature", _N.temperature, "Noise of the temperature (1 σ).", "°C", 1e-4, 10.0),
     Parameter("noise.pwm", _N.pwm, "Noise of the control (1 σ).", "PWM", 1e-3, 255.0),
     Parameter(

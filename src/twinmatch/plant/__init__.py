@@ -4,14 +4,21 @@
 and PID over a reference, `simulate_driven` runs the plate under a given PWM, and `advance` moves it by one
 tick; all three share the same compiled arithmetic, so that a twin stepped live and a simulation of the
 whole run agree to the last bit. On a sink held at constant temperature a tick is exact, with the current
-limiter's switching found in closed form; a sink with mass is integrated by Runge–Kutta. `Pid` is the
-rig's controller and `controller_state` recovers its memory from a window that starts in mid-session.
+limiter's switching found in closed form; a sink with mass and a Seebeck coefficient that depends on
+temperature are integrated by Runge–Kutta. The camera may see the plate through a lag. `Pid` is the rig's
+controller and `controller_state` recovers its memory from a window that starts in mid-session.
 Signals are in °C, the temperatures of the plant in kelvin; positive PWM heats the plate.
 """
 
 from twinmatch.plant.camera import Camera, CameraRealisation
 from twinmatch.plant.driver import Driver
-from twinmatch.plant.parameters import PARAMETER_NAMES, PlantError, PlantState, RigParameters
+from twinmatch.plant.parameters import (
+    PARAMETER_NAMES,
+    SEEBECK_REFERENCE,
+    PlantError,
+    PlantState,
+    RigParameters,
+)
 from twinmatch.plant.pid import Pid, PidGains, PidState, controller_state
 from twinmatch.plant.rig import (
     HeatFlows,
@@ -26,6 +33,7 @@ from twinmatch.plant.rig import (
 
 __all__ = [
     "PARAMETER_NAMES",
+    "SEEBECK_REFERENCE",
     "Camera",
     "CameraRealisation",
     "Driver",

@@ -48,10 +48,11 @@ class CameraRealisation:
     def __len__(self) -> int:
         return int(self.noise.size)
 
-    def reading(self, index: int, plate: float, last: float | None = None) -> float:
-        """What the camera says at one tick, °C, of a plate in kelvin; `last` is its reading before.
+    def reading(self, index: int, seen: float, last: float | None = None) -> float:
+        """What the camera says at one tick, °C, of what it sees in kelvin; `last` is its reading before.
 
-        Without a reading before, a frozen camera shows the plate.
+        It sees the plate, or what the sensor's lag makes of it (`PlantState.sensor`). Without a reading
+        before, a frozen camera shows what it sees.
 
         Raises:
             PlantError: the realisation is shorter than that.
@@ -61,7 +62,7 @@ class CameraRealisation:
             raise PlantError(msg)
         frozen = bool(self.frozen[index]) and last is not None
         noise = float(self.noise[index])
-        return kernels.reading(float(plate), noise, frozen, float(self.resolution), float(last or 0.0))
+        return kernels.reading(float(seen), noise, frozen, float(self.resolution), float(last or 0.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,15 @@ clipped to ±L, so a plate on a held sink follows, with x = T_A − T_B,
 a Riccati equation with constant coefficients while |I| < L and a linear equation while the limiter acts.
 Both have closed solutions. The equation is scalar and autonomous, hence x is monotone over a tick and
 passes each limiter threshold at most once; the moments it does so are closed expressions too.
+
+A sink with mass, or a Seebeck coefficient that depends on temperature, leaves no closed solution: those
+are integrated by Runge–Kutta. A coefficient α(T) = α + β·(T − T₀) enters with everything that belongs to
+it: the Seebeck voltage is ∫α dT = α(T̄)·(T_B − T_A) with T̄ the mean of both sides, the Peltier heats are
+α(T_A)·T_A·I and −α(T_B)·T_B·I, and half of the Thomson heat I·∫T dα goes to either side. Together
+that is α(T̄)·T·I ± ¼·β·(T_B − T_A)²·I, and energy balances.
+
+What the camera sees follows the plate with a time constant τ. Between two points of the solution the
+plate is taken as the cubic through both temperatures and both rates, and the lag of that is exact.
 """
 
 # ruff: noqa: PLR0917 (kernels take scalars in a row)
@@ -25,6 +34,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from twinmatch.plant.parameters import SEEBECK_REFERENCE
 from twinmatch.signals import KELVIN, FloatArray
 
 __all__ = [
@@ -33,12 +43,14 @@ __all__ = [
     "closed_loop",
     "driven",
     "heat_flows",
+    "lagged",
     "module_current",
     "noise_sensitivity",
     "pid_step",
     "reading",
     "riccati_arrival",
     "riccati_flow",
+    "seebeck_between",
     "tick",
 ]
 
@@ -61,6 +73,8 @@ class Constants(NamedTuple):
     ambient: float
     sink_heat_capacity: float
     sink_convection: float
+    sensor_lag: float
+    seebeck_slope: float
     volts_per_count: float
     current_limit: float
     period: float
@@ -116,9 +130,15 @@ def riccati_arrival(quadratic: float, slope: float, speed: float, distance: floa
 
 
 @_compiled
+def seebeck_between(rig: Constants, plate: float, sink: float) -> float:
+    """Seebeck coefficient at the mean of both temperatures, V/K: what module voltage and heats go by."""
+    return rig.seebeck + rig.seebeck_slope * (0.5 * (plate + sink) - SEEBECK_REFERENCE)
+
+
+@_compiled
 def module_current(rig: Constants, volts: float, plate: float, sink: float) -> float:
     """Current before the limiter, A; positive cools the plate."""
-    return (-volts - rig.seebeck * (sink - plate)) / rig.loop_resistance
+    return (-volts - seebeck_between(rig, plate, sink) * (sink - plate)) / rig.loop_resistance
 
 
 @_compiled
@@ -134,16 +154,50 @@ def heat_flows(rig: Constants, current: float, plate: float, sink: float) -> tup
 
     The paper prints its equation 2 with +α·T_B·I; energy balances only with the minus sign used here.
     """
+    seebeck = seebeck_between(rig, plate, sink)
     half_joule = 0.5 * current * current * rig.resistance
     conducted = rig.conductance * (plate - sink)
+    uneven = 0.25 * rig.seebeck_slope * (sink - plate) * (sink - plate) * current
     return (
-        rig.seebeck * plate * current - half_joule + conducted,
-        -rig.seebeck * sink * current - half_joule - conducted,
+        seebeck * plate * current - half_joule + conducted + uneven,
+        -seebeck * sink * current - half_joule - conducted - uneven,
     )
 
 
 @_compiled
-def _held_sink_tick(rig: Constants, plate: float, sink: float, volts: float) -> float:
+def lagged(
+    lag: float, sensor: float, plate: float, rate: float, plate_after: float, rate_after: float, time: float
+) -> float:
+    """Where a sensor of time constant `lag` is after `time`, the plate moving along a cubic.
+
+    With z = time/lag it needs the moments m_k = ∫ z·exp(−z(1−s))·s^k ds over 0 to 1. Their recursion
+    m_k = 1 − (k/z)·m_{k−1} is run upwards for large z and downwards, from a series, for small.
+    """
+    z = time / lag
+    if z > 1.0:
+        m0 = -math.expm1(-z)
+        m1 = 1.0 - m0 / z
+        m2 = 1.0 - 2.0 * m1 / z
+        m3 = 1.0 - 3.0 * m2 / z
+    else:
+        term = 0.25 * z
+        m3 = term
+        for j in range(5, 20):
+            term *= -z / j
+            m3 += term
+        m2 = (1.0 - m3) * z / 3.0
+        m1 = (1.0 - m2) * z / 2.0
+        m0 = (1.0 - m1) * z
+    way, begin, end = plate_after - plate, rate * time, rate_after * time
+    second = 3.0 * way - 2.0 * begin - end
+    third = begin + end - 2.0 * way
+    return sensor + m0 * (plate - sensor) + m1 * begin + m2 * second + m3 * third
+
+
+@_compiled
+def _held_sink_step(
+    rig: Constants, plate: float, sink: float, sensor: float, volts: float, time: float
+) -> tuple[float, float]:
     a, r, limit = rig.seebeck, rig.resistance, rig.current_limit
     gain = a / rig.loop_resistance
     offset = -volts / rig.loop_resistance
@@ -156,7 +210,7 @@ def _held_sink_tick(rig: Constants, plate: float, sink: float, volts: float) -> 
     zeroth = offset * (0.5 * r * offset - a * sink) / rig.heat_capacity
     x = plate - sink
     regime = _regime(rig, gain * x + offset)
-    left = rig.period
+    left = time
     for _ in range(4):
         if regime == 0:
             quadratic = second
@@ -167,21 +221,27 @@ def _held_sink_tick(rig: Constants, plate: float, sink: float, volts: float) -> 
             quadratic = 0.0
             slope = -(a * current + rig.conductance) / rig.heat_capacity
             speed = slope * x + current * (0.5 * r * current - a * sink) / rig.heat_capacity
-        if speed == 0.0:
+        before, spent, direction = x, left, 0
+        if speed != 0.0:
+            direction = 1 if speed > 0.0 else -1
+            edge, leaving = x, math.inf
+            if gain > 0.0 and regime != direction:
+                threshold = limit if 2 * regime + direction > 0 else -limit
+                edge = (threshold - offset) / gain
+                leaving = riccati_arrival(quadratic, slope, speed, edge - x)
+            if leaving < left:
+                x, spent = edge, leaving
+            else:
+                x += riccati_flow(quadratic, slope, speed, left)
+        if rig.sensor_lag > 0.0:
+            way = x - before
+            rate = (quadratic * way + slope) * way + speed
+            sensor = lagged(rig.sensor_lag, sensor, sink + before, speed, sink + x, rate, spent)
+        if not spent < left:
             break
-        direction = 1 if speed > 0.0 else -1
-        edge, leaving = x, math.inf
-        if gain > 0.0 and regime != direction:
-            threshold = limit if 2 * regime + direction > 0 else -limit
-            edge = (threshold - offset) / gain
-            leaving = riccati_arrival(quadratic, slope, speed, edge - x)
-        if not leaving < left:
-            x += riccati_flow(quadratic, slope, speed, left)
-            break
-        x = edge
-        left -= leaving
+        left -= spent
         regime += direction
-    return sink + x
+    return sink + x, sensor
 
 
 @_compiled
@@ -207,19 +267,19 @@ def _runge_kutta(
 
 
 @_compiled
-def _moving_sink_tick(rig: Constants, plate: float, sink: float, volts: float) -> tuple[float, float]:
-    """One tick of plate and sink: Runge–Kutta of order 4, never stepping across a limiter threshold.
+def _integrated_step(
+    rig: Constants, plate: float, sink: float, sensor: float, volts: float, time: float
+) -> tuple[float, float, float]:
+    """Plate, sink and sensor: Runge–Kutta of order 4, never stepping across a limiter threshold.
 
     A step across the kink of the limiter would drop to order 2, so its moment is bisected.
     """
     regime = _regime(rig, module_current(rig, volts, plate, sink))
-    for _ in range(rig.substeps):
-        left = rig.period / rig.substeps
-        for _ in range(4):
-            p, s = _runge_kutta(rig, volts, regime, plate, sink, left)
-            if _regime(rig, module_current(rig, volts, p, s)) == regime:
-                plate, sink = p, s
-                break
+    left = time
+    for _ in range(4):
+        spent, last = left, True
+        p, s = _runge_kutta(rig, volts, regime, plate, sink, left)
+        if _regime(rig, module_current(rig, volts, p, s)) != regime:
             before, after = 0.0, left
             for _ in range(48):
                 middle = 0.5 * (before + after)
@@ -228,27 +288,40 @@ def _moving_sink_tick(rig: Constants, plate: float, sink: float, volts: float) -
                     before = middle
                 else:
                     after = middle
-            plate, sink = _runge_kutta(rig, volts, regime, plate, sink, after)
-            regime = _regime(rig, module_current(rig, volts, plate, sink))
-            left -= after
-    return plate, sink
+            p, s = _runge_kutta(rig, volts, regime, plate, sink, after)
+            spent, last = after, False
+        if rig.sensor_lag > 0.0:
+            rate, _ = _rates(rig, volts, regime, plate, sink)
+            rate_after, _ = _rates(rig, volts, regime, p, s)
+            sensor = lagged(rig.sensor_lag, sensor, plate, rate, p, rate_after, spent)
+        plate, sink = p, s
+        if last:
+            break
+        regime = _regime(rig, module_current(rig, volts, plate, sink))
+        left -= spent
+    return plate, sink, sensor
 
 
 @_compiled
-def tick(rig: Constants, plate: float, sink: float, pwm: float) -> tuple[float, float]:
-    """Plate and sink temperature (K) one period later, the PWM held constant."""
+def tick(rig: Constants, plate: float, sink: float, sensor: float, pwm: float) -> tuple[float, float, float]:
+    """Temperature (K) of plate, sink and sensor one period later, the PWM held constant."""
     volts = pwm * rig.volts_per_count
-    if rig.sink_heat_capacity == math.inf:
-        return _held_sink_tick(rig, plate, sink, volts), sink
-    return _moving_sink_tick(rig, plate, sink, volts)
+    closed = rig.sink_heat_capacity == math.inf and rig.seebeck_slope == 0.0
+    time = rig.period / rig.substeps
+    for _ in range(rig.substeps):
+        if closed:
+            plate, sensor = _held_sink_step(rig, plate, sink, sensor, volts, time)
+        else:
+            plate, sink, sensor = _integrated_step(rig, plate, sink, sensor, volts, time)
+    return plate, sink, sensor if rig.sensor_lag > 0.0 else plate
 
 
 @_compiled
-def reading(plate: float, noise: float, frozen: bool, resolution: float, last: float) -> float:
-    """What the camera says, °C: the plate with noise, quantised; the last reading while it is frozen."""
+def reading(seen: float, noise: float, frozen: bool, resolution: float, last: float) -> float:
+    """What the camera says, °C, of what it sees, K: noisy, quantised; the last reading while it is frozen."""
     if frozen:
         return last
-    value = plate - KELVIN + noise
+    value = seen - KELVIN + noise
     return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
 
 
@@ -276,6 +349,7 @@ def closed_loop(
     resolution: float,
     plate: float,
     sink: float,
+    sensor: float,
     integral: float,
     previous_error: float,
 ) -> tuple[FloatArray, FloatArray]:
@@ -284,10 +358,10 @@ def closed_loop(
     pwm = np.empty(reference.size)
     last = 0.0
     for k in range(reference.size):
-        last = reading(plate, noise[k], frozen[k] and k > 0, resolution, last)
+        last = reading(sensor, noise[k], frozen[k] and k > 0, resolution, last)
         temperature[k] = last
         pwm[k], integral, previous_error = pid_step(gains, integral, previous_error, reference[k], last)
-        plate, sink = tick(rig, plate, sink, pwm[k])
+        plate, sink, sensor = tick(rig, plate, sink, sensor, pwm[k])
     return temperature, pwm
 
 
@@ -299,6 +373,7 @@ def noise_sensitivity(
     step: float,
     plate: float,
     sink: float,
+    sensor: float,
     integral: float,
     previous_error: float,
 ) -> FloatArray:
@@ -306,27 +381,33 @@ def noise_sensitivity(
     size = reference.size
     derivative = np.zeros((size, 2, size))
     for k in range(size):
-        ahead, sink_ahead, x, e = plate, sink, integral, previous_error
-        quiet, quiet_sink, quiet_x, quiet_e = plate, sink, integral, previous_error
+        ahead, sink_ahead, seen_ahead, x, e = plate, sink, sensor, integral, previous_error
+        quiet, quiet_sink, quiet_seen, quiet_x, quiet_e = plate, sink, sensor, integral, previous_error
         for j in range(k, size):
-            noisy = ahead - KELVIN + (step if j == k else 0.0)
+            noisy = seen_ahead - KELVIN + (step if j == k else 0.0)
             u, x, e = pid_step(gains, x, e, reference[j], noisy)
-            calm = quiet - KELVIN
+            calm = quiet_seen - KELVIN
             v, quiet_x, quiet_e = pid_step(gains, quiet_x, quiet_e, reference[j], calm)
             derivative[k, 0, j] = (noisy - calm) / step
             derivative[k, 1, j] = (u - v) / step
-            ahead, sink_ahead = tick(rig, ahead, sink_ahead, u)
-            quiet, quiet_sink = tick(rig, quiet, quiet_sink, v)
+            ahead, sink_ahead, seen_ahead = tick(rig, ahead, sink_ahead, seen_ahead, u)
+            quiet, quiet_sink, quiet_seen = tick(rig, quiet, quiet_sink, quiet_seen, v)
             if j == k:
-                plate, sink, integral, previous_error = quiet, quiet_sink, quiet_x, quiet_e
+                plate, sink, sensor, integral, previous_error = (
+                    quiet,
+                    quiet_sink,
+                    quiet_seen,
+                    quiet_x,
+                    quiet_e,
+                )
     return derivative
 
 
 @_compiled
-def driven(rig: Constants, pwm: FloatArray, plate: float, sink: float) -> FloatArray:
-    """Temperature (°C) at each tick of a plate that follows a given PWM."""
+def driven(rig: Constants, pwm: FloatArray, plate: float, sink: float, sensor: float) -> FloatArray:
+    """Temperature (°C) that is seen at each tick of a plate that follows a given PWM."""
     temperature = np.empty(pwm.size)
     for k in range(pwm.size):
-        temperature[k] = plate - KELVIN
-        plate, sink = tick(rig, plate, sink, pwm[k])
+        temperature[k] = sensor - KELVIN
+        plate, sink, sensor = tick(rig, plate, sink, sensor, pwm[k])
     return temperature

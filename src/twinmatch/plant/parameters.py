@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["PARAMETER_NAMES", "PlantError", "PlantState", "RigParameters"]
+__all__ = ["PARAMETER_NAMES", "SEEBECK_REFERENCE", "PlantError", "PlantState", "RigParameters"]
 
 
 class PlantError(TwinmatchError):
@@ -23,10 +23,16 @@ PARAMETER_NAMES: Final = (
     "ambient",
     "sink_heat_capacity",
     "sink_convection",
+    "sensor_lag",
+    "seebeck_slope",
 )
 """Names of the rig parameters in their canonical order; each may be matched to a window."""
 
-_MAY_BE_ZERO = frozenset({"seebeck", "conductance", "sink_convection"})
+SEEBECK_REFERENCE: Final = 298.15
+"""Temperature at which a module has its nominal Seebeck coefficient, K; data sheets use it too."""
+
+_MAY_BE_ZERO = frozenset({"seebeck", "conductance", "sink_convection", "sensor_lag"})
+_MAY_BE_NEGATIVE = frozenset({"seebeck_slope"})
 _COLDEST, _HOTTEST = 150.0, 600.0
 
 
@@ -51,7 +57,7 @@ class RigParameters:
     """
 
     seebeck: float = 0.075
-    """Seebeck coefficient α of the module, V/K."""
+    """Seebeck coefficient α of the module at 298.15 K (everywhere, unless it has a slope), V/K."""
     resistance: float = 3.3
     """Electrical resistance R of the module, Ω."""
     conductance: float = 0.35
@@ -64,15 +70,22 @@ class RigParameters:
     """Heat capacity of the sink (side B), J/K; infinite holds the sink at its first temperature."""
     sink_convection: float = 0.0
     """Convection from the sink to the surroundings, W/K; only a sink of finite capacity feels it."""
+    sensor_lag: float = 0.0
+    """Time constant τ with which what the camera sees follows the plate, s; 0: it sees the plate itself."""
+    seebeck_slope: float = 0.0
+    """Change of the Seebeck coefficient with temperature, α(T) = α + slope·(T − 298.15 K), V/K²."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             name, value = field.name, float(getattr(self, field.name))
             object.__setattr__(self, name, value)
-            least = "0 or more" if name in _MAY_BE_ZERO else "positive"
-            valid = value >= 0 if name in _MAY_BE_ZERO else value > 0
+            least, valid = " and positive", value > 0
+            if name in _MAY_BE_ZERO:
+                least, valid = " and 0 or more", value >= 0
+            elif name in _MAY_BE_NEGATIVE:
+                least, valid = "", not math.isnan(value)
             if not valid or (math.isinf(value) and name != "sink_heat_capacity"):
-                msg = f"rig parameters: {name} is {value}; it must be finite and {least}"
+                msg = f"rig parameters: {name} is {value}; it must be finite{least}"
                 raise PlantError(msg)
         require_kelvin("rig parameters: ambient", self.ambient)
 
@@ -107,9 +120,13 @@ class PlantState:
     """Temperature T_A of the controlled plate, K."""
     sink: float
     """Temperature T_B of the heat sink, K."""
+    sensor: float = math.nan
+    """Temperature the camera sees, K; NaN, if not given, becomes the plate's."""
 
     def __post_init__(self) -> None:
-        for name, value in (("plate", self.plate), ("sink", self.sink)):
+        if math.isnan(self.sensor):
+            object.__setattr__(self, "sensor", self.plate)
+        for name, value in (("plate", self.plate), ("sink", self.sink), ("sensor", self.sensor)):
             if not (math.isfinite(value) and value > 0):
                 msg = f"plant state: {name} is {value} K; it must be finite and above absolute zero"
                 raise PlantError(msg)

@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike
 from twinmatch.plant import kernels
 from twinmatch.plant.camera import Camera, CameraRealisation
 from twinmatch.plant.driver import Driver
-from twinmatch.plant.parameters import PlantError, PlantState, RigParameters, require_kelvin
+from twinmatch.plant.parameters import (
+    SEEBECK_REFERENCE,
+    PlantError,
+    PlantState,
+    RigParameters,
+    require_kelvin,
+)
 from twinmatch.plant.pid import PidGains, PidState, controller_state
 from twinmatch.signals import KELVIN, FloatArray, Window
 
@@ -28,6 +34,8 @@ __all__ = [
 
 _STEP_OF_FASTEST_RATE = 0.04
 """Runge–Kutta step in units of the fastest time constant: far inside stability, error below 1e-6 K."""
+_LAGGED_STEP = 0.1
+"""The same for a plate that is solved exactly and seen through a lag: a cubic fits it to 1e-5 K."""
 _HOT = 400.0
 """Temperature at which the fastest rate is bounded, K."""
 _MOST_SUBSTEPS = 2000
@@ -67,7 +75,8 @@ def heat_flows(
     volts = pwm * rig.volts_per_count
     free = kernels.module_current(rig, volts, state.plate, state.sink)
     current = min(max(free, -rig.current_limit), rig.current_limit)
-    voltage = rig.seebeck * (state.sink - state.plate) + current * rig.resistance
+    seebeck = kernels.seebeck_between(rig, state.plate, state.sink)
+    voltage = seebeck * (state.sink - state.plate) + current * rig.resistance
     return HeatFlows(current, voltage, *kernels.heat_flows(rig, current, state.plate, state.sink))
 
 
@@ -77,6 +86,7 @@ def simulate_closed_loop(
     *,
     plate: float,
     sink: float | None = None,
+    sensor: float | None = None,
     controller: PidState | None = None,
     gains: PidGains | None = None,
     driver: Driver | None = None,
@@ -84,9 +94,9 @@ def simulate_closed_loop(
 ) -> Response:
     """Run plate, camera and PID over a reference (°C, shape (N,)).
 
-    `plate` and `sink` are the temperatures in kelvin at the first sample; a sink not given starts at
-    ambient. `controller` is the state of the PID before the first sample. Without a camera the
-    controller sees the plate itself.
+    `plate`, `sink` and `sensor` are the temperatures in kelvin at the first sample; a sink not given
+    starts at ambient, a sensor not given at the plate. `controller` is the state of the PID before the
+    first sample. Without a camera the controller sees the sensor's temperature itself.
 
     Raises:
         PlantError: a start temperature, the reference or the camera's length is unfit, or the
@@ -111,6 +121,7 @@ def simulate_closed_loop(
         float(camera.resolution),
         require_kelvin("closed loop: plate", plate),
         require_kelvin("closed loop: sink", parameters.ambient if sink is None else sink),
+        require_kelvin("closed loop: sensor", plate if sensor is None else sensor),
         float(controller.integral),
         float(controller.previous_error),
     )
@@ -123,6 +134,7 @@ def noise_sensitivity(
     *,
     plate: float,
     sink: float | None = None,
+    sensor: float | None = None,
     controller: PidState | None = None,
     gains: PidGains | None = None,
     driver: Driver | None = None,
@@ -144,6 +156,7 @@ def noise_sensitivity(
         _NOISE_STEP,
         require_kelvin("closed loop: plate", plate),
         require_kelvin("closed loop: sink", parameters.ambient if sink is None else sink),
+        require_kelvin("closed loop: sensor", plate if sensor is None else sensor),
         float(controller.integral),
         float(controller.previous_error),
     )
@@ -185,10 +198,13 @@ def simulate_driven(
     *,
     plate: float,
     sink: float | None = None,
+    sensor: float | None = None,
     period: float = 1.0,
     driver: Driver | None = None,
 ) -> Response:
     """Run the plate under a given PWM (shape (N,)), each value held for `period` seconds.
+
+    Start temperatures as in `simulate_closed_loop`.
 
     Raises:
         PlantError: a start temperature, the PWM or the period is unfit, or the parameters are too stiff.
@@ -199,6 +215,7 @@ def simulate_driven(
         values,
         require_kelvin("driven plant: plate", plate),
         require_kelvin("driven plant: sink", parameters.ambient if sink is None else sink),
+        require_kelvin("driven plant: sensor", plate if sensor is None else sensor),
     )
     return Response(temperature, values)
 
@@ -219,7 +236,9 @@ def advance(
         msg = f"plant: pwm is {pwm}; the plant takes only finite values"
         raise PlantError(msg)
     rig = _constants(parameters, driver or Driver(), period)
-    return PlantState(*kernels.tick(rig, float(state.plate), float(state.sink), float(pwm)))
+    return PlantState(
+        *kernels.tick(rig, float(state.plate), float(state.sink), float(state.sensor), float(pwm))
+    )
 
 
 def _constants(parameters: RigParameters, driver: Driver, period: float) -> kernels.Constants:
@@ -235,6 +254,8 @@ def _constants(parameters: RigParameters, driver: Driver, period: float) -> kern
         ambient=parameters.ambient,
         sink_heat_capacity=parameters.sink_heat_capacity,
         sink_convection=parameters.sink_convection,
+        sensor_lag=parameters.sensor_lag,
+        seebeck_slope=parameters.seebeck_slope,
         volts_per_count=driver.volts_per_count,
         current_limit=float(driver.current_limit),
         period=float(period),
@@ -243,15 +264,16 @@ def _constants(parameters: RigParameters, driver: Driver, period: float) -> kern
 
 
 def _substeps(parameters: RigParameters, driver: Driver, period: float) -> int:
-    """Runge–Kutta steps per tick that a sink with mass asks for."""
-    if not parameters.sink_has_mass:
+    """Steps per tick that Runge–Kutta, or the lag of a plate solved exactly, asks for."""
+    exact = not parameters.sink_has_mass and parameters.seebeck_slope == 0.0
+    if exact and parameters.sensor_lag == 0.0:
         return 1
-    a = parameters.seebeck
+    a = parameters.seebeck + abs(parameters.seebeck_slope) * (_HOT - SEEBECK_REFERENCE)
     module = a * driver.current_limit + parameters.conductance
     module += a * a * _HOT / (parameters.resistance + driver.bridge_resistance)
     plate_rate = module / parameters.heat_capacity
     sink_rate = (module + parameters.sink_convection) / parameters.sink_heat_capacity
-    steps = math.ceil(period * (plate_rate + sink_rate) / _STEP_OF_FASTEST_RATE)
+    steps = math.ceil(period * (plate_rate + sink_rate) / (_LAGGED_STEP if exact else _STEP_OF_FASTEST_RATE))
     if steps > _MOST_SUBSTEPS:
         msg = (
             f"plant: a time constant of {1 / (plate_rate + sink_rate):.2g} s is too short for a period of "
