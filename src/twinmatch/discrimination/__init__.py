@@ -2,7 +2,8 @@
 
 `code_length` and `information_gain` price what a model leaves unexplained in characters. `naic`, `bic` and
 `mdl` price its prediction errors against its parameters. `nu_gap` is the distance between two models that
-counts for feedback: small where one controller serves both.
+counts for feedback: small where one controller serves both; `stability_margin` says how small it has to be
+for a given controller, and `rig_margin` says it of the running PID.
 
 On these rests the judgement of a `Family` of candidates: `twin_response` runs a candidate's twin on its
 window, `identify` finds Box–Jenkins models of it, `score` holds them against the measured window, and
@@ -14,8 +15,10 @@ from twinmatch.discrimination.criteria import aic, bic, loss, mdl, mdl_as_printe
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.discrimination.family import Candidate, Family
 from twinmatch.discrimination.graph_symbol import GraphSymbol, graph_symbol
+from twinmatch.discrimination.margin import stability_margin
 from twinmatch.discrimination.models import SimoModel, identify, twin_response
 from twinmatch.discrimination.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
+from twinmatch.discrimination.rig_loop import Scales, rig_controller, rig_margin, rig_plant
 from twinmatch.discrimination.score import Criteria, OrderScore, choose_order, common_order, score
 from twinmatch.discrimination.verdict import CandidateScore, TrustLevel, Verdict, nominal_of
 
@@ -28,6 +31,7 @@ __all__ = [
     "GraphSymbol",
     "InformationGain",
     "OrderScore",
+    "Scales",
     "SimoModel",
     "TrustLevel",
     "Verdict",
@@ -49,6 +53,10 @@ __all__ = [
     "nu_gap",
     "nu_gap_matrix",
     "nu_gap_of",
+    "rig_controller",
+    "rig_margin",
+    "rig_plant",
     "score",
+    "stability_margin",
     "twin_response",
 ]

@@ -34,14 +34,14 @@ from twinmatch.signals import FloatArray
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["GraphSymbol", "graph_symbol"]
+__all__ = ["GraphSymbol", "graph_symbol", "spectral_roots"]
 
 
 @dataclass(frozen=True, eq=False)
 class GraphSymbol:
     """Right graph symbol [d; N] of a model with one input and m outputs, built once per model.
 
-    Make it with `graph_symbol`, `of_polynomials` or `of_fractions`.
+    Make it with `graph_symbol`, `of_polynomials`, `of_fractions` or `of_state_space`.
     """
 
     column: Column
@@ -64,7 +64,7 @@ class GraphSymbol:
         object.__setattr__(self, "coefficients", (high, low))
         object.__setattr__(self, "signed", (with_powers_of_j(high), with_powers_of_j(low)))
         object.__setattr__(self, "stack", with_derivatives(self.signed[0]))
-        roots = _spectral_roots(column)
+        roots = spectral_roots(column)
         if roots.size != high.shape[1] - 1 or not np.all(np.isfinite(roots) & (roots != 0)):
             msg = f"model: its dynamics {roots} are too far apart or from 1 rad/s; give time in another unit"
             raise DiscriminationError(msg)
@@ -109,6 +109,18 @@ class GraphSymbol:
             padded.append((np.pad(b, (0, width - b.size)), np.pad(f, (0, width - f.size))))
         return cls.of_transfer_functions(padded, period)
 
+    @classmethod
+    def of_state_space(
+        cls, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float | bool | None
+    ) -> GraphSymbol:
+        """From matrices of shapes (n, n), (n, 1), (m, n), (m, 1), in exact arithmetic.
+
+        Raises:
+            DiscriminationError: an entry is not finite.
+        """
+        column = trim_top(column_of(A, B, C, D))
+        return cls(to_half_plane(column) if period else column, period)
+
 
 def graph_symbol(system: Any) -> GraphSymbol:
     """The graph symbol of a `control` TransferFunction or StateSpace, or the symbol given.
@@ -128,9 +140,8 @@ def graph_symbol(system: Any) -> GraphSymbol:
         msg = f"model: it has {inputs} inputs; the ν-gap here is for one input and any number of outputs"
         raise DiscriminationError(msg)
     if hasattr(system, "A"):
-        column = trim_top(column_of(system.A, system.B, system.C, system.D))
         period = _time_base(system, dynamic=len(system.A) > 0)
-        return GraphSymbol(to_half_plane(column) if period else column, period)
+        return GraphSymbol.of_state_space(system.A, system.B, system.C, system.D, period)
     outputs = range(system.noutputs)
     fractions = [(system.num_array[k, 0], system.den_array[k, 0]) for k in outputs]
     dynamic = any(np.size(p) > 1 for pair in fractions for p in pair)
@@ -182,7 +193,7 @@ def _product(factors: Sequence[Polynomial]) -> Polynomial:
     return product
 
 
-def _spectral_roots(column: Column) -> NDArray[np.complex128]:
+def spectral_roots(column: Column) -> NDArray[np.complex128]:
     """Square roots with positive real part of −λ, λ the roots in Ω² of Σ |p(jΩ)|²."""
     roots = np.sqrt(-roots_of_even_part(even_part(column)))
     # rounding may put one on the axis itself, where no spectral factor has any

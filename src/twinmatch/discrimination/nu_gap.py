@@ -49,7 +49,7 @@ def nu_gap(p1: Any, p2: Any) -> float:
 
 def nu_gap_of(g1: GraphSymbol, g2: GraphSymbol) -> float:
     """ν-gap between two models whose graph symbols are at hand; raises as `nu_gap`."""
-    _comparable(g1, g2)
+    common_period(g1, g2)
     if g1.column == g2.column:
         return 0.0
     largest, half_turns = _compare(
@@ -82,7 +82,7 @@ def chordal_distance(p1: Any, p2: Any, frequencies: ArrayLike) -> FloatArray:
         DiscriminationError: as `nu_gap`, or a frequency that is negative, not a number or above π/period.
     """
     g1, g2 = graph_symbol(p1), graph_symbol(p2)
-    period = _comparable(g1, g2)
+    period = common_period(g1, g2)
     omega = np.asarray(frequencies, dtype=np.float64)
     highest = math.pi / float(period) if period else math.inf
     if not np.all((omega >= 0) & (omega <= highest * (1 + 1e-12))):
@@ -95,7 +95,7 @@ def chordal_distance(p1: Any, p2: Any, frequencies: ArrayLike) -> FloatArray:
     return kappa.reshape(omega.shape)
 
 
-def _comparable(g1: GraphSymbol, g2: GraphSymbol) -> float | bool | None:
+def common_period(g1: GraphSymbol, g2: GraphSymbol) -> float | bool | None:
     """The time base both models share."""
     if g1.outputs != g2.outputs:
         msg = f"ν-gap: one model has {g1.outputs} outputs, the other {g2.outputs}; they must be equal"

@@ -93,6 +93,8 @@ class Verdict:
     """One plain sentence: how sure the choice is, and which candidates the running controller holds for."""
     fault: str = ""
     """Name of the fault a health monitor found in the plant; empty for none."""
+    fault_since: int | None = None
+    """Index of the sample since which that fault shows; None without a fault."""
     structure: str = ""
     """Name of the plant structure the twins have; empty where only one was tried."""
 
