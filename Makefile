@@ -33,7 +33,7 @@ help:
 	@echo "make bench                setup and the peers, then measure side by side (BENCH_ARGS='--quick nu_gap' picks)"
 	@echo "make clean                remove $(VENV) and everything built"
 
-setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/compiled
+setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/browser $(STAMPS)/compiled
 	@:
 
 test: setup
@@ -79,6 +79,10 @@ $(STAMPS)/peers: pyproject.toml $(STAMPS)/dependencies
 
 $(STAMPS)/board: .ci/board_tools.sh | $(STAMPS)/venv
 	@sh .ci/board_tools.sh
+	@touch $@
+
+$(STAMPS)/browser: .ci/browser_tools.sh | $(STAMPS)/venv
+	@sh .ci/browser_tools.sh
 	@touch $@
 
 # numba keeps what it compiles; done here, no first run has to wait for it.

@@ -1,0 +1,173 @@
+"""The charts that share the time axis: temperature, control, residuals, and what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, HoverTool, Legend
+from bokeh.plotting import figure
+
+from twinmatch.dashboard.events import Event, Lane
+from twinmatch.dashboard.look import MARKS, SHAPES
+from twinmatch.signals import FloatArray
+from twinmatch.views.events import Stretch
+from twinmatch.views.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
+
+__all__ = ["TimeCharts", "bands"]
+
+BAND = 2.0
+"""Width of the residual band on both sides, in RMS of the newest samples."""
+TOOLS = "xpan,xwheel_zoom,box_zoom,reset,save"
+LANES = {Lane.TRUST: "trust", Lane.MATCH: "matches", Lane.FAULT: "faults", Lane.NODES: "nodes"}
+
+
+def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The edges of the residual bands, from the RMS columns."""
+    edges = {}
+    for name in ("driven", "pwm"):
+        edges[f"{name}_high"] = BAND * columns[f"rms_{name}"]
+        edges[f"{name}_low"] = -BAND * columns[f"rms_{name}"]
+    return edges
+
+
+class TimeCharts:
+    """The figures of one tab; they move together."""
+
+    def __init__(self, plant: ColumnDataSource, twin: ColumnDataSource) -> None:
+        """Draw these two sources."""
+        self._plant, self._twin = plant, twin
+        self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
+        self.temperature = self._temperature()
+        self.control = self._control()
+        self.residual = self._residual()
+        self.control_residual = self._control_residual()
+        self._stretches = ColumnDataSource({"left": [], "right": [], "lane": [], "colour": [], "level": []})
+        names = ("t", "lane", "colour", "shape", "title", "text")
+        self._events = ColumnDataSource({name: [] for name in names})
+        self.happened = self._happened()
+
+    @property
+    def figures(self) -> list[Any]:
+        """All of them, top to bottom."""
+        return [self.temperature, self.control, self.residual, self.control_residual, self.happened]
+
+    def span(self, seconds: float) -> None:
+        """Show so much of the newest time."""
+        self.time.follow_interval = seconds
+
+    def tell(self, stretches: list[Stretch], events: list[Event], period: float) -> None:
+        """Draw the trust level over time, and the events of this session."""
+        self._stretches.data = {
+            "left": [s.first * period for s in stretches],
+            "right": [s.last * period for s in stretches],
+            "lane": [LANES[Lane.TRUST]] * len(stretches),
+            "colour": [LEVELS[s.level] for s in stretches],
+            "level": [s.level.value for s in stretches],
+        }
+        placed = [e for e in events if e.sample is not None]
+        self._events.data = {
+            "t": [(e.sample or 0) * period for e in placed],
+            "lane": [LANES[e.lane] for e in placed],
+            "colour": [MARKS[e.mark] for e in placed],
+            "shape": [SHAPES[e.mark] for e in placed],
+            "title": [e.title for e in placed],
+            "text": [e.text for e in placed],
+        }
+
+    def _figure(self, name: str, height: int, label: str, **options: Any) -> Any:
+        chart = figure(
+            name=name,
+            height=height,
+            sizing_mode="stretch_width",
+            x_range=self.time,
+            tools=TOOLS,
+            active_drag=None,
+            active_scroll=None,
+            y_axis_label=label,
+            lod_threshold=None,
+            **options,
+        )
+        chart.toolbar.logo = None
+        chart.toolbar.autohide = True
+        chart.grid.grid_line_width = 1
+        return chart
+
+    def _temperature(self) -> Any:
+        chart = self._figure("temperature", 270, "temperature / °C")
+        plant = chart.line("t", "temperature", source=self._plant, color=PLANT, line_width=2)
+        closed = chart.line("t", "closed_temperature", source=self._twin, color=CLOSED, line_width=1.6)
+        asked = chart.step(
+            "t", "reference", source=self._plant, mode="after", color=SET_POINT, line_width=1.4
+        )
+        asked.glyph.line_dash = [6, 4]
+        self.time.renderers = [plant]
+        _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", "@temperature{0.00} °C")])
+        return chart
+
+    def _control(self) -> Any:
+        chart = self._figure("control", 180, "control / PWM")
+        plant = chart.step("t", "pwm", source=self._plant, mode="after", color=PLANT, line_width=1.6)
+        closed = chart.step("t", "closed_pwm", source=self._twin, mode="after", color=CLOSED, line_width=1.2)
+        _legend(chart, {"plant": plant, "closed-loop twin": closed})
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", "@pwm{0.0} PWM")])
+        return chart
+
+    def _residual(self) -> Any:
+        chart = self._figure("residual", 150, "residual / K")
+        band = chart.varea(
+            "t", "driven_low", "driven_high", source=self._twin, fill_color=DRIVEN, fill_alpha=0.18
+        )
+        driven = chart.line("t", "residual_driven", source=self._twin, color=DRIVEN, line_width=1.4)
+        closed = chart.line("t", "residual_closed", source=self._twin, color=CLOSED, line_width=1.1)
+        names = {"plant − driven twin": driven, f"± {BAND:g} RMS": band, "plant − closed-loop twin": closed}
+        _legend(chart, names)
+        _hover(chart, driven, [("time", "@t{0.0} s"), ("plant − driven twin", "@residual_driven{0.00} K")])
+        return chart
+
+    def _control_residual(self) -> Any:
+        chart = self._figure("control_residual", 150, "residual / PWM")
+        band = chart.varea("t", "pwm_low", "pwm_high", source=self._twin, fill_color=CLOSED, fill_alpha=0.15)
+        line = chart.line("t", "residual_pwm", source=self._twin, color=CLOSED, line_width=1.2)
+        _legend(chart, {"plant − closed-loop twin": line, f"± {BAND:g} RMS": band})
+        _hover(chart, line, [("time", "@t{0.0} s"), ("residual", "@residual_pwm{0.0} PWM")])
+        return chart
+
+    def _happened(self) -> Any:
+        lanes = FactorRange(factors=list(reversed(LANES.values())))
+        chart = self._figure("happened", 170, "", y_range=lanes)
+        chart.xaxis.axis_label = "time since the session began / s"
+        chart.ygrid.grid_line_color = None
+        strips = chart.hbar(
+            y="lane",
+            left="left",
+            right="right",
+            height=0.6,
+            source=self._stretches,
+            fill_color="colour",
+            line_color=None,
+        )
+        marks = chart.scatter(
+            "t",
+            "lane",
+            source=self._events,
+            marker="shape",
+            size=12,
+            fill_color="colour",
+            line_color="colour",
+            line_width=2.5,
+            fill_alpha=0.85,
+        )
+        _hover(chart, strips, [("trust", "@level"), ("from", "@left{0} s"), ("to", "@right{0} s")])
+        _hover(chart, marks, [("at", "@t{0} s"), ("what", "@title"), ("why", "@text")])
+        return chart
+
+
+def _legend(chart: Any, names: Mapping[str, Any]) -> None:
+    items = [(name, [renderer]) for name, renderer in names.items()]
+    chart.add_layout(Legend(items=items, orientation="horizontal", click_policy="hide"), "above")
+
+
+def _hover(chart: Any, renderer: Any, rows: list[tuple[str, str]]) -> None:
+    chart.add_tools(HoverTool(renderers=[renderer], tooltips=rows, visible=False))

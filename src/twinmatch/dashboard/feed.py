@@ -1,0 +1,58 @@
+"""From a history to the columns a browser draws: only what is new travels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from bokeh.models import ColumnDataSource
+
+from twinmatch.dashboard.history import History
+from twinmatch.signals import FloatArray
+
+__all__ = ["POINTS", "Feed", "stride_for"]
+
+POINTS = 2400
+"""Most points of a line, whatever the time it spans."""
+
+Derive = Callable[[Mapping[str, FloatArray]], dict[str, FloatArray]]
+
+
+def stride_for(samples: int) -> int:
+    """How many samples are drawn as one, see `envelope`, so that a line has at most `POINTS` points."""
+    return 1 if samples <= POINTS else math.ceil(2 * samples / POINTS)
+
+
+class Feed:
+    """Keeps one `ColumnDataSource` up with one history."""
+
+    def __init__(self, history: History, derive: Derive | None = None) -> None:
+        """Begin empty; `derive` makes more columns from those of the history."""
+        self._history = history
+        self._derive = derive
+        names = list(self._columns(history.since(0)[0], 1.0))
+        self.source = ColumnDataSource({"t": [], **{name: [] for name in names}})
+        self._row = 0
+        self._shown: tuple[int, float, int] | None = None
+
+    def update(self, period: float, span: int) -> None:
+        """Draw what is new of the newest `span` samples; everything when it has to be drawn anew."""
+        stride = stride_for(span)
+        shown = (self._history.epoch, period, span)
+        points = span if stride == 1 else 2 * math.ceil(span / stride)
+        anew = shown != self._shown
+        if anew:
+            self._row = max(0, self._history.count // stride * stride - math.ceil(span / stride) * stride)
+        drawn, self._row = self._history.since(self._row, stride)
+        columns = self._columns(drawn, period)
+        if anew:
+            self.source.data = columns
+            self._shown = shown
+        elif columns["t"].size:
+            self.source.stream(columns, rollover=points)
+
+    def _columns(self, drawn: dict[str, FloatArray], period: float) -> dict[str, FloatArray]:
+        columns = {"t": drawn.pop("index") * period, **drawn}
+        if self._derive is not None:
+            columns |= self._derive(columns)
+        return columns

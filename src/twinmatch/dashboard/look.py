@@ -1,0 +1,92 @@
+"""How the page looks: colours and lettering from `twinmatch.views.style`, sizes for a screen."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from bokeh.models import Div, InlineStyleSheet
+from bokeh.themes import Theme
+
+from twinmatch.dashboard.events import Mark
+from twinmatch.discrimination import TrustLevel
+from twinmatch.views.style import GRID, LEVELS, SET_POINT, TEXT
+
+__all__ = ["FONT", "MARKS", "SHAPES", "SIGNS", "THEME", "panel", "text"]
+
+FONT = "system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'DejaVu Sans', sans-serif"
+
+SIGNS = {
+    TrustLevel.UNKNOWN: "?",
+    TrustLevel.TRUSTED: "✓",
+    TrustLevel.DOUBTFUL: "!",
+    TrustLevel.FAULT: "✕",
+}
+"""Beside the word and the colour of a level."""
+
+MARKS = {
+    Mark.GOOD: LEVELS[TrustLevel.TRUSTED],
+    Mark.NOTE: SET_POINT,
+    Mark.WARNING: LEVELS[TrustLevel.DOUBTFUL],
+    Mark.BAD: LEVELS[TrustLevel.FAULT],
+}
+SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "dash", Mark.WARNING: "triangle", Mark.BAD: "x"}
+"""Markers of the time line: nobody has to tell them by their colour."""
+
+THEME = Theme(
+    json={
+        "attrs": {
+            "Plot": {
+                "background_fill_color": "#FFFFFF",
+                "border_fill_color": None,
+                "outline_line_color": None,
+                "min_border_left": 64,
+                "min_border_right": 12,
+                "min_border_top": 4,
+                "min_border_bottom": 4,
+            },
+            "Axis": {
+                "axis_label_text_font": FONT,
+                "axis_label_text_font_size": "12px",
+                "axis_label_text_font_style": "normal",
+                "axis_label_text_color": TEXT,
+                "axis_line_color": "#8C8C8C",
+                "major_label_text_font": FONT,
+                "major_label_text_font_size": "12px",
+                "major_label_text_color": TEXT,
+                "major_tick_line_color": "#8C8C8C",
+                "minor_tick_line_color": None,
+            },
+            "Grid": {"grid_line_color": GRID, "grid_line_alpha": 0.7},
+            "Legend": {
+                "label_text_font": FONT,
+                "label_text_font_size": "12px",
+                "border_line_color": None,
+                "background_fill_alpha": 0.0,
+                "padding": 0,
+                "margin": 0,
+                "spacing": 14,
+                "glyph_width": 22,
+            },
+            "BaseColorBar": {
+                "major_label_text_font": FONT,
+                "major_label_text_font_size": "12px",
+                "title_text_font": FONT,
+                "title_text_font_size": "12px",
+                "title_text_font_style": "normal",
+            },
+        }
+    }
+)
+
+_STYLE = InlineStyleSheet(css=Path(__file__).with_name("panel.css").read_text(encoding="utf-8"))
+
+
+def panel(name: str) -> Div:
+    """A place for HTML that fills its card; `name` is where the page puts it."""
+    return Div(name=name, text="", sizing_mode="stretch_width", stylesheets=[_STYLE])
+
+
+def text(words: object) -> str:
+    """Words of the graph as HTML: what looks like markup is shown as it is."""
+    return escape(str(words))

@@ -1,0 +1,154 @@
+"""The node behind the page: hears the graph, fills the state, does what is asked for on the page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from sensor_msgs.msg import Image
+
+from twinmatch.dashboard.page import Page
+from twinmatch.dashboard.requests import Requests
+from twinmatch.dashboard.server import PageServer, is_loopback
+from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.conversions import match_from, sample_from, verdict_from
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch_msgs.msg import LoopSample, Match, ModelScore, PwmApplied, TwinState
+
+__all__ = ["Dashboard"]
+
+ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+"""Enough for two seconds of a recording that is played a thousand times as fast."""
+POLL = 0.05
+"""Seconds between two looks at what was asked for on the page."""
+
+
+class Dashboard(TwinmatchNode):
+    """Shows the graph of its namespace; without `control` it publishes nothing but its health."""
+
+    NAME = "dashboard"
+    PARAMETERS = (
+        Parameter(
+            "address", "127.0.0.1", "Address to serve on; any but this machine's own is open to others."
+        ),
+        Parameter("port", 5006, "TCP port; 0: any that is free.", "", 0, 65535),
+        Parameter("control", False, "Whether the page may set the set-point, clear faults and stop."),
+    )
+    CLOSING = 4
+
+    _server: PageServer | None = None
+
+    def open(self) -> None:
+        """Listen to the graph and serve the page.
+
+        Raises:
+            DashboardError: the address or port cannot be used.
+        """
+        self.state = DashboardState()
+        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._requests = Requests(self, self.state, self._asked.put, control=self.values["control"])
+        self._hear(LoopSample, "plant/sample", self._on_sample, ALL)
+        self._hear(TwinState, "twin/state", self._on_twin, ALL)
+        self._hear(ModelScore, "twin/model_score", self._on_score, ALL)
+        self._hear(Match, "twin/match", self._on_match, ALL)
+        self._hear(PwmApplied, "plant/pwm_applied", self._on_applied, ALL)
+        self._hear(DiagnosticArray, "/diagnostics", self._on_health, ALL)
+        self._hear(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
+        self.create_timer(POLL, self._do_what_was_asked, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        address = self.values["address"]
+        self._server = PageServer(address, self.values["port"], self._fill)
+        if not is_loopback(address):
+            able = "and command the rig" if self.values["control"] else "but command nothing"
+            print(
+                f"PAGE OPEN: whoever reaches {address} may read this page {able}; nothing is encrypted",
+                flush=True,
+            )
+        print(f"page: {self._server.url}", flush=True)
+        self.report_on()
+
+    @property
+    def failure(self) -> Exception | None:
+        """What ended the server."""
+        return None if self._server is None else self._server.failure
+
+    def report(self) -> Report:
+        """How many tabs are open."""
+        if self._server is not None:
+            self.health.set("page", self._server.url)
+            self.health.set("tabs", self._server.tabs)
+        return super().report()
+
+    def close(self) -> bool:
+        """End the server."""
+        return self._server is None or self._server.close()
+
+    def _fill(self, document: Any) -> None:
+        Page(self.state, self._requests).build(document)
+
+    def _hear(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> None:
+        """Subscribe; a message that makes no sense is complained of and passed over."""
+
+        def receive(message: Any) -> None:
+            try:
+                take(message)
+            except TwinmatchError as error:
+                self.health.complain(topic, Level.WARN, f"{topic}: {error}")
+
+        self.create_subscription(kind, topic, receive, qos)
+
+    def _on_sample(self, message: LoopSample) -> None:
+        self.state.push_sample(sample_from(message), time.monotonic())
+
+    def _on_twin(self, message: TwinState) -> None:
+        row = TwinRow(
+            closed_temperature=message.closed_loop_temperature,
+            closed_pwm=message.closed_loop_pwm,
+            driven_temperature=message.driven_temperature,
+            residual_closed=message.closed_loop_temperature_residual,
+            residual_pwm=message.closed_loop_pwm_residual,
+            residual_driven=message.driven_temperature_residual,
+            rms_closed=message.closed_loop_temperature_rms,
+            rms_pwm=message.closed_loop_pwm_rms,
+            rms_driven=message.driven_temperature_rms,
+        )
+        self.state.push_twin(message.index, row)
+
+    def _on_score(self, message: ModelScore) -> None:
+        self.state.push_verdict(verdict_from(message))
+
+    def _on_match(self, message: Match) -> None:
+        self.state.push_match(match_from(message))
+
+    def _on_applied(self, message: PwmApplied) -> None:
+        self.state.push_drive(Drive(message.pwm, message.current, message.fault))
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
+        for status in message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            level = int.from_bytes(status.level, "little")
+            self.state.push_health(status.name, level, status.message, values, now)
+
+    def _on_image(self, message: Image) -> None:
+        if message.encoding != "32FC1" or message.step != 4 * message.width or not message.height:
+            return
+        kind = np.dtype(">f4" if message.is_bigendian else "<f4")
+        pixels = np.frombuffer(bytes(message.data), dtype=kind)
+        if pixels.size == message.height * message.width:
+            self.state.push_image(pixels.astype(np.float32).reshape(message.height, message.width))
+
+    def _do_what_was_asked(self) -> None:
+        while True:
+            try:
+                self._asked.get_nowait()()
+            except Empty:
+                return

@@ -1,0 +1,126 @@
+"""The document of one browser tab: built once, then brought up to date a few times a second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from bokeh.document import Document
+from bokeh.models import Div, Toggle
+
+from twinmatch.dashboard import panels
+from twinmatch.dashboard.actions import Actions
+from twinmatch.dashboard.charts import TimeCharts, bands
+from twinmatch.dashboard.feed import Feed
+from twinmatch.dashboard.look import FONT, THEME, panel
+from twinmatch.dashboard.matrix import Matrix
+from twinmatch.dashboard.state import DashboardState
+from twinmatch.dashboard.thermal import Thermal
+from twinmatch.dashboard.widgets import PlayerButtons, RigButtons, SpanButtons
+from twinmatch.discrimination import TrustLevel
+from twinmatch.views.style import LEVELS, TEXT
+
+__all__ = ["REFRESH", "Page"]
+
+REFRESH = 350
+"""Milliseconds between two updates of a tab."""
+_TEMPLATE = Path(__file__).with_name("page.html")
+
+
+class Page:
+    """One tab. It keeps nothing that grows: charts roll over, texts replace each other."""
+
+    def __init__(
+        self, state: DashboardState, actions: Actions, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Show a state; `clock` is the one whose times the state was told."""
+        self._state, self._clock = state, clock
+        self._plant = Feed(state.plant)
+        self._twin = Feed(state.twin, bands)
+        self._charts = TimeCharts(self._plant.source, self._twin.source)
+        self._matrix, self._thermal = Matrix(), Thermal()
+        names = ("status", "alarm", "headline", "tiles", "family", "events", "nodes", "thermal_note")
+        self._texts: dict[str, Div] = {name: panel(name) for name in names}
+        self._every = Toggle(label="all orders", name="every", width=110)
+        self._span = SpanButtons()
+        self._player = PlayerButtons(actions)
+        self._rig = RigButtons(actions) if actions.control else None
+        self._seen: dict[str, object] = {}
+
+    def build(self, document: Document) -> None:
+        """Make the document, and keep it up to date for as long as its tab is open."""
+        roots = [
+            *self._charts.figures,
+            self._matrix.figure,
+            self._thermal.figure,
+            *self._texts.values(),
+            self._every,
+            self._span.root,
+            self._player.root,
+        ]
+        if self._rig is not None:
+            roots += [self._rig.root, self._rig.notice]
+        for root in roots:
+            document.add_root(root)
+        document.title = "twinmatch"
+        document.theme = THEME
+        document.template = _TEMPLATE.read_text(encoding="utf-8")
+        document.template_variables.update(
+            control=self._rig is not None,
+            font=FONT,
+            ink=TEXT,
+            good=LEVELS[TrustLevel.TRUSTED],
+            fault=LEVELS[TrustLevel.FAULT],
+        )
+        self.update()
+        document.add_periodic_callback(self.update, REFRESH)
+
+    def update(self) -> None:
+        """Bring everything up to date that is another than before."""
+        state, now = self._state, self._clock()
+        with state.lock:
+            state.roster.look(now)
+            span = self._span.samples(state.period, state.plant.capacity)
+            self._plant.update(state.period, span)
+            self._twin.update(state.period, span)
+            if self._changed("span", span * state.period):
+                self._charts.span(span * state.period)
+            self._tell(now)
+            happened = (state.verdicts, state.events.count, state.period)
+            if self._changed("happened", happened):
+                events = state.events.newest_first()
+                mine = [e for e in events if e.session == state.session]
+                self._charts.tell(list(state.trust), mine, state.period)
+                self._say("events", panels.events_table(events, state.session, state.period))
+            if self._changed("family", (state.verdicts, self._every.active)):
+                self._matrix.update(state.verdict)
+                self._say("family", panels.family_table(state.verdict, every=bool(self._every.active)))
+            if self._changed("image", state.images) and state.image is not None:
+                self._thermal.update(state.image)
+            self._player.update(state.roster.player)
+
+    def _tell(self, now: float) -> None:
+        state = self._state
+        self._say("status", panels.status(state, now))
+        self._say("alarm", panels.alarm(state))
+        self._say("headline", panels.headline(state.verdict))
+        self._say("tiles", panels.tiles(state))
+        self._say("nodes", panels.nodes(state.roster, now))
+        none_yet = state.image is None
+        self._thermal.figure.visible = not none_yet
+        self._say("thermal_note", panels.NO_IMAGE if none_yet else "")
+        if self._rig is not None:
+            self._rig.notice.text = panels.notice(state)
+
+    def _say(self, name: str, html: str) -> None:
+        place = self._texts[name]
+        if place.text != html:
+            place.text = html
+            place.visible = bool(html)
+
+    def _changed(self, name: str, value: object) -> bool:
+        if self._seen.get(name) == value:
+            return False
+        self._seen[name] = value
+        return True

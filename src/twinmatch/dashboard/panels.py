@@ -1,0 +1,224 @@
+"""What stands in the page as text: the verdict in large, figures of the moment, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from twinmatch.dashboard.events import Event
+from twinmatch.dashboard.look import MARKS, SIGNS, text
+from twinmatch.dashboard.roster import Roster
+from twinmatch.dashboard.state import DashboardState
+from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.plant import RigParameters
+from twinmatch.views import COLUMNS, row
+from twinmatch.views.criteria import computed, criterion_rows
+from twinmatch.views.quantities import number, quantity
+from twinmatch.views.style import LEVEL_WORDS, LEVELS
+
+__all__ = [
+    "NO_IMAGE",
+    "alarm",
+    "events_table",
+    "family_table",
+    "headline",
+    "nodes",
+    "notice",
+    "status",
+    "tiles",
+]
+
+RECENT = 80
+"""Events in the table."""
+SILENCE = 5.0
+"""Periods without a sample, but at least as many seconds, after which the page says so."""
+MATCHED = ("seebeck", "resistance", "conductance", "heat_capacity")
+LIGHT = (TrustLevel.UNKNOWN, TrustLevel.DOUBTFUL)
+"""Levels whose colour wants dark letters."""
+DASH = "–"
+NO_IMAGE = '<p class="quiet">No thermal image has come; only a rig with a camera sends them.</p>'
+NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
+"""Colours of the levels of REP 107."""
+NODE_WORDS = ("well", "warning", "error", "silent")
+
+
+def headline(verdict: Verdict | None) -> str:
+    """Level and nominal in large, and why."""
+    level = TrustLevel.UNKNOWN if verdict is None else verdict.level
+    if verdict is None or verdict.nominal is None:
+        name, order = "none yet", ""
+    else:
+        name = verdict.nominal
+        chosen = next((c.chosen_order for c in verdict.candidates if c.name == name), "")
+        order = f"order {chosen}" if chosen else ""
+    why = "no verdict has come yet" if verdict is None else verdict.reason
+    dark = " dark" if level in LIGHT else ""
+    return (
+        f'<div class="hero"><div class="level{dark}" style="background:{LEVELS[level]}">'
+        f'<div class="sign">{SIGNS[level]}</div><div><div class="word">{text(level.value)}</div>'
+        f'<div class="meaning">{text(LEVEL_WORDS[level])}</div></div></div>'
+        f'<div class="nominal"><div class="label">nominal twin, matched at</div>'
+        f'<div class="name">{text(name)}</div><div class="label">{text(order)}</div></div>'
+        f'<div class="why"><div class="label">newest verdict</div><p>{text(why)}</p></div></div>'
+    )
+
+
+def tiles(state: DashboardState) -> str:
+    """Figures of the moment, and those of the newest verdict as the terminal shows them."""
+    now = state.plant.newest() or {}
+    twin = state.twin.newest() or {}
+    entries = [
+        ("plant", number(now.get("temperature"), 2), "°C"),
+        ("set-point", number(now.get("reference"), 1), "°C"),
+        ("closed-loop twin", number(twin.get("closed_temperature"), 2), "°C"),
+        ("control", number(now.get("pwm"), 1), "PWM"),
+        ("its twin", number(twin.get("closed_pwm"), 1), "PWM"),
+    ]
+    if state.drive is not None:
+        entries.append(("current", number(state.drive.current, 2), "A"))
+    if state.verdict is not None:
+        cells = row(state.verdict, state.period)
+        told = [
+            pair for pair in zip(COLUMNS, cells, strict=True) if pair[0] not in ("level", "nominal", "why")
+        ]
+        for name, cell in told:
+            words, _, unit = name.partition(" / ")
+            entries.append((f"verdict at {words}" if words == "t" else words, cell, unit))
+    shown = [
+        f'<div><div class="label">{text(name)}</div>'
+        f'<div class="value">{text(value)} <span class="unit">{text(unit)}</span></div></div>'
+        for name, value, unit in entries
+    ]
+    return f'<div class="tiles">{"".join(shown)}</div>'
+
+
+def status(state: DashboardState, now: float) -> str:
+    """One line: does the graph speak, which sample, how the nodes are."""
+    pills = []
+    if state.heard_at is None:
+        pills.append(_pill(TrustLevel.UNKNOWN, "waiting for the first sample"))
+    else:
+        quiet, patience = now - state.heard_at, SILENCE * max(1.0, state.period)
+        if quiet > patience:
+            pills.append(_pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s"))
+        else:
+            at = (state.sample or 0) * state.period
+            pills.append(
+                _pill(TrustLevel.TRUSTED, f"sample {state.sample}, {number(at, _digits(state.period))} s")
+            )
+    player = state.roster.player
+    if player is not None:
+        rate = "as fast as it goes" if player.rate == 0 else f"{player.rate:g} × recorded speed"
+        pills.append(_pill(None, f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}"))
+    standing = state.roster.standing
+    worst = [n for n, s in standing.items() if s.level >= 1 or state.roster.silent(n, now)]
+    if standing and not worst:
+        pills.append(_pill(TrustLevel.TRUSTED, f"{len(standing)} nodes are well"))
+    elif worst:
+        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(standing)} nodes need a look"))
+    return f'<div class="status">{"".join(pills)}</div>'
+
+
+def alarm(state: DashboardState) -> str:
+    """The fault that holds the output at zero or that the twin sees; empty without one."""
+    if not state.fault:
+        return ""
+    kind, _, why = state.fault.partition(": ")
+    return (
+        f'<div class="alarm" role="alert"><b>{SIGNS[TrustLevel.FAULT]} Output held at zero: '
+        f"{text(kind.replace('_', ' '))}</b><br>{text(why)}</div>"
+    )
+
+
+def family_table(verdict: Verdict | None, *, every: bool) -> str:
+    """The candidates with their criteria, on both outputs together; with `every` order or the chosen one."""
+    if verdict is None or not verdict.candidates:
+        return '<p class="quiet">There is no candidate yet: no match has been accepted.</p>'
+    criteria = computed(verdict.candidates)
+    head = ["candidate", "order"]
+    head += [f"{c.name} / {c.unit}" if c.unit else c.name for c in criteria]
+    quantities = [quantity(name) for name in MATCHED]
+    head += ["Σ ν-gap", "ν-gap now", *(q.label for q in quantities)]
+    lines = []
+    for candidate in verdict.candidates:
+        nominal = candidate.name == verdict.nominal
+        tag = '<span class="tag">nominal</span>' if nominal else ""
+        rest = [
+            number(candidate.nu_gap_sum, 3),
+            number(candidate.nu_gap_to_plant, 3),
+            *_parameters(candidate.parameters),
+        ]
+        for line in criterion_rows(candidate, criteria):
+            if line.output != "total" or not (every or line.chosen):
+                continue
+            cells = [f"<td>{text(candidate.name)}{tag}</td>" if line.chosen else "<td></td>"]
+            cells.append(f'<td class="left">{text(line.order)}{" ✓" if line.chosen else ""}</td>')
+            cells += [
+                f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
+            ]
+            cells += [f"<td>{text(value)}</td>" for value in (rest if line.chosen else [""] * len(rest))]
+            kind = "nominal-row" if nominal and line.chosen else "" if line.chosen else "faded"
+            lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
+    return _table(head, lines)
+
+
+def events_table(events: Sequence[Event], session: int, period: float) -> str:
+    """The newest events, newest first."""
+    if not events:
+        return '<p class="quiet">Nothing has happened yet.</p>'
+    lines = []
+    for event in events[:RECENT]:
+        at = DASH if event.sample is None else f"{event.sample * period:.0f}"
+        if event.session != session:
+            at = f"session {event.session}: {at}"
+        lines.append(
+            f'<tr><td class="number">{text(at)}</td><td class="wide">'
+            f'<span class="mark" style="background:{MARKS[event.mark]}"></span><b>{text(event.title)}</b>'
+            f'<div class="quiet">{text(event.text)}</div></td></tr>'
+        )
+    return _table(["t / s", "what and why"], lines, "events")
+
+
+def nodes(roster: Roster, now: float) -> str:
+    """Every node that reports, and what it says."""
+    shown = []
+    for name, standing in sorted(roster.standing.items()):
+        level = 3 if roster.silent(name, now) else min(standing.level, 3)
+        colour = LEVELS[NODE_LEVELS[level]]
+        shown.append(
+            f'<div><span class="dot" style="background:{colour}"></span><b>'
+            f"{text(name.removesuffix(': health'))}</b> {NODE_WORDS[level]}"
+            f'<div class="quiet">{text(standing.message)}</div></div>'
+        )
+    if not shown:
+        return '<p class="quiet">No node has reported yet.</p>'
+    return f'<div class="roster">{"".join(shown)}</div>'
+
+
+def notice(state: DashboardState) -> str:
+    """What became of the last thing asked for."""
+    if state.notice is None:
+        return ""
+    kind = "good" if state.notice.done else "bad"
+    return f'<p class="{kind}">{text(state.notice.text)}</p>'
+
+
+def _parameters(parameters: RigParameters) -> list[str]:
+    return [quantity(name).text(getattr(parameters, name)) for name in MATCHED]
+
+
+def _pill(level: TrustLevel | None, words: str) -> str:
+    dot = "" if level is None else f'<span class="dot" style="background:{LEVELS[level]}"></span>'
+    return f'<span class="pill">{dot}{text(words)}</span>'
+
+
+def _digits(period: float) -> int:
+    return 0 if period >= 1 else 1
+
+
+def _table(head: Sequence[str], lines: Sequence[str], kind: str = "") -> str:
+    names = "".join(f"<th{' class=left' if k == 1 else ''}>{text(name)}</th>" for k, name in enumerate(head))
+    body = "".join(lines)
+    return (
+        f'<div class="scroll"><table class="{kind}"><thead><tr>{names}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )

@@ -1,0 +1,128 @@
+"""What was asked for on the page, as service calls and messages of the graph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from twinmatch.dashboard.state import DashboardState
+from twinmatch.nodes.samples import RELIABLE
+
+__all__ = ["Requests"]
+
+SOURCE = ("reference_source", "profile.lowest", "profile.highest")
+"""Parameters of the controller that say whether a set-point from outside would be followed."""
+
+
+class Requests:
+    """`Actions` by means of a node. Callable from any thread; the work is left to the node's own.
+
+    Without `control` there is neither publisher nor client for anything that moves the rig.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        state: DashboardState,
+        later: Callable[[Callable[[], None]], None],
+        *,
+        control: bool,
+    ) -> None:
+        """Make clients; `later` has a function called in the node's thread."""
+        self._node, self._state, self._later = node, state, later
+        self._control = control
+        self._pause = node.create_client(SetBool, "player/pause")
+        self._rate = node.create_client(SetParameters, "player/set_parameters")
+        if control:
+            self._clear = node.create_client(Trigger, "pwm_bridge/clear_fault")
+            self._stop = node.create_client(Trigger, "pwm_bridge/stop")
+            self._limits = node.create_client(GetParameters, "controller/get_parameters")
+            # Not latched: a controller that is started again must not find an old wish of ours.
+            quiet = PublisherEventCallbacks(use_default_callbacks=False)
+            self._reference = node.create_publisher(
+                Float64, "plant/reference", RELIABLE, event_callbacks=quiet
+            )
+
+    @property
+    def control(self) -> bool:
+        """Whether set-point, stop and clearing a fault may be asked for."""
+        return self._control
+
+    def pause(self, paused: bool) -> None:
+        """Let the player of a session stand still, or go on."""
+        self._call(self._pause, SetBool.Request(data=paused), "the player", self._tell_answer)
+
+    def rate(self, rate: float) -> None:
+        """Let it play so many recorded seconds per second; 0: as fast as it goes."""
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
+        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        self._call(self._rate, request, "the player", self._tell_rate)
+
+    def clear_fault(self) -> None:
+        """Let the output be driven again after a fault."""
+        if self._control:
+            self._call(self._clear, Trigger.Request(), "pwm_bridge", self._tell_answer)
+
+    def stop(self) -> None:
+        """Hold the output at zero."""
+        if self._control:
+            self._call(self._stop, Trigger.Request(), "pwm_bridge", self._tell_answer)
+
+    def set_point(self, celsius: float) -> None:
+        """Ask the controller for a set-point, once it has said that it would follow one."""
+        if not self._control:
+            return
+
+        def ask(answer: Any) -> None:
+            self._ask_for(celsius, answer.values)
+
+        self._call(self._limits, GetParameters.Request(names=list(SOURCE)), "the controller", ask)
+
+    def _ask_for(self, celsius: float, values: list[Any]) -> None:
+        found = {name: value for name, value in zip(SOURCE, values, strict=False) if value.type}
+        if len(found) < len(SOURCE):
+            self._state.tell(False, "the controller does not say which set-points it follows")
+            return
+        low, high = found["profile.lowest"].double_value, found["profile.highest"].double_value
+        if found["reference_source"].string_value != "topic":
+            self._state.tell(
+                False,
+                "the controller follows its own profile; it has to be started with reference_source: topic",
+            )
+        elif not (math.isfinite(celsius) and low <= celsius <= high):
+            self._state.tell(False, f"{celsius:g} °C was not asked for: allowed is {low:g} to {high:g} °C")
+        else:
+            self._reference.publish(Float64(data=celsius))
+            self._state.tell(
+                True, f"asked for {celsius:g} °C; the set-point above follows with the next sample"
+            )
+
+    def _call(self, client: Any, request: Any, whom: str, then: Callable[[Any], None]) -> None:
+        def call() -> None:
+            if not client.service_is_ready():
+                self._state.tell(False, f"{whom} is not there ({client.srv_name})")
+                return
+            client.call_async(request).add_done_callback(done)
+
+        def done(future: Any) -> None:
+            answer = future.result()
+            if answer is not None:
+                then(answer)
+
+        self._later(call)
+
+    def _tell_answer(self, answer: Any) -> None:
+        self._state.tell(answer.success, answer.message)
+
+    def _tell_rate(self, answer: Any) -> None:
+        for result in answer.results:
+            if not result.successful:
+                self._state.tell(False, result.reason)

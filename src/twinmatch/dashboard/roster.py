@@ -1,0 +1,91 @@
+"""Which nodes there are, and how they say they are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+__all__ = ["ERROR", "PATIENCE", "Player", "Roster", "Standing"]
+
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of REP 107, as on /diagnostics."""
+PATIENCE = 4.0
+"""Seconds without a report after which a node counts as silent; they report every second."""
+FORGET = 60.0
+"""Seconds after which a silent node is forgotten."""
+MOST = 64
+"""Names that are kept; more would not be nodes of one graph."""
+
+_DIGITS = re.compile(r"[\d.,]+")
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What a node said last."""
+
+    level: int
+    message: str
+    at: float
+    """When, in seconds of the listener's clock."""
+
+
+@dataclass(frozen=True)
+class Player:
+    """Where a session that is played stands."""
+
+    name: str
+    """Of the node, without its namespace."""
+    paused: bool
+    rate: float
+    """Recorded seconds per second; 0: as fast as it goes."""
+    position: str
+    """Such as `12.0 s of 300.0 s`."""
+
+
+@dataclass
+class Roster:
+    """The nodes that report on /diagnostics."""
+
+    standing: dict[str, Standing] = field(default_factory=dict)
+    player: Player | None = None
+    _told: dict[str, str] = field(default_factory=dict)
+
+    def push(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> str | None:
+        """Take a report; returns `error` or `well` if it is another than before, else None.
+
+        An error whose figures alone change is the same error.
+        """
+        if name not in self.standing and len(self.standing) >= MOST:
+            return None
+        self.standing[name] = Standing(level, message, now)
+        if {"rate", "paused", "position"} <= values.keys():
+            self.player = _player(name, values)
+        if level < ERROR:
+            return None if self._told.pop(name, None) is None else "well"
+        kind = _DIGITS.sub("", message)
+        if self._told.get(name) == kind:
+            return None
+        self._told[name] = kind
+        return "error"
+
+    def look(self, now: float) -> None:
+        """Forget who has been silent for long; a player that fell silent has gone."""
+        for name in [n for n, s in self.standing.items() if now - s.at > FORGET]:
+            del self.standing[name]
+            self._told.pop(name, None)
+        if self.player is not None and self.silent(self.player.name, now):
+            self.player = None
+
+    def silent(self, name: str, now: float) -> bool:
+        """Whether a node has not reported for longer than it should."""
+        found = self.standing.get(name)
+        return found is None or now - found.at > PATIENCE
+
+
+def _player(name: str, values: Mapping[str, str]) -> Player | None:
+    try:
+        rate = float(values["rate"])
+    except ValueError:  # not one of ours
+        return None
+    return Player(name, values["paused"] == "True", rate, values["position"])

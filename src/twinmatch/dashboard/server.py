@@ -1,0 +1,134 @@
+"""A Bokeh server in a thread: everything the browser loads comes from here, nothing from the network."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from ipaddress import ip_address
+
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.document import Document
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.server.util import bind_sockets
+from bokeh.settings import settings
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+
+from twinmatch.dashboard.errors import DashboardError
+
+__all__ = ["PageServer", "is_loopback"]
+
+PATIENCE = 20.0
+"""Seconds the server has to start."""
+LARGEST_MESSAGE = 1 << 20
+"""Bytes a browser may send at once; clicks are a few hundred."""
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this machine reaches an address."""
+    if address == "localhost":
+        return True
+    try:
+        return ip_address(address).is_loopback
+    except ValueError:
+        return False
+
+
+class PageServer:
+    """Serves one page; every tab that opens it is given a document of its own."""
+
+    def __init__(self, address: str, port: int, fill: Callable[[Document], None]) -> None:
+        """Serve on this address; port 0 takes any that is free. `fill` makes the document of a tab.
+
+        Raises:
+            DashboardError: the address or port cannot be used.
+        """
+        try:
+            self._sockets, self._port = bind_sockets(address, port)
+        except OSError as error:
+            msg = (
+                f"dashboard: {address}:{port} cannot be used: {error.strerror or error}; "
+                "give another with --port (0: any that is free) or --address"
+            )
+            raise DashboardError(msg) from error
+        self._address, self._fill = address, fill
+        self._server: BaseServer | None = None
+        self._ready = threading.Event()
+        self.failure: Exception | None = None
+        """What ended the thread."""
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+        self._thread.start()
+        self._ready.wait(PATIENCE)
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{_host(self._address)}:{self._port}/"
+
+    @property
+    def tabs(self) -> int:
+        """How many are open."""
+        return 0 if self._server is None else len(self._server.get_sessions("/"))
+
+    def close(self) -> bool:
+        """End; whether it did."""
+        server = self._server
+        if server is not None and self._thread.is_alive():
+            loop = server.io_loop
+
+            def end() -> None:
+                server.unlisten()
+                server.stop()
+                loop.stop()
+
+            loop.add_callback(end)
+        self._thread.join(3.0)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(loop)
+        try:
+            self._serve(IOLoop.current())
+        except Exception as error:  # handed to whoever asks
+            self.failure = error
+        finally:
+            self._ready.set()
+            loop.close()
+
+    def _serve(self, loop: IOLoop) -> None:
+        for name in ("bokeh", "tornado.access"):
+            logging.getLogger(name).setLevel(logging.WARNING)
+        settings.resources = "server"  # whatever BOKEH_RESOURCES says
+        application = Application(FunctionHandler(self._fill))
+        tornado = BokehTornado(
+            {"/": application},
+            extra_websocket_origins=[f"{host}:{self._port}" for host in self._hosts()],
+            absolute_url=self.url,
+            websocket_max_message_size_bytes=LARGEST_MESSAGE,
+        )
+        http = HTTPServer(tornado)
+        http.add_sockets(self._sockets)
+        self._server = BaseServer(loop, tornado, http)
+        self._server.start()
+        self._ready.set()
+        loop.start()
+
+    def _hosts(self) -> list[str]:
+        """Whose pages may speak to the server: only its own, under the names it can be reached by."""
+        if is_loopback(self._address):
+            return sorted({_host(self._address), "localhost", "127.0.0.1"})
+        hosts = {_host(self._address), socket.gethostname(), socket.getfqdn()}
+        with suppress(OSError):
+            hosts |= {_host(str(info[4][0])) for info in socket.getaddrinfo(socket.gethostname(), None)}
+        return sorted(hosts)
+
+
+def _host(address: str) -> str:
+    return f"[{address}]" if ":" in address else address

@@ -1,0 +1,236 @@
+"""Everything the page shows, bounded however long it stands open; knows neither ROS nor a browser."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Mapping
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.dashboard.events import Event, EventLog, Lane, Mark
+from twinmatch.dashboard.history import History
+from twinmatch.dashboard.roster import Roster
+from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.matching import Status
+from twinmatch.signals import Sample
+from twinmatch.twin import MatchReport
+from twinmatch.views.events import Event as Told
+from twinmatch.views.events import EventKind, Stretch, events
+
+__all__ = ["CAPACITY", "DashboardState", "Drive", "Notice", "TwinRow"]
+
+CAPACITY = 36_000
+"""Samples that are kept: an hour at 10 Hz, ten hours at 1 Hz."""
+EVENTS = 400
+STRETCHES = 400
+"""Changes of the trust level that are kept."""
+INTERVALS = 31
+"""Intervals between samples that the period is the median of."""
+
+
+class TwinRow(NamedTuple):
+    """Both twins at one sample; residuals are measured minus twin, RMS over the newest samples."""
+
+    closed_temperature: float
+    """Twin that is given the set-point, °C."""
+    closed_pwm: float
+    driven_temperature: float
+    """Twin that is given the plant's control, °C."""
+    residual_closed: float
+    """K"""
+    residual_pwm: float
+    residual_driven: float
+    """K"""
+    rms_closed: float
+    rms_pwm: float
+    rms_driven: float
+
+
+class Drive(NamedTuple):
+    """What the board of the driver reported last."""
+
+    pwm: float
+    current: float
+    """A; NaN: not measured."""
+    fault: str
+    """Why the output is held at zero; empty: it is not."""
+
+
+class Notice(NamedTuple):
+    """What became of the last thing asked for on the page."""
+
+    done: bool
+    text: str
+
+
+class DashboardState:
+    """Filled by whoever hears the graph, read by the pages; hold `lock` around several reads.
+
+    A sample whose index is not above the one before begins a session anew: the graph was started again,
+    or another recording is played.
+    """
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        """Begin with nothing heard; `capacity` samples are kept."""
+        self.lock = threading.RLock()
+        self.plant = History(("reference", "temperature", "pwm"), capacity)
+        self.twin = History(TwinRow._fields, capacity)
+        self.session = 1
+        """Counted from 1."""
+        self.period = 1.0
+        """Of the samples, s; found from their stamps."""
+        self.heard_at: float | None = None
+        """When the newest sample came, in seconds of the listener's clock."""
+        self.verdict: Verdict | None = None
+        self.trust: deque[Stretch] = deque(maxlen=STRETCHES)
+        self.verdicts = 0
+        """Counts up with every change of the two above."""
+        self.drive: Drive | None = None
+        self.events = EventLog(EVENTS)
+        self.roster = Roster()
+        self.image: NDArray[np.float32] | None = None
+        """Newest thermal image with values, °C, first row on top; NaN where there is none."""
+        self.images = 0
+        """Images so far."""
+        self.notice: Notice | None = None
+        self._intervals: deque[float] = deque(maxlen=INTERVALS)
+        self._previous: Sample | None = None
+        self._fault = ""
+
+    @property
+    def sample(self) -> int | None:
+        """Index of the newest sample."""
+        return self.plant.last
+
+    @property
+    def fault(self) -> str:
+        """The fault that holds the output at zero; empty: there is none."""
+        return self._fault
+
+    def push_sample(self, sample: Sample, now: float) -> None:
+        """Take a sample that came at `now` (s)."""
+        with self.lock:
+            previous = self._previous
+            if previous is not None and sample.index <= previous.index:
+                self._begin(previous.index, sample.index)
+            elif previous is not None:
+                self._note_interval(sample, previous)
+            self.plant.push(sample.index, (sample.reference, sample.temperature, sample.pwm))
+            self._previous, self.heard_at = sample, now
+
+    def push_twin(self, index: int, row: TwinRow) -> None:
+        """Take the twins' state at a sample."""
+        with self.lock:
+            if self.twin.last is not None and index <= self.twin.last:
+                self.twin.clear()
+            self.twin.push(index, row)
+
+    def push_verdict(self, verdict: Verdict) -> None:
+        """Take a verdict."""
+        with self.lock:
+            before = [] if self.verdict is None else [self.verdict]
+            known = len(events((), before))
+            for event in events((), [*before, verdict])[known:]:
+                self._tell(event, _mark_of_level(event, verdict.level))
+            self.verdict = verdict
+            self.verdicts += 1
+            self._stretch(verdict)
+
+    def push_match(self, report: MatchReport) -> None:
+        """Take a match, accepted or refused."""
+        suspected = report.match.status is Status.PLANT_FAULT_SUSPECTED
+        with self.lock:
+            for event in events([report], ()):
+                refused = Mark.BAD if suspected else Mark.WARNING
+                self._tell(event, Mark.GOOD if event.kind is EventKind.ACCEPTED else refused)
+
+    def push_drive(self, drive: Drive) -> None:
+        """Take what the driver's board reported."""
+        with self.lock:
+            self.drive = drive
+            if drive.fault == self._fault:
+                return
+            self._fault = drive.fault
+            if drive.fault:
+                kind, _, why = drive.fault.partition(": ")
+                title = f"output held at zero: {kind.replace('_', ' ')}"
+                self._note(Lane.FAULT, Mark.BAD, title, why)
+            else:
+                self._note(Lane.FAULT, Mark.GOOD, "fault cleared", "the output may be driven")
+
+    def push_health(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
+        """Take a report from /diagnostics: name, level of REP 107, and what it says."""
+        with self.lock:
+            change = self.roster.push(name, level, message, values, now)
+            if change == "error":
+                self._note(Lane.NODES, Mark.BAD, f"{name} reports an error", message)
+            elif change == "well":
+                self._note(Lane.NODES, Mark.GOOD, f"{name} is well again", message)
+
+    def push_image(self, image: NDArray[np.float32]) -> None:
+        """Take a thermal image in °C, shape (rows, columns); one without any value is passed over."""
+        if not np.isfinite(image).any():
+            return
+        with self.lock:
+            self.image = image
+            self.images += 1
+
+    def tell(self, done: bool, text: str) -> None:
+        """Take note of what became of something asked for on the page."""
+        with self.lock:
+            self.notice = Notice(done, text)
+
+    def _begin(self, ended: int, first: int) -> None:
+        """Everything that belongs to the session before goes; events stay, as that session's."""
+        duration = (ended + 1) * self.period
+        self.session += 1
+        self.plant.clear()
+        if self.twin.last is not None and self.twin.last > first:
+            self.twin.clear()
+        self.verdict, self.verdicts = None, self.verdicts + 1
+        self.trust.clear()
+        self._intervals.clear()
+        self._note(Lane.NODES, Mark.NOTE, "a new session began", f"the one before had {duration:g} s")
+
+    def _note_interval(self, sample: Sample, previous: Sample) -> None:
+        interval = (sample.stamp - previous.stamp) / 1e9 / (sample.index - previous.index)
+        if interval > 0:
+            self._intervals.append(interval)
+            self.period = float(f"{median(self._intervals):.2g}")
+
+    def _stretch(self, verdict: Verdict) -> None:
+        """As `level_stretches` does: a verdict's level is that of the samples since the last."""
+        begin = self.trust[-1].last + 1 if self.trust else max(0, min(verdict.first, verdict.sample))
+        if self.trust and self.trust[-1].level is verdict.level:
+            begin = self.trust.pop().first
+        self.trust.append(Stretch(begin, max(verdict.sample, begin), verdict.level))
+
+    def _tell(self, event: Told, mark: Mark) -> None:
+        lane = _LANES[event.kind]
+        self.events.add(Event(self.session, event.sample, lane, mark, event.title, event.why))
+
+    def _note(self, lane: Lane, mark: Mark, title: str, text: str) -> None:
+        self.events.add(Event(self.session, self.sample, lane, mark, title, text))
+
+
+_LANES = {
+    EventKind.ACCEPTED: Lane.MATCH,
+    EventKind.REFUSED: Lane.MATCH,
+    EventKind.NOMINAL: Lane.TRUST,
+    EventKind.LEVEL: Lane.TRUST,
+    EventKind.FAULT: Lane.FAULT,
+}
+_LEVEL_MARKS = {
+    TrustLevel.UNKNOWN: Mark.NOTE,
+    TrustLevel.TRUSTED: Mark.GOOD,
+    TrustLevel.DOUBTFUL: Mark.WARNING,
+    TrustLevel.FAULT: Mark.BAD,
+}
+
+
+def _mark_of_level(event: Told, level: TrustLevel) -> Mark:
+    return Mark.NOTE if event.kind is EventKind.NOMINAL else _LEVEL_MARKS[level]

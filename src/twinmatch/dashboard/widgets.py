@@ -1,0 +1,86 @@
+"""What can be clicked: the time span, the player of a session, and with `--control` the rig."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bokeh.models import Button, NumericInput, RadioButtonGroup, Row
+
+from twinmatch.dashboard.actions import RATES, Actions
+from twinmatch.dashboard.look import panel
+from twinmatch.dashboard.roster import Player
+
+__all__ = ["PlayerButtons", "RigButtons", "SpanButtons"]
+
+SPANS = (("5 min", 300.0), ("20 min", 1200.0), ("1 h", 3600.0), ("all", 0.0))
+"""Names and seconds; 0: everything that is kept."""
+DEFAULT_SPAN = 1
+
+
+class SpanButtons:
+    """How much time the charts show."""
+
+    def __init__(self) -> None:
+        """Begin with twenty minutes."""
+        names = [name for name, _ in SPANS]
+        self.root = RadioButtonGroup(name="span", labels=names, active=DEFAULT_SPAN)
+
+    def samples(self, period: float, most: int) -> int:
+        """How many samples that is; at most `most`."""
+        seconds = SPANS[self.root.active if self.root.active is not None else DEFAULT_SPAN][1]
+        return min(most, max(1, round(seconds / period))) if seconds else most
+
+
+class PlayerButtons:
+    """Pause and speed of a session that is played; not there when none is."""
+
+    def __init__(self, actions: Actions) -> None:
+        """Ask `actions` for what is clicked."""
+        self._actions = actions
+        self._player: Player | None = None
+        self._pause = Button(label="Pause", width=100, button_type="primary")
+        self._pause.on_click(self._on_pause)
+        names = ["max" if rate == 0 else f"{rate:g} ×" for rate in RATES]
+        self._rate = RadioButtonGroup(labels=names, active=None)
+        self._rate.on_change("active", self._on_rate)
+        self.root = Row(self._pause, self._rate, name="player", spacing=8, visible=False)
+
+    def update(self, player: Player | None) -> None:
+        """Show what the player says of itself."""
+        if player == self._player and self.root.visible == (player is not None):
+            return
+        self._player = player
+        self.root.visible = player is not None
+        if player is not None:
+            self._pause.label = "Continue" if player.paused else "Pause"
+            self._rate.active = RATES.index(player.rate) if player.rate in RATES else None
+
+    def _on_pause(self) -> None:
+        if self._player is not None:
+            self._actions.pause(not self._player.paused)
+
+    def _on_rate(self, _name: str, _old: Any, new: int | None) -> None:
+        if self._player is not None and new is not None and RATES[new] != self._player.rate:
+            self._actions.rate(RATES[new])
+
+
+class RigButtons:
+    """Set-point, clearing a fault and stop, for a page that may control."""
+
+    def __init__(self, actions: Actions) -> None:
+        """Ask `actions` for what is clicked."""
+        self._actions = actions
+        self._input = NumericInput(title="set-point / °C", mode="float", width=110)
+        ask = Button(label="Set", width=70, button_type="primary")
+        ask.on_click(self._on_ask)
+        clear = Button(label="Clear fault", width=110, button_type="warning")
+        clear.on_click(actions.clear_fault)
+        stop = Button(label="Output off", width=110, button_type="danger")
+        stop.on_click(actions.stop)
+        styles = {"align-items": "flex-end", "flex-wrap": "wrap"}
+        self.root = Row(self._input, ask, clear, stop, name="rig", spacing=8, styles=styles)
+        self.notice = panel("notice")
+
+    def _on_ask(self) -> None:
+        if self._input.value is not None:
+            self._actions.set_point(float(self._input.value))
