@@ -48,6 +48,7 @@ def summarise(
     verdicts: Sequence[Verdict],
     gains: PidGains,
     notes: Sequence[str] = (),
+    *,
     limits: TrustLimits | None = None,
 ) -> Summary:
     """Sum up a session from what came out of it; `limits` are those of the trust level."""

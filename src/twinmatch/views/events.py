@@ -1,0 +1,112 @@
+"""What happened in a session, as a time line: matches, changes of the nominal twin, trust lost and found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.matching import Status
+from twinmatch.twin import MatchReport
+from twinmatch.views.style import LEVEL_WORDS
+
+__all__ = ["STATUS_WORDS", "Event", "EventKind", "Stretch", "events", "level_stretches"]
+
+STATUS_WORDS = {
+    Status.ACCEPTED: "accepted",
+    Status.PLANT_FAULT_SUSPECTED: "refused: the plant may be faulty",
+    Status.NO_EXCITATION: "refused: the set-point moved too little",
+    Status.DID_NOT_CONVERGE: "refused: the search did not end",
+    Status.BOUNDS_HIT: "refused: a parameter ran into its bound",
+    Status.NOT_IDENTIFIABLE: "refused: the window does not determine the parameters",
+    Status.NOT_BETTER: "refused: no better than what stands",
+}
+"""What became of a match, in words."""
+
+
+class EventKind(Enum):
+    """What sort of event it is."""
+
+    ACCEPTED = "match accepted"
+    REFUSED = "match refused"
+    NOMINAL = "nominal"
+    LEVEL = "trust"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at one sample."""
+
+    sample: int
+    kind: EventKind
+    title: str
+    """A few words."""
+    why: str
+    """One sentence; may be empty."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples over which the trust level stayed the same, both ends included."""
+
+    first: int
+    last: int
+    level: TrustLevel
+
+
+def events(matches: Sequence[MatchReport], verdicts: Sequence[Verdict]) -> list[Event]:
+    """Everything worth telling, in the order in which it happened."""
+    found = [_match_event(m) for m in matches]
+    nominal: str | None = None
+    level, fault = TrustLevel.UNKNOWN, ""
+    for verdict in verdicts:
+        if verdict.nominal != nominal and verdict.nominal is not None:
+            found.append(_nominal_event(verdict, nominal))
+        if (verdict.level, verdict.fault) != (level, fault):
+            found.append(_level_event(verdict))
+        nominal, level, fault = verdict.nominal, verdict.level, verdict.fault
+    return sorted(found, key=lambda e: e.sample)
+
+
+def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch]:
+    """How far to trust the nominal twin over time: a verdict's level is that of the samples since the last.
+
+    Args:
+        verdicts: in order.
+        first: index of the session's first sample.
+    """
+    stretches: list[Stretch] = []
+    for verdict in verdicts:
+        if stretches and stretches[-1].level is verdict.level:
+            stretches[-1] = Stretch(stretches[-1].first, max(verdict.sample, first), verdict.level)
+        else:
+            begin = stretches[-1].last + 1 if stretches else first
+            stretches.append(Stretch(begin, max(verdict.sample, begin), verdict.level))
+    return stretches
+
+
+def _match_event(report: MatchReport) -> Event:
+    status = report.match.status
+    kind = EventKind.ACCEPTED if report.match.accepted else EventKind.REFUSED
+    title = f"match at {report.operating_point:g} °C {STATUS_WORDS.get(status, status.value)}"
+    return Event(report.sample, kind, title, report.match.reason)
+
+
+def _nominal_event(verdict: Verdict, before: str | None) -> Event:
+    title = f"{verdict.nominal} is nominal"
+    why = f"before it was {before}" if before else "the first candidate"
+    return Event(verdict.sample, EventKind.NOMINAL, title, why)
+
+
+def _level_event(verdict: Verdict) -> Event:
+    kind = EventKind.FAULT if verdict.fault or verdict.level is TrustLevel.FAULT else EventKind.LEVEL
+    why = LEVEL_WORDS[verdict.level]
+    if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT}:
+        why += (
+            f": over the newest samples they are {verdict.residual_y:.2f} °C "
+            f"and {verdict.residual_u:.1f} counts apart"
+        )
+    named = f" ({verdict.fault})" if verdict.fault else ""
+    return Event(verdict.sample, kind, f"{verdict.level.value}{named}", why)

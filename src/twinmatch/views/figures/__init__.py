@@ -1,0 +1,28 @@
+"""Pictures of a judged session, drawn with matplotlib.
+
+Each module draws one kind of picture and knows nothing of files; `save` and `svg` write them. Importing
+this package does not import matplotlib, which is slow: that happens when the first picture is drawn.
+"""
+
+from __future__ import annotations
+
+from twinmatch.views.figures.discrimination import draw_criteria, draw_matrix
+from twinmatch.views.figures.drawing import save, svg
+from twinmatch.views.figures.health import draw_health
+from twinmatch.views.figures.parameters import draw_parameters
+from twinmatch.views.figures.responses import draw_responses, draw_uncertainty
+from twinmatch.views.figures.session import draw_session
+from twinmatch.views.figures.verdict import draw_verdict
+
+__all__ = [
+    "draw_criteria",
+    "draw_health",
+    "draw_matrix",
+    "draw_parameters",
+    "draw_responses",
+    "draw_session",
+    "draw_uncertainty",
+    "draw_verdict",
+    "save",
+    "svg",
+]

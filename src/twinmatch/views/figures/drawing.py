@@ -1,0 +1,89 @@
+"""Making and writing figures; the only place that knows matplotlib's switches."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.views.style import rc
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["empty", "new_figure", "save", "stack", "styled", "svg", "time_axis"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """Let a function draw with the house's settings, and leave matplotlib as it was."""
+
+    @wraps(draw)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> R:
+        from matplotlib import rc_context  # noqa: PLC0415 — slow, and not everybody draws
+
+        settings: Any = rc()
+        with rc_context(settings):
+            return draw(*args, **kwargs)
+
+    return inside
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of this size in inches; not known to pyplot, so nothing has to be closed."""
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def stack(figure: Figure, ratios: Sequence[float]) -> list[Axes]:
+    """Axes below one another with one time axis, as high as these ratios say."""
+    axes: list[Axes] = []
+    grid = figure.add_gridspec(len(ratios), 1, height_ratios=list(ratios))
+    for row in range(len(ratios)):
+        axes.append(figure.add_subplot(grid[row, 0], sharex=axes[0] if axes else None))
+    for each in axes[:-1]:
+        each.tick_params(labelbottom=False)
+    return axes
+
+
+@styled
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure; the ending says how (.png, .svg, .pdf).
+
+    Raises:
+        TwinmatchError: matplotlib cannot write such a file there.
+    """
+    # without a date the same figure is the same file
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    try:
+        figure.savefig(path, metadata=undated.get(path.suffix.lower()))
+    except (OSError, ValueError) as error:
+        msg = f"{path}: the figure cannot be written: {error}"
+        raise TwinmatchError(msg) from error
+
+
+@styled
+def svg(figure: Figure) -> str:
+    """The figure as an SVG document."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
+
+
+def time_axis(axes: Axes, period: float, first: int, last: int) -> None:
+    """Label the time axis in seconds and let it end where the samples do."""
+    axes.set_xlim(first * period, max(last * period, first * period + period))
+    axes.set_xlabel("time since the session began / s")
+
+
+def empty(axes: Axes, words: str) -> None:
+    """Say in words that there is nothing to draw."""
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes, color="#5C5C5C")

@@ -1,0 +1,113 @@
+"""What the family answers: its twins and models on the measured windows, and all its twins on one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twinmatch.plant import simulate_window
+from twinmatch.signals import FloatArray, Window
+from twinmatch.views.family import Member
+from twinmatch.views.figures.drawing import new_figure, stack, styled
+from twinmatch.views.style import CLOSED, FAMILY_MAP, MODEL, PLANT, SET_POINT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_responses", "draw_uncertainty", "family_colours"]
+
+_SKIPPED = 2
+
+
+@styled
+def draw_responses(members: Sequence[Member]) -> Figure:
+    """For every candidate its window as measured, its twin's answer and that of its Box–Jenkins model."""
+    columns = 2
+    rows = -(-len(members) // columns)
+    figure = new_figure(10, 2.9 * rows + 0.3)
+    grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
+    for k, member in enumerate(members):
+        inner = grids[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 2))
+        temperature = figure.add_subplot(inner[0])
+        control = figure.add_subplot(inner[1], sharex=temperature)
+        _draw_member(temperature, control, member)
+        if k % columns == 0:
+            temperature.set_ylabel("temperature / °C")
+            control.set_ylabel("control / counts")
+        if k // columns == rows - 1 or k + columns >= len(members):
+            control.set_xlabel("time / s")
+        if k == 0:
+            figure.legend(
+                *temperature.get_legend_handles_labels(), loc="outside upper right", ncols=4, borderaxespad=0
+            )
+    return figure
+
+
+def _draw_member(temperature: Axes, control: Axes, member: Member) -> None:
+    window, order = member.window, member.score.chosen_order
+    twin, model = member.quiet_twin, member.simulated(order)
+    time = window.time[_SKIPPED:]
+    temperature.plot(window.time, window.reference, color=SET_POINT, lw=0.9, ls="--", label="set-point")
+    temperature.plot(window.time, window.temperature, color=PLANT, lw=1.4, label="plant")
+    temperature.plot(time, twin.temperature, color=CLOSED, lw=1, label="twin")
+    temperature.plot(time, model.temperature, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
+    control.plot(window.time, window.pwm, color=PLANT, lw=0.9)
+    control.plot(time, twin.pwm, color=CLOSED, lw=0.9)
+    control.plot(time, model.pwm, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
+    mark = ", nominal" if member.nominal else ""
+    temperature.set_title(
+        f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None
+    )
+    temperature.tick_params(labelbottom=False)
+    temperature.margins(x=0.01)
+
+
+@styled
+def draw_uncertainty(members: Sequence[Member]) -> Figure:
+    """The twin of every candidate on the nominal one's window: how far they spread is the uncertainty."""
+    nominal = next((m for m in members if m.nominal), members[0])
+    window = nominal.window
+    answers = [simulate_window(m.score.parameters, window, gains=m.settings.gains) for m in members]
+    figure = new_figure(10, 5.6)
+    axes = stack(figure, (3, 2, 1.4))
+    time = window.time[_SKIPPED:]
+    axes[0].plot(window.time, window.reference, color=SET_POINT, lw=0.9, ls="--", label="set-point")
+    axes[0].plot(window.time, window.temperature, color=PLANT, lw=2, label="plant")
+    axes[1].plot(window.time, window.pwm, color=PLANT, lw=1.6)
+    for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):
+        style: dict[str, Any] = (
+            {"color": CLOSED, "lw": 1.4} if member.nominal else {"color": colour, "lw": 0.9}
+        )
+        name = f"twin of {member.score.name}{' (nominal)' if member.nominal else ''}"
+        axes[0].plot(time, answer.temperature, label=name, zorder=3 if member.nominal else 2, **style)
+        axes[1].plot(time, answer.pwm, zorder=3 if member.nominal else 2, **style)
+    _draw_spread(axes[2], window, [a.temperature for a in answers])
+    axes[0].set_ylabel("temperature / °C")
+    axes[1].set_ylabel("control / counts")
+    axes[2].set_ylabel("spread / °C")
+    axes[2].set_xlabel("time since the session began / s")
+    axes[0].margins(x=0.005)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(5, len(members) + 2)
+    )
+    return figure
+
+
+def _draw_spread(axes: Axes, window: Window, temperatures: Sequence[FloatArray]) -> None:
+    table = np.stack(temperatures)
+    measured = window.temperature[_SKIPPED:]
+    low, high = np.min(table, axis=0) - measured, np.max(table, axis=0) - measured
+    time = window.time[_SKIPPED:]
+    axes.fill_between(time, low, high, color=CLOSED, alpha=0.3, lw=0, label="family, lowest to highest")
+    axes.axhline(0, color=PLANT, lw=1.4, label="plant")
+    axes.legend(loc="upper right", ncols=2)
+
+
+def family_colours(count: int) -> list[tuple[float, ...]]:
+    """A colour for every candidate, coldest operating point first."""
+    from matplotlib import colormaps  # noqa: PLC0415
+
+    return [tuple(c) for c in colormaps[FAMILY_MAP](np.linspace(0.0, 0.9, max(count, 1)))[:count]]

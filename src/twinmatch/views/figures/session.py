@@ -1,0 +1,81 @@
+"""The whole session: plant, closed-loop twin and driven twin, and what is left between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from twinmatch.discrimination import Verdict
+from twinmatch.signals import Sample, Window, unbroken
+from twinmatch.twin import TwinSettings
+from twinmatch.views.comparison import Comparison, compare, rolling_rms
+from twinmatch.views.figures.drawing import new_figure, stack, styled, time_axis
+from twinmatch.views.judged import last_verdict, nominal_score
+from twinmatch.views.style import CLOSED, DRIVEN, PLANT, SET_POINT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_session"]
+
+BAND = 60
+"""Samples over which the residual's band is taken."""
+
+
+@styled
+def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings) -> Figure:
+    """Temperature and control of plant and nominal twins, and the residuals with their 95 % band."""
+    nominal = nominal_score(last_verdict(verdicts))
+    parts = compare(samples, nominal.parameters, settings.gains) if nominal else ()
+    rows = 4 if parts else 2
+    figure = new_figure(10, 2.15 * rows)
+    axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])
+    for number, stretch in enumerate(unbroken(samples)):
+        _draw_plant(axes[0], axes[1], Window.from_samples(stretch, settings.period), first=number == 0)
+    for number, part in enumerate(parts):
+        _draw_twins(axes[0], axes[1], part, first=number == 0)
+        _draw_residuals(axes[2], axes[3], part, first=number == 0)
+    axes[0].set_ylabel("temperature / °C")
+    axes[1].set_ylabel("control / counts")
+    if parts:
+        axes[2].set_ylabel("plant − twin / °C")
+        axes[3].set_ylabel("plant − twin / counts")
+    for each in axes:
+        if each.get_legend_handles_labels()[0]:
+            each.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=5, borderaxespad=0.2)
+    time_axis(axes[-1], settings.period, samples[0].index, samples[-1].index)
+    return figure
+
+
+def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool) -> None:
+    hidden = "_"  # matplotlib leaves such labels out of the legend
+    temperature.plot(
+        window.time, window.reference, color=SET_POINT, lw=1, ls="--", label="set-point" if first else hidden
+    )
+    temperature.plot(window.time, window.temperature, color=PLANT, label="plant" if first else hidden)
+    control.plot(window.time, window.pwm, color=PLANT, lw=0.8, label="plant" if first else hidden)
+
+
+def _draw_twins(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
+    closed, driven = ("closed-loop twin", "driven twin") if first else ("_", "_")
+    temperature.plot(part.time, part.closed.temperature, color=CLOSED, lw=1, label=closed)
+    temperature.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
+    control.plot(part.time, part.closed.pwm, color=CLOSED, lw=0.8, label=closed)
+
+
+def _draw_residuals(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
+    band = f"±2 RMS over {BAND} samples"
+    for axes, residual, name in (
+        (temperature, part.residual_y, "closed-loop twin"),
+        (control, part.residual_u, "closed-loop twin"),
+    ):
+        width = 2 * rolling_rms(residual, BAND)
+        axes.fill_between(
+            part.time, -width, width, color=CLOSED, alpha=0.18, lw=0, label=band if first else "_"
+        )
+        axes.plot(part.time, residual, color=CLOSED, lw=0.7, label=name if first else "_")
+        axes.axhline(0, color=SET_POINT, lw=0.6)
+    temperature.plot(
+        part.time, part.residual_driven, color=DRIVEN, lw=0.9, ls=":", label="driven twin" if first else "_"
+    )

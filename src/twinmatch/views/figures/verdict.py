@@ -1,0 +1,83 @@
+"""Everything about a verdict on one page, for people in a hurry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinmatch.discrimination import CandidateScore, Verdict
+from twinmatch.plant import simulate_window
+from twinmatch.signals import Sample, Window, unbroken
+from twinmatch.twin import TwinSettings
+from twinmatch.views.figures.discrimination import draw_gains, fill_matrix
+from twinmatch.views.figures.drawing import new_figure, save, styled, time_axis
+from twinmatch.views.figures.health import draw_levels
+from twinmatch.views.judged import last_verdict, nominal_score
+from twinmatch.views.style import CLOSED, PLANT, SET_POINT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw_verdict"]
+
+
+@styled
+def draw_verdict(
+    samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings, path: Path
+) -> None:
+    """Plant and nominal twin, trust over time, the criteria and the ν-gap matrix, on one page.
+
+    Raises:
+        TwinmatchError: matplotlib cannot write such a file there.
+    """
+    figure = new_figure(12, 9)
+    grid = figure.add_gridspec(4, 2, height_ratios=(3, 2, 0.9, 3))
+    temperature = figure.add_subplot(grid[0, :])
+    control = figure.add_subplot(grid[1, :], sharex=temperature)
+    trust = figure.add_subplot(grid[2, :], sharex=temperature)
+    last = last_verdict(verdicts)
+    nominal = nominal_score(last)
+    for number, stretch in enumerate(unbroken(samples)):
+        window = Window.from_samples(stretch, settings.period)
+        _draw_signals(temperature, control, window, nominal, settings, label=number == 0)
+    _dress(temperature, control, nominal)
+    draw_levels(trust, verdicts, settings.period, samples[0].index)
+    time_axis(trust, settings.period, samples[0].index, samples[-1].index)
+    if last is not None:
+        draw_gains(figure.add_subplot(grid[3, 0]), last)
+        fill_matrix(figure.add_subplot(grid[3, 1]), last)
+    save(figure, path)
+
+
+def _draw_signals(
+    temperature: Axes,
+    control: Axes,
+    window: Window,
+    nominal: CandidateScore | None,
+    settings: TwinSettings,
+    *,
+    label: bool,
+) -> None:
+    """One unbroken stretch of plant and twin."""
+    time, hidden = window.time, "_"  # matplotlib leaves such labels out of the legend
+    names = ("set-point", "plant") if label else (hidden, hidden)
+    temperature.plot(time, window.reference, color=SET_POINT, lw=1, ls="--", label=names[0])
+    temperature.plot(time, window.temperature, color=PLANT, lw=1.2, label=names[1])
+    control.plot(time, window.pwm, color=PLANT, lw=0.9)
+    if nominal is None or len(window) < 4:
+        return
+    twin = simulate_window(nominal.parameters, window, gains=settings.gains)
+    name = f"twin of {nominal.name}" if label else hidden
+    temperature.plot(time[2:], twin.temperature, color=CLOSED, lw=1, label=name)
+    control.plot(time[2:], twin.pwm, color=CLOSED, lw=0.8)
+
+
+def _dress(temperature: Axes, control: Axes, nominal: CandidateScore | None) -> None:
+    if nominal is not None:
+        temperature.set_title(f"Nominal: {nominal.name}, order {nominal.chosen_order}")
+    temperature.set_ylabel("temperature / °C")
+    temperature.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    control.set_ylabel("control / counts")
+    for axes in (temperature, control):
+        axes.tick_params(labelbottom=False)
