@@ -146,3 +146,59 @@ def test_the_winding_condition_is_decided_as_the_roots_decide_it() -> None:
         assert (nu_gap_of(g1, g2) == 1.0) == expected
         failures += expected
     assert 15 < failures < 45
+
+
+def on_the_boundary(rng: np.random.Generator, discrete: bool, order: int) -> Fractions:
+    """Two outputs with an integrator or an undamped pair each, exactly on the boundary, and damped poles."""
+    fractions = []
+    for k in range(2):
+        if k == 0:
+            edge = np.array([1.0, -1.0]) if discrete else np.array([1.0, 0.0])
+        else:  # binary fractions: the circle is hit exactly
+            edge = np.array([1.0, -1.25, 1.0]) if discrete else np.array([1.0, 0.0, 0.5625])
+        damped = np.atleast_1d(np.poly(rng.uniform(0.2, 0.9, order) - (0 if discrete else 1)))
+        fractions.append((rng.normal(size=edge.size + order - 1), np.polymul(edge, damped)))
+    return fractions
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("nudge", [None, 1e-8])
+@pytest.mark.parametrize("order", [1, 3])
+def test_poles_on_the_boundary_cost_no_digit(order: int, nudge: float | None, discrete: bool) -> None:
+    rng = np.random.default_rng(1000 + order)
+    p1 = on_the_boundary(rng, discrete, order)
+    if nudge is None:
+        p2 = on_the_boundary(rng, discrete, order)
+    else:  # only the numerators: both keep their poles on the boundary
+        p2 = [(n * (1 + nudge * rng.standard_normal(n.size)), d) for n, d in p1]
+    gap = nu_gap_of(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
+    with mp.workdps(60):
+        expected = mp.mpf(1) if winds(p1, p2, discrete) else largest(p1, p2, discrete)
+        assert abs(gap - expected) <= 1e-12 * expected
+    assert (gap < 1e-6) == (nudge is not None)
+
+
+def balanced(rng: np.random.Generator, order: int, discrete: bool, outputs: int) -> Fractions:
+    """Small gain, one denominator, every root as likely unstable as stable."""
+    s = rng.uniform(0.1, 2.0, order) * rng.choice([-1, 1], order) + 0j
+    if order > 1:
+        s[1] = s[0].conjugate() if rng.random() < 0.5 else s[1]
+        s[:2] += 1j * rng.uniform(0, 2) * np.array([1, -1]) if s[0] == s[1] else 0
+    d = np.atleast_1d(np.poly((1 + s) / (1 - s) if discrete else s)).real
+    return [(0.05 * rng.normal(size=order + discrete), d) for _ in range(outputs)]
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_every_failing_of_the_winding_condition_is_found(outputs: int, discrete: bool) -> None:
+    """With small gains distances stay below 1 but near a pole, so that mostly the winding makes a 1."""
+    rng = np.random.default_rng(7 * outputs + discrete)
+    failures = 0
+    for k in range(32):
+        p1, p2 = (balanced(rng, 1 + k % 4, discrete, outputs) for _ in range(2))
+        g1, g2 = (GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2))
+        with mp.workdps(30):
+            expected = winds(p1, p2, discrete)
+        assert (nu_gap_of(g1, g2) == 1.0) == expected
+        failures += expected
+    assert 8 <= failures <= 28
