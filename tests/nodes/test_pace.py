@@ -59,3 +59,34 @@ def test_after_the_wait_the_message_is_due(rate: float, first: float, wait: floa
     assert rest >= 0.0
     assert pace.position(now=wait + rest) >= recorded - 1e-3 * max(1.0, rate)
     assert pytest.approx(0.0, abs=1e-3) == pace.wait(recorded, now=wait + rest)
+
+
+def test_change_goes_on_from_where_the_recording_stands() -> None:
+    pace = Pace(2.0, 100.0)
+    pace.resume(10.0)
+    pace.change(10.0, 13.0)
+    assert pace.rate == 10.0
+    assert pace.position(13.0) == 106.0
+    assert pace.position(14.0) == 116.0
+    assert pace.wait(126.0, 14.0) == 1.0
+
+
+def test_change_while_paused_stays_paused() -> None:
+    pace = Pace(2.0, 100.0)
+    pace.resume(10.0)
+    pace.pause(11.0)
+    pace.change(5.0, 20.0)
+    assert pace.paused
+    assert pace.position(30.0) == 102.0
+    pace.resume(40.0)
+    assert pace.position(41.0) == 107.0
+
+
+def test_change_to_and_from_no_pace() -> None:
+    pace = Pace(1.0, 0.0)
+    pace.resume(0.0)
+    pace.change(0.0, 5.0)
+    assert pace.wait(1000.0, 5.0) == 0.0
+    pace.reach(1000.0, 6.0)
+    pace.change(10.0, 7.0)
+    assert pace.position(8.0) == 1010.0

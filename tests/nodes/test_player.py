@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
@@ -84,6 +86,32 @@ def test_pause_and_go_on(start: Callable[..., Any], listener: Any, tmp_path: Pat
     listener.spin_until(lambda: len(heard) == 50, "the last sample")
     listener.spin_until(answer.done, "the answer")
     assert answer.result().message == "playing"
+    assert player.wait() == 0
+
+
+def test_rate_is_changed_while_it_plays(start: Callable[..., Any], listener: Any, tmp_path: Path) -> None:
+    """At recorded speed this would take an hour."""
+    path = write_session(tmp_path / "hour", counted(3600, 1.0))
+    heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=100))
+    client = listener.node.create_client(SetParameters, "player/set_parameters")
+    player = start("player", "-p", f"session:={path}")
+    listener.spin_until(lambda: heard and client.service_is_ready(), "the first sample")
+
+    def ask(rate: float) -> Any:
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
+        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        answer = client.call_async(request)
+        listener.spin_until(answer.done, "the answer")
+        return answer.result().results[0]
+
+    assert not ask(-1.0).successful
+    assert not ask(1e9).successful
+    assert ask(100.0).successful
+    listener.spin_until(lambda: len(heard) > 50, "fifty seconds of the recording")
+    assert any({e.key: e.value for e in m.status[0].values}.get("rate") == "100" for m in health)
+    assert ask(0.0).successful
+    listener.spin_until(lambda: len(heard) == 3600, "the last sample")
     assert player.wait() == 0
 
 

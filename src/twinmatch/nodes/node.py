@@ -117,7 +117,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """What `ros2 param describe` shows."""
     limits = parameter.limits
     text = f"{parameter.description} ({limits})" if limits else parameter.description
-    descriptor = ParameterDescriptor(description=text, read_only=True)
+    descriptor = ParameterDescriptor(description=text, read_only=not parameter.changeable)
     low, high = parameter.low, parameter.high
     if math.isfinite(low) and math.isfinite(high):
         if type(parameter.default) is float:

@@ -32,6 +32,17 @@ class Pace:
         self._recorded = self.position(now)
         self._since = None
 
+    @property
+    def rate(self) -> float:
+        """Recorded seconds per second; 0: as fast as can be."""
+        return self._rate
+
+    def change(self, rate: float, now: float) -> None:
+        """Go on at another rate from where the recording stands."""
+        self._recorded = self.position(now)
+        self._since = None if self._since is None else now
+        self._rate = rate
+
     def reach(self, recorded: float, now: float) -> None:
         """Take note that a message of this recorded time was played; at rate 0 this is the only progress."""
         if self._rate == 0:

@@ -2,8 +2,8 @@
 
 ROS 2 ignores a parameter nobody declared, so a misspelt one in a file does nothing, silently. Here it is
 an error with the name that was probably meant, as is a value out of its range: one line and exit code 2.
-All parameters are read once, at the start, and cannot be changed while the node runs. Nothing here needs
-ROS, so that an offline replay reads the same files.
+All parameters are read once, at the start, and but for those a node says may be changed they stay as they
+are while it runs. Nothing here needs ROS, so that an offline replay reads the same files.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ class Parameter:
     high: float = math.inf
     choices: tuple[str, ...] = ()
     """The texts that are allowed; empty: any."""
+    changeable: bool = False
+    """Whether it may be set while the node runs; the node then says what it makes of that."""
 
     @property
     def limits(self) -> str:

@@ -1,4 +1,7 @@
-"""Plays a session: the plant's topics as they were recorded, byte for byte, and the clock they lived by."""
+"""Plays a session: the plant's topics as they were recorded, byte for byte, and the clock they lived by.
+
+`~/pause` (std_srvs/SetBool) stands still and goes on; the parameter `rate` may be set at any time.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
@@ -51,7 +55,13 @@ class Player(TwinmatchNode):
         Parameter("topic", "", "Topic of the samples, if the session has several rigs."),
         Parameter("topics", ["plant/", "thermal/"], "How the names of the played topics begin."),
         Parameter(
-            "rate", 1.0, "Recorded seconds per second; 0: as fast as readers keep up.", "", 0.0, 1000.0
+            "rate",
+            1.0,
+            "Recorded seconds per second; 0: as fast as readers keep up.",
+            "",
+            0.0,
+            1000.0,
+            changeable=True,
         ),
         Parameter("paused", False, "Begin paused; the service ~/pause goes on."),
         Parameter("clock", True, "Publish /clock."),
@@ -95,6 +105,7 @@ class Player(TwinmatchNode):
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self.values["clock"] else None
         self._pace = Pace(self.values["rate"], self._session.start / 1e9)
         self.create_service(SetBool, "~/pause", self._on_pause)
+        self.add_on_set_parameters_callback(self._on_parameters)
         for note in self._session.notes:
             self.get_logger().warning(note)
         self.health.say("waiting for readers")
@@ -109,7 +120,10 @@ class Player(TwinmatchNode):
     def report(self) -> Report:
         """Where the recording stands."""
         self.health.set("messages", self._played)
-        position = self._pace.position(time.monotonic()) - self._session.start / 1e9
+        with self._change:
+            self.health.set("rate", self._pace.rate)
+            self.health.set("paused", self._paused)
+            position = self._pace.position(time.monotonic()) - self._session.start / 1e9
         self.health.set("position", f"{position:.1f} s of {self._session.duration:.1f} s")
         return super().report()
 
@@ -132,9 +146,20 @@ class Player(TwinmatchNode):
                 self._pace.pause(time.monotonic())
             self._change.notify_all()
         self.health.say("paused" if request.data else "playing")
+        self.report_now()
         response.success = True
         response.message = "paused" if request.data else "playing"
         return response
+
+    def _on_parameters(self, parameters: list[Any]) -> SetParametersResult:
+        """`ros2 param set /player rate 20`; ROS has checked type and range."""
+        for parameter in parameters:
+            if parameter.name == "rate":
+                with self._change:
+                    self._pace.change(float(parameter.value), time.monotonic())
+                    self._change.notify_all()
+                self.report_now()
+        return SetParametersResult(successful=True)
 
     def _run(self) -> None:
         try:
@@ -178,7 +203,7 @@ class Player(TwinmatchNode):
                 return False
             self._publish_clock(message.log_time)
             self._publish(message)
-            if self.values["rate"] == 0 and self._played % BATCH == 0 and not self._wait_for_taking():
+            if self._pace.rate == 0 and self._played % BATCH == 0 and not self._wait_for_taking():
                 return False
         return True
 
