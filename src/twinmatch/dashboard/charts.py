@@ -90,7 +90,7 @@ class TimeCharts:
         )
         chart.toolbar.logo = None
         chart.toolbar.autohide = True
-        chart.grid.grid_line_width = 1
+        chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has them
         return chart
 
     def _temperature(self) -> Any:
@@ -138,6 +138,7 @@ class TimeCharts:
         lanes = FactorRange(factors=list(reversed(LANES.values())))
         chart = self._figure("happened", 170, "", y_range=lanes)
         chart.xaxis.axis_label = "time since the session began / s"
+        chart.xaxis.major_label_text_font_size = "12px"
         chart.ygrid.grid_line_color = None
         strips = chart.hbar(
             y="lane",

@@ -40,7 +40,7 @@ THEME = Theme(
                 "background_fill_color": "#FFFFFF",
                 "border_fill_color": None,
                 "outline_line_color": None,
-                "min_border_left": 64,
+                "min_border_left": 78,
                 "min_border_right": 12,
                 "min_border_top": 4,
                 "min_border_bottom": 4,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models import ColumnDataSource, FactorRange, HoverTool, LinearColorMapper
 from bokeh.palettes import Cividis256
 from bokeh.plotting import figure
@@ -83,7 +84,7 @@ class Matrix:
             fill_color={"field": "gap", "transform": self._colours},
             line_color=None,
         )
-        lettering = {"text_align": "center", "text_baseline": "middle", "text_font": FONT}
+        lettering = {"text_align": "center", "text_baseline": "middle", "text_font": value(FONT)}
         chart.text(
             "column", "row", "shown", source=self._cells, text_color="ink", text_font_size="12px", **lettering
         )

@@ -117,6 +117,7 @@ class Page:
         place = self._texts[name]
         if place.text != html:
             place.text = html
+        if place.visible != bool(html):
             place.visible = bool(html)
 
     def _changed(self, name: str, value: object) -> bool:

@@ -34,6 +34,9 @@ SILENCE = 5.0
 MATCHED = ("seebeck", "resistance", "conductance", "heat_capacity")
 LIGHT = (TrustLevel.UNKNOWN, TrustLevel.DOUBTFUL)
 """Levels whose colour wants dark letters."""
+CALLED = {"t": "judged at", "rms y": "rms temperature", "rms u": "rms control"}
+UNITS = {"gain": "characters", "rms u": "PWM"}
+"""Of the columns of the terminal's table that have no room for theirs."""
 DASH = "–"
 NO_IMAGE = '<p class="quiet">No thermal image has come; only a rig with a camera sends them.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
@@ -82,7 +85,7 @@ def tiles(state: DashboardState) -> str:
         ]
         for name, cell in told:
             words, _, unit = name.partition(" / ")
-            entries.append((f"verdict at {words}" if words == "t" else words, cell, unit))
+            entries.append((CALLED.get(words, words), cell, unit or UNITS.get(words, "")))
     shown = [
         f'<div><div class="label">{text(name)}</div>'
         f'<div class="value">{text(value)} <span class="unit">{text(unit)}</span></div></div>'
