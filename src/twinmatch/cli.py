@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinmatch import __version__
+from twinmatch.archive import program as archive_program
 from twinmatch.emulation import virtual_rig_program
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
@@ -56,9 +57,13 @@ def _parser() -> argparse.ArgumentParser:
     importing.add_argument("--overwrite", action="store_true", help="replace a session that is already there")
     importing.set_defaults(command=_import)
 
-    replaying = commands.add_parser("replay", help="judge a recorded session offline, as fast as it goes")
+    replaying = commands.add_parser("replay", help="judge recorded sessions offline, as fast as it goes")
     replaying.add_argument(
-        "session", type=Path, help="session folder, .mcap file, or a recording (.mat, .csv)"
+        "sessions",
+        type=Path,
+        nargs="+",
+        metavar="SESSION",
+        help="session folder, .mcap file, recording (.mat, .csv), folder of any of these, or pattern",
     )
     replaying.add_argument("--json", type=Path, metavar="OUT", help="write every verdict to this file")
     replaying.add_argument("--figure", type=Path, metavar="OUT", help="draw the verdict (.png, .svg or .pdf)")
@@ -66,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     replaying.add_argument(
         "--config", type=Path, metavar="FILE", help="parameters (.yaml), as the nodes take them"
     )
+    archive_program.add_options(replaying)
     replaying.set_defaults(command=_replay)
 
     verifying = commands.add_parser(
@@ -104,13 +110,23 @@ def _import(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    _check_writable(options.json, options.figure)
+    if archive_program.is_archive(options):
+        with _Progress() as progress:
+            return archive_program.run(options, progress.advance)
+    return _replay_one(options)
+
+
+def _replay_one(options: argparse.Namespace) -> int:
     from twinmatch.replay import judge_session  # noqa: PLC0415
     from twinmatch.views import document, sentence  # noqa: PLC0415
 
-    _check_writable(options.json, options.figure)
     with _Progress() as progress:
         judgement = judge_session(
-            options.session, candidates=options.candidates, config=options.config, watch=progress.advance
+            options.sessions[0],
+            candidates=options.candidates,
+            config=options.config,
+            watch=progress.advance,
         )
     _print_verdicts(judgement)
     for note in judgement.summary.notes:

@@ -14,7 +14,7 @@ from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, Twin, TwinSettings
 from twinmatch.views import Summary, summarise
 
-__all__ = ["Judgement", "judge_samples", "judge_session"]
+__all__ = ["Judgement", "judge_on", "judge_samples", "judge_session"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,30 @@ def judge_session(
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    settings = read_settings(config)
     given = read_candidates(candidates) if candidates else []
+    return judge_on(path, read_settings(config), given, config=config, watch=watch)
+
+
+def judge_on(
+    path: Path,
+    settings: TwinSettings,
+    given: Sequence[Candidate] = (),
+    *,
+    config: Path | None = None,
+    watch: Callable[[int, int], None] | None = None,
+) -> Judgement:
+    """Judge what a path holds with settings at hand.
+
+    Args:
+        path: a session, an .mcap file or a recording.
+        settings: fitted to the session's sample time, unless they came from a file.
+        given: candidates to begin with.
+        config: the file the settings came from, for messages; None: they are the defaults.
+        watch: called with (samples done, samples in all) now and then.
+
+    Raises:
+        TwinmatchError: the session cannot be used, or has another sample time than the file says.
+    """
     session = open_any(path)
     settings = at_period(settings, session.period, config)
     return judge_samples(

@@ -1,0 +1,164 @@
+"""Many sessions judged: those kept from before, those judged now, and those passed over."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twinmatch.archive.fingerprint import content_of, key_of
+from twinmatch.archive.job import Failure, Job, Outcome, Terms
+from twinmatch.archive.processes import cores, judge_in_processes
+from twinmatch.archive.sources import find_sessions
+from twinmatch.archive.store import Store
+
+__all__ = ["Archive", "judge_archive"]
+
+
+@dataclass(frozen=True)
+class Archive:
+    """What came out of many sessions."""
+
+    sessions: tuple[dict[str, Any], ...]
+    """Name, path and summary of each judged session, in the order in which they were named."""
+    candidates: tuple[dict[str, Any], ...]
+    """The candidates of all of them, one row each: session, parameters, ν-gap sum, fit, …"""
+    failed: tuple[Failure, ...]
+    """The sessions passed over, and why."""
+    reused: int
+    """How many of the judged sessions were judged in an earlier run."""
+
+    def document(self) -> dict[str, Any]:
+        """All of it, as JSON takes it."""
+        failed = [{"path": str(failure.path), "reason": failure.reason} for failure in self.failed]
+        return {"sessions": list(self.sessions), "candidates": list(self.candidates), "failed": failed}
+
+
+def judge_archive(
+    named: Sequence[Path | str],
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    out: Path | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    watch: Callable[[int, int], None] | None = None,
+    passed_over: Callable[[Failure], None] | None = None,
+) -> Archive:
+    """Judge many sessions, each on its own.
+
+    Args:
+        named: sessions, recordings, folders of them, patterns; see `find_sessions`.
+        config: file of parameters.
+        candidates: file of candidates every session begins with.
+        out: folder for one JSON file per session, as `twinmatch.views.document` has it. A session is not
+            judged again if its file there is of the same content, parameters and version.
+        jobs: processes on this machine; as many as cores if not given.
+        scheduler: address of a Dask scheduler whose workers judge instead.
+        watch: called with (sessions done, sessions in all) as they are done.
+        passed_over: called with each session that could not be used.
+
+    Raises:
+        TwinmatchError: nothing was found, the parameters or candidates cannot be used, results cannot be
+            kept, or the cluster cannot be used. A session that cannot be used is no error.
+    """
+    paths = find_sessions(named)
+    run = _Run(_terms(config, candidates), Store(out) if out else None, passed_over)
+    todo = run.look(paths)
+    reused = len(run.records)
+    report = watch or (lambda _done, _total: None)
+    report(len(paths) - len(todo), len(paths))
+    with contextlib.closing(_outcomes(todo, jobs, scheduler)) as outcomes:
+        for done, outcome in enumerate(outcomes, len(paths) - len(todo) + 1):
+            run.take(paths[outcome.number], outcome)
+            report(done, len(paths))
+    return run.archive(paths, reused)
+
+
+def _terms(config: Path | None, candidates: Path | None) -> Terms:
+    from twinmatch.nodes.twin_parameters import read_settings  # noqa: PLC0415 — imports the whole twin
+    from twinmatch.sessions.candidates import read_candidates  # noqa: PLC0415
+
+    return Terms(read_settings(config), tuple(read_candidates(candidates)) if candidates else (), config)
+
+
+def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[Outcome]:
+    if not todo:
+        return
+    if scheduler is None:
+        yield from judge_in_processes(todo, jobs or cores())
+        return
+    from twinmatch.archive.cluster import judge_on_cluster  # noqa: PLC0415
+
+    yield from judge_on_cluster(todo, scheduler)
+
+
+class _Run:
+    """What a run has gathered so far."""
+
+    def __init__(
+        self, terms: Terms, store: Store | None, passed_over: Callable[[Failure], None] | None
+    ) -> None:
+        self.records: dict[int, dict[str, Any]] = {}
+        self._failed: dict[int, Failure] = {}
+        self._keys: dict[int, str] = {}
+        self._terms = terms
+        self._store = store
+        self._passed_over = passed_over or (lambda _failure: None)
+
+    def look(self, paths: list[Path]) -> list[Job]:
+        """Take in what was kept of an earlier run; return the sessions left to judge."""
+        todo = []
+        terms = self._terms
+        words = repr((terms.settings, terms.given, terms.config is not None))
+        for number, path in enumerate(paths):
+            try:
+                content = content_of(path)
+            except OSError as error:
+                reason = "does not exist" if isinstance(error, FileNotFoundError) else error.strerror
+                self._fail(number, path, f"{path}: {reason}")
+                continue
+            self._keys[number] = key_of(content, words)
+            kept = self._store.find(path, self._keys[number]) if self._store else None
+            if kept is not None:
+                self._hold(number, kept)
+            else:
+                todo.append(Job(number, path.resolve(), content, terms))
+        return todo
+
+    def take(self, path: Path, outcome: Outcome) -> None:
+        """Keep what came of a session."""
+        if outcome.record is None:
+            self._fail(outcome.number, path, outcome.error)
+            return
+        if self._store is not None:
+            self._store.keep(path, self._keys[outcome.number], outcome.record)
+        self._hold(outcome.number, outcome.record)
+
+    def archive(self, paths: list[Path], reused: int) -> Archive:
+        """All of it, in the order in which the sessions were named."""
+        held = sorted(self.records.items())
+        alike = Counter(record["session"] for _, record in held)
+        names = {k: r["session"] if alike[r["session"]] == 1 else str(paths[k]) for k, r in held}
+        return Archive(
+            sessions=tuple(
+                {"session": names[k], "path": str(paths[k]), "summary": record["summary"]}
+                for k, record in held
+            ),
+            candidates=tuple(
+                row | {"session": names[k]} for k, record in held for row in record["candidates"]
+            ),
+            failed=tuple(failure for _, failure in sorted(self._failed.items())),
+            reused=reused,
+        )
+
+    def _hold(self, number: int, record: dict[str, Any]) -> None:
+        """Without the verdicts: those of a large archive would not fit into memory."""
+        self.records[number] = {key: value for key, value in record.items() if key != "verdicts"}
+
+    def _fail(self, number: int, path: Path, reason: str) -> None:
+        self._failed[number] = Failure(path, reason)
+        self._passed_over(self._failed[number])

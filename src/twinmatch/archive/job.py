@@ -1,0 +1,130 @@
+"""One session to judge, and what came of it: what travels to another process and back.
+
+Everything travels by value, so that a process on another machine needs nothing but the session's own
+files under the same path.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from twinmatch.archive.fingerprint import content_of
+from twinmatch.errors import TwinmatchError
+
+if TYPE_CHECKING:
+    from twinmatch.discrimination import Candidate
+    from twinmatch.replay import Judgement
+    from twinmatch.twin import TwinSettings
+
+__all__ = ["Failure", "Job", "Outcome", "Terms", "judge", "prepare"]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """On what terms every session of an archive is judged."""
+
+    settings: TwinSettings
+    given: tuple[Candidate, ...]
+    """Candidates to begin with."""
+    config: Path | None
+    """File the settings are from, for messages; it is not read again."""
+
+
+class Job(NamedTuple):
+    """One session to judge."""
+
+    number: int
+    path: Path
+    """Absolute."""
+    content: str
+    """Hash of what is to be judged."""
+    terms: Terms
+
+
+class Outcome(NamedTuple):
+    """What came of a job: a record, or the reason why there is none."""
+
+    number: int
+    record: dict[str, Any] | None
+    error: str = ""
+
+
+class Failure(NamedTuple):
+    """A session that was passed over."""
+
+    path: Path
+    reason: str
+
+
+def prepare() -> None:
+    """Set up a process that will judge: one thread of linear algebra, before numpy is first imported."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[variable] = "1"
+
+
+def judge(job: Job, place: str = "") -> Outcome:
+    """Judge one session; whatever is wrong with it becomes the outcome's error.
+
+    Args:
+        job: what to judge.
+        place: where this runs, for messages, for example " on worker tcp://10.0.0.7:41", or nothing.
+    """
+    try:
+        content = content_of(job.path)
+    except OSError as error:
+        hint = "; workers read sessions under the same path as here" if place else ""
+        return Outcome(job.number, None, f"{job.path}: cannot be read{place} ({error.strerror}){hint}")
+    if content != job.content:
+        change = "holds something else than here" if place else "has changed since it was looked at"
+        return Outcome(job.number, None, f"{job.path}: {change}{place}")
+    try:
+        return Outcome(job.number, _record(job))
+    except TwinmatchError as error:
+        return Outcome(job.number, None, str(error))
+    except Exception as error:  # a defect, but the other sessions shall not suffer from it
+        what = f"{type(error).__name__}: {error}".splitlines()[0]
+        msg = f"{job.path}: {what}; this is a defect, replay this session alone to see where"
+        return Outcome(job.number, None, msg)
+
+
+def _record(job: Job) -> dict[str, Any]:
+    """The judged session as JSON has it, with one row per candidate."""
+    from twinmatch.replay import judge_on  # noqa: PLC0415 — imports numpy, so not before `prepare`
+    from twinmatch.views import document  # noqa: PLC0415
+
+    terms = job.terms
+    judgement = judge_on(job.path, terms.settings, terms.given, config=terms.config)
+    entry = document(judgement.name, judgement.verdicts, judgement.summary)
+    return entry | {"candidates": _rows(judgement, entry)}
+
+
+def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
+    """The candidates of the last verdict, each with the fit of its twin over the session."""
+    if not judgement.verdicts:
+        return []
+    from twinmatch.signals import Window, unbroken  # noqa: PLC0415
+    from twinmatch.twin import closed_loop_fit  # noqa: PLC0415
+
+    gains = judgement.settings.gains
+    longest = Window.from_samples(max(unbroken(judgement.samples), key=len), gains.period)
+    rows = []
+    for candidate, known in zip(
+        judgement.verdicts[-1].candidates, entry["verdicts"][-1]["candidates"], strict=True
+    ):
+        chosen = next(order for order in known["orders"] if order["order"] == candidate.chosen_order)
+        fit = closed_loop_fit(candidate.parameters, longest, gains)
+        rows.append(
+            {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
+            | {key: value for key, value in known.items() if key != "orders"}
+            | {"criteria": {key: value["total"] for key, value in chosen.items() if key != "order"}}
+            | {"fit": {output: _finite(value) for output, value in zip("yu", fit, strict=True)}}
+        )
+    return rows
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,72 @@
+"""Judges sessions in processes of this machine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait
+
+from twinmatch.archive.job import Job, Outcome, judge, prepare
+
+__all__ = ["cores", "judge_in_processes"]
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
+    """Judge sessions in this many processes; outcomes come as they are ready.
+
+    Processes are started afresh, not forked: a fork would copy threads' locks. If one dies (memory ran
+    out, say), the sessions without an outcome are judged again one by one, so that the one it died of is
+    found. Closing the iterator ends the processes at once.
+    """
+    left = {job.number: job for job in jobs}
+    try:
+        for outcome in _pooled(jobs, min(processes, len(jobs))):
+            del left[outcome.number]
+            yield outcome
+    except BrokenProcessPool:
+        for job in left.values():
+            try:
+                yield from _pooled([job], 1)
+            except BrokenProcessPool:
+                yield Outcome(job.number, None, f"{job.path}: the process that judged it died")
+
+
+def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
+    before = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
+    finished = False
+    try:
+        futures: list[Future[Outcome]] = [pool.submit(judge, job) for job in jobs]
+        for future in as_completed(futures):
+            yield future.result()
+        finished = True
+    finally:
+        if not finished:
+            for process in set(multiprocessing.active_children()) - before:
+                process.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Set up a process: the one that started it decides when it ends, and it ends with that one."""
+    prepare()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)

@@ -1,0 +1,101 @@
+"""`twinmatch replay` on many sessions: options, table, exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from twinmatch.archive.archive import Archive, judge_archive
+from twinmatch.archive.errors import ArchiveError
+from twinmatch.archive.job import Failure
+from twinmatch.archive.sources import is_single
+from twinmatch.errors import EXIT_USER_ERROR
+
+__all__ = ["EXIT_PARTLY", "add_options", "is_archive", "run"]
+
+EXIT_PARTLY = 3
+"""Some sessions were judged and some passed over."""
+
+WIDTH = 180
+"""Of the table where nobody looks at it in a terminal."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options that concern many sessions."""
+    group = parser.add_argument_group(
+        "many sessions",
+        "Several sessions, a folder of them or a pattern are judged in parallel, and one table shows the "
+        "candidates of all. Exit code 0: all judged; 3: some passed over; 2: none judged.",
+    )
+    group.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one per core)")
+    group.add_argument(
+        "--out", type=Path, metavar="DIR", help="keep a JSON file per session; judge only what is new"
+    )
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="judge on this Dask cluster; it must see the same paths"
+    )
+
+
+def is_archive(options: argparse.Namespace) -> bool:
+    """Whether these options ask for many sessions."""
+    asked = (options.jobs, options.out, options.scheduler)
+    return not is_single(options.sessions) or any(option is not None for option in asked)
+
+
+def run(options: argparse.Namespace, watch: Callable[[int, int], None]) -> int:
+    """Judge, print the table, write the JSON; returns the exit code."""
+    if options.figure is not None:
+        raise ArchiveError("--figure draws one session; several were named")
+    archive = judge_archive(
+        options.sessions,
+        config=options.config,
+        candidates=options.candidates,
+        out=options.out,
+        jobs=options.jobs,
+        scheduler=options.scheduler,
+        watch=watch,
+        passed_over=_complain,
+    )
+    _print(archive)
+    if options.json is not None:
+        text = json.dumps(archive.document(), indent=1, allow_nan=False, ensure_ascii=False)
+        options.json.write_text(text + "\n", encoding="utf-8")
+    if not archive.failed:
+        return 0
+    return EXIT_PARTLY if archive.sessions else EXIT_USER_ERROR
+
+
+def _complain(failure: Failure) -> None:
+    print(f"twinmatch: passed over {failure.reason}", file=sys.stderr)
+
+
+def _print(archive: Archive) -> None:
+    from rich.console import Console  # noqa: PLC0415 — only who prints needs it
+
+    from twinmatch.archive.table import table  # noqa: PLC0415
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = WIDTH
+    if archive.candidates:
+        console.print(table(archive))
+    without = [s["session"] for s in archive.sessions if s["summary"]["nominal"] is None]
+    if without:
+        print(f"No nominal twin: {', '.join(without)}")
+    reused = f", {archive.reused} of them before" if archive.reused else ""
+    passed = f"; {len(archive.failed)} passed over" if archive.failed else ""
+    print(f"{len(archive.sessions)} sessions judged{reused}, {len(archive.candidates)} candidates{passed}")
+
+
+def _count(text: str) -> int:
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if count < 1:
+        msg = f"{text!r} is no number of processes; give 1 or more"
+        raise argparse.ArgumentTypeError(msg)
+    return count

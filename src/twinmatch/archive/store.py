@@ -1,0 +1,67 @@
+"""Keeps one JSON file per judged session, so that a run can go on where another ended."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from twinmatch.archive.errors import ArchiveError
+from twinmatch.archive.fingerprint import software
+
+__all__ = ["Store"]
+
+
+class Store:
+    """A folder of results."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open the folder; it is made if it is not there.
+
+        Raises:
+            ArchiveError: it cannot be made.
+        """
+        self.folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            msg = f"{folder}: no results can be kept there ({error.strerror})"
+            raise ArchiveError(msg) from error
+
+    def file_of(self, session: Path) -> Path:
+        """Where the result of this session is kept; sessions of one name in two folders have two files."""
+        place = hashlib.sha256(str(session.resolve()).encode()).hexdigest()[:8]
+        return self.folder / f"{session.resolve().stem or 'session'}-{place}.json"
+
+    def find(self, session: Path, key: str) -> dict[str, Any] | None:
+        """The result kept for this session if it has this key, that is, if nothing it depends on changed."""
+        try:
+            kept = json.loads(self.file_of(session).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None  # none yet, or not ours
+        if not isinstance(kept, dict) or kept.get("key") != key:
+            return None
+        record = kept.get("result")
+        return record if isinstance(record, dict) else None
+
+    def keep(self, session: Path, key: str, record: dict[str, Any]) -> None:
+        """Write a result, complete or not at all.
+
+        Raises:
+            ArchiveError: the disk refuses.
+        """
+        file = self.file_of(session)
+        kept = {"key": key, "path": str(session.resolve()), "software": software(), "result": record}
+        draft = file.with_name(f".{file.name}.{os.getpid()}")
+        try:
+            draft.write_text(json.dumps(kept, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+            draft.replace(file)
+        except OSError as error:
+            msg = f"{file}: the result cannot be written ({error.strerror})"
+            raise ArchiveError(msg) from error
+        finally:
+            with contextlib.suppress(OSError):
+                draft.unlink()
