@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_criteria", "draw_gains", "draw_matrix", "fill_matrix"]
 
+_CROWDED = 6
+"""Candidates from which the figures in the cells are written smaller."""
+
 _PANELS = (
     ("gain", "information gain / characters", "larger is better"),
     ("naic", "nAIC above the best", "0 is best"),
@@ -92,8 +95,8 @@ def _above_best(table: FloatArray, attribute: str) -> FloatArray:
 def draw_matrix(verdict: Verdict) -> Figure:
     """The ν-gaps between all candidates as a heat map, and their sums."""
     count = len(verdict.candidates)
-    size = 2.4 + 0.62 * count
-    figure = new_figure(size + 2.2, size)
+    size = 1.2 + 0.55 * count
+    figure = new_figure(size + 2.6, size)
     fill_matrix(figure.add_subplot(), verdict)
     return figure
 
@@ -103,14 +106,19 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     matrix = np.array(verdict.nu_gap)
     top = max(float(matrix.max()), 1e-12)
     image: Any = axes.imshow(matrix, cmap=MATRIX_MAP, vmin=0, vmax=top)
+    small = len(matrix) > _CROWDED
     for i, j in np.ndindex(*matrix.shape):
-        colour = "white" if matrix[i, j] > 0.55 * top else TEXT
-        axes.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", fontsize=8, color=colour)
+        red, green, blue, _ = image.cmap(image.norm(matrix[i, j]))
+        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        text = f"{matrix[i, j]:.2f}"
+        axes.text(
+            j, i, text, ha="center", va="center", fontsize=7 if small else 8, color="white" if dark else TEXT
+        )
     names = [c.name for c in verdict.candidates]
-    sums = [f"{c.name}\nΣ {c.nu_gap_sum:.2f}" for c in verdict.candidates]
-    axes.set_xticks(range(len(names)), sums)
-    axes.set_yticks(range(len(names)), names)
-    for label, name in zip(axes.get_xticklabels(), names, strict=True):
+    rows = [f"{c.name}  Σ {c.nu_gap_sum:.2f}" for c in verdict.candidates]
+    axes.set_xticks(range(len(names)), names, rotation=45 if len(names) > 4 else 0)
+    axes.set_yticks(range(len(names)), rows)
+    for label, name in zip(axes.get_yticklabels(), names, strict=True):
         label.set_fontweight("bold" if name == verdict.nominal else "normal")
     axes.set_title("ν-gap in the family (smallest Σ: nominal, bold)")
     axes.grid(visible=False)

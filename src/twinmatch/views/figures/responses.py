@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_responses", "draw_uncertainty", "family_colours"]
 
 _SKIPPED = 2
+_LABELS = ("temperature / °C", "control / counts", "minus nominal / °C", "minus nominal\n/ counts")
 
 
 @styled
@@ -50,7 +51,7 @@ def _draw_member(temperature: Axes, control: Axes, member: Member) -> None:
     window, order = member.window, member.score.chosen_order
     twin, model = member.quiet_twin, member.simulated(order)
     time = window.time[_SKIPPED:]
-    temperature.plot(window.time, window.reference, color=SET_POINT, lw=0.9, ls="--", label="set-point")
+    _draw_set_point(temperature, window)
     temperature.plot(window.time, window.temperature, color=PLANT, lw=1.4, label="plant")
     temperature.plot(time, twin.temperature, color=CLOSED, lw=1, label="twin")
     temperature.plot(time, model.temperature, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
@@ -71,10 +72,10 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     nominal = next((m for m in members if m.nominal), members[0])
     window = nominal.window
     answers = [simulate_window(m.score.parameters, window, gains=m.settings.gains) for m in members]
-    figure = new_figure(10, 5.6)
-    axes = stack(figure, (3, 2, 1.4))
+    figure = new_figure(10, 7.2)
+    axes = stack(figure, (3, 2, 1.5, 1.5))
     time = window.time[_SKIPPED:]
-    axes[0].plot(window.time, window.reference, color=SET_POINT, lw=0.9, ls="--", label="set-point")
+    _draw_set_point(axes[0], window)
     axes[0].plot(window.time, window.temperature, color=PLANT, lw=2, label="plant")
     axes[1].plot(window.time, window.pwm, color=PLANT, lw=1.6)
     for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):
@@ -84,26 +85,42 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
         name = f"twin of {member.score.name}{' (nominal)' if member.nominal else ''}"
         axes[0].plot(time, answer.temperature, label=name, zorder=3 if member.nominal else 2, **style)
         axes[1].plot(time, answer.pwm, zorder=3 if member.nominal else 2, **style)
-    _draw_spread(axes[2], window, [a.temperature for a in answers])
-    axes[0].set_ylabel("temperature / °C")
-    axes[1].set_ylabel("control / counts")
-    axes[2].set_ylabel("spread / °C")
-    axes[2].set_xlabel("time since the session began / s")
+    for place, name in ((2, "temperature"), (3, "pwm")):
+        table = np.stack([getattr(answer, name) for answer in answers])
+        _draw_spread(axes[place], time, table, members)
+    for each, label in zip(axes, _LABELS, strict=True):
+        each.set_ylabel(label)
+    axes[-1].set_xlabel("time since the session began / s")
     axes[0].margins(x=0.005)
+    figure.align_ylabels(axes)
     figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(5, len(members) + 2)
     )
     return figure
 
 
-def _draw_spread(axes: Axes, window: Window, temperatures: Sequence[FloatArray]) -> None:
-    table = np.stack(temperatures)
-    measured = window.temperature[_SKIPPED:]
-    low, high = np.min(table, axis=0) - measured, np.max(table, axis=0) - measured
-    time = window.time[_SKIPPED:]
-    axes.fill_between(time, low, high, color=CLOSED, alpha=0.3, lw=0, label="family, lowest to highest")
-    axes.axhline(0, color=PLANT, lw=1.4, label="plant")
-    axes.legend(loc="upper right", ncols=2)
+def _draw_set_point(axes: Axes, window: Window) -> None:
+    axes.plot(
+        window.time,
+        window.reference,
+        color=SET_POINT,
+        lw=0.9,
+        ls="--",
+        drawstyle="steps-post",
+        label="set-point",
+    )
+
+
+def _draw_spread(axes: Axes, time: FloatArray, table: FloatArray, members: Sequence[Member]) -> None:
+    """Every twin of the family as its difference from the nominal one, and the band they span."""
+    nominal = next((k for k, m in enumerate(members) if m.nominal), 0)
+    difference = table - table[nominal]
+    low, high = np.min(difference, axis=0), np.max(difference, axis=0)
+    axes.fill_between(time, low, high, color=CLOSED, alpha=0.2, lw=0)
+    for k, colour in enumerate(family_colours(len(members))):
+        if k != nominal:
+            axes.plot(time, difference[k], color=colour, lw=0.9)
+    axes.axhline(0, color=CLOSED, lw=1.2)
 
 
 def family_colours(count: int) -> list[tuple[float, ...]]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twinmatch.discrimination import Verdict
-from twinmatch.signals import Sample, Window, unbroken
+from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import TwinSettings
 from twinmatch.views.comparison import Comparison, compare, rolling_rms
 from twinmatch.views.figures.drawing import new_figure, stack, styled, time_axis
@@ -21,6 +23,8 @@ __all__ = ["draw_session"]
 
 BAND = 60
 """Samples over which the residual's band is taken."""
+_SHOWN = 0.99
+"""Part of the residuals that the picture has to show; the rest are peaks of a sample or two at a step."""
 
 
 @styled
@@ -41,6 +45,8 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     if parts:
         axes[2].set_ylabel("plant − twin / °C")
         axes[3].set_ylabel("plant − twin / counts")
+        _limit(axes[2], [p.residual_y for p in parts] + [p.residual_driven for p in parts])
+        _limit(axes[3], [p.residual_u for p in parts])
     for each in axes:
         if each.get_legend_handles_labels()[0]:
             each.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=5, borderaxespad=0.2)
@@ -48,10 +54,32 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     return figure
 
 
+def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
+    """Leave the few highest peaks out of the picture, and say so."""
+    size = np.abs(np.concatenate(residuals))
+    shown, highest = 1.4 * float(np.quantile(size, _SHOWN)), float(np.max(size))
+    if not 0 < shown < highest:
+        return
+    axes.set_ylim(-shown, shown)
+    axes.annotate(
+        f"(peaks up to {highest:.3g} are cut off)",
+        (0.004, 0.97),
+        xycoords="axes fraction",
+        va="top",
+        fontsize=8,
+    )
+
+
 def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool) -> None:
     hidden = "_"  # matplotlib leaves such labels out of the legend
     temperature.plot(
-        window.time, window.reference, color=SET_POINT, lw=1, ls="--", label="set-point" if first else hidden
+        window.time,
+        window.reference,
+        color=SET_POINT,
+        lw=1,
+        ls="--",
+        drawstyle="steps-post",
+        label="set-point" if first else hidden,
     )
     temperature.plot(window.time, window.temperature, color=PLANT, label="plant" if first else hidden)
     control.plot(window.time, window.pwm, color=PLANT, lw=0.8, label="plant" if first else hidden)

@@ -62,7 +62,9 @@ def _draw_signals(
     """One unbroken stretch of plant and twin."""
     time, hidden = window.time, "_"  # matplotlib leaves such labels out of the legend
     names = ("set-point", "plant") if label else (hidden, hidden)
-    temperature.plot(time, window.reference, color=SET_POINT, lw=1, ls="--", label=names[0])
+    temperature.plot(
+        time, window.reference, color=SET_POINT, lw=1, ls="--", drawstyle="steps-post", label=names[0]
+    )
     temperature.plot(time, window.temperature, color=PLANT, lw=1.2, label=names[1])
     control.plot(time, window.pwm, color=PLANT, lw=0.9)
     if nominal is None or len(window) < 4:
