@@ -22,7 +22,7 @@ Tree = dict[str, Any]
 
 NANOSECONDS = 1_000_000_000
 NAMED = ("level", "status")
-CRITERIA = ("trivial_length", "model_length", "gain", "explanation", "naic", "bic", "mdl")
+CRITERIA = ("trivial_length", "model_length", "gain", "explanation", "naic", "bic", "mdl", "two_part_length")
 
 
 def message_tree(message: Any) -> Tree:
@@ -48,6 +48,11 @@ def verdict_tree(verdict: Verdict, stamp: int) -> Tree:
         "stands": verdict.stands,
         "nominal": verdict.nominal or "",
         "reason": verdict.reason,
+        "decided": verdict.decided,
+        "certainty": verdict.certainty,
+        "fault": verdict.fault,
+        "fault_since": -1 if verdict.fault_since is None else verdict.fault_since,
+        "structure": verdict.structure,
         "decimals": verdict.decimals,
         "candidates": [_candidate_tree(verdict, row) for row in range(len(verdict.candidates))],
         "order": verdict.order or "",
@@ -69,7 +74,7 @@ def match_tree(report: MatchReport, stamp: int) -> Tree:
         "status_name": match.status.value,
         "reason": match.reason,
         "parameters": _parameters_tree(match.parameters),
-        "sink_start": math.nan if match.sink_start is None else match.sink_start,
+        "sink_start": _or_nan(match.sink_start),
         "free": list(match.free),
         "covariance": match.covariance.ravel().tolist(),
         "standard_errors": match.standard_errors.tolist(),
@@ -77,6 +82,11 @@ def match_tree(report: MatchReport, stamp: int) -> Tree:
         "eigenvalues": match.eigenvalues.tolist(),
         "condition": match.condition,
         "bounds_hit": list(match.bounds_hit),
+        "directions": match.directions.ravel().tolist(),
+        "intervals": match.intervals.ravel().tolist(),
+        "believed": list(match.believed),
+        "determined": match.determined,
+        "suggestion": match.suggestion,
         "fit_y": match.fit.y,
         "fit_u": match.fit.u,
         "held_back_fit_y": match.held_back.y,
@@ -107,7 +117,6 @@ def _same(one: Any, other: Any) -> bool:
 
 def _candidate_tree(verdict: Verdict, row: int) -> Tree:
     candidate = verdict.candidates[row]
-    to_plant = candidate.nu_gap_to_plant
     return {
         "name": candidate.name,
         "operating_point": candidate.operating_point,
@@ -120,14 +129,23 @@ def _candidate_tree(verdict: Verdict, row: int) -> Tree:
                 "y": _criteria_tree(score.y),
                 "u": _criteria_tree(score.u),
                 "total": _criteria_tree(score.total),
+                "aic_difference": score.aic_difference,
+                "weight": score.weight,
             }
             for score in candidate.orders
         ],
         "chosen_order": candidate.chosen_order,
         "nu_gap": list(verdict.nu_gap[row]) if verdict.nu_gap else [],
         "nu_gap_sum": candidate.nu_gap_sum,
+        "nu_gap_low": list(candidate.nu_gap_low),
+        "nu_gap_high": list(candidate.nu_gap_high),
+        "nu_gap_sum_low": candidate.nu_gap_sum_low,
+        "nu_gap_sum_high": candidate.nu_gap_sum_high,
+        "nominal_probability": candidate.nominal_probability,
+        "margin": _or_nan(candidate.margin),
+        "plant_gap_to_nominal": _or_nan(candidate.plant_gap_to_nominal),
         "newest": _criteria_tree(candidate.newest),
-        "nu_gap_to_plant": math.nan if to_plant is None else to_plant,
+        "nu_gap_to_plant": _or_nan(candidate.nu_gap_to_plant),
     }
 
 
@@ -137,6 +155,10 @@ def _parameters_tree(parameters: RigParameters) -> Tree:
 
 def _criteria_tree(criteria: Criteria | None) -> Tree:
     return {n: math.nan if criteria is None else float(getattr(criteria, n)) for n in CRITERIA}
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _plain(value: Any) -> Any:

@@ -54,9 +54,12 @@ PARAMETERS = st.builds(
     ambient=st.floats(200.0, 400.0),
     sink_heat_capacity=st.one_of(POSITIVE, st.just(math.inf)),
     sink_convection=POSITIVE,
+    sensor_lag=POSITIVE,
+    seebeck_slope=st.floats(-1e6, 1e6),
 )
-CRITERIA = st.builds(Criteria, COUNTS, COUNTS, COUNTS, ANY, ANY, ANY, ANY)
-ORDERS = st.builds(OrderScore, TEXTS, CRITERIA, CRITERIA, CRITERIA)
+CRITERIA = st.builds(Criteria, COUNTS, COUNTS, COUNTS, ANY, ANY, ANY, ANY, ANY)
+ORDERS = st.builds(OrderScore, TEXTS, CRITERIA, CRITERIA, CRITERIA, ANY, ANY)
+ROWS = st.lists(ANY, max_size=3).map(tuple)
 CANDIDATES = st.builds(
     CandidateScore,
     name=TEXTS,
@@ -69,6 +72,13 @@ CANDIDATES = st.builds(
     nu_gap_sum=ANY,
     newest=st.none() | CRITERIA,
     nu_gap_to_plant=st.none() | NUMBERS,
+    margin=st.none() | NUMBERS,
+    plant_gap_to_nominal=st.none() | NUMBERS,
+    nu_gap_low=ROWS,
+    nu_gap_high=ROWS,
+    nu_gap_sum_low=ANY,
+    nu_gap_sum_high=ANY,
+    nominal_probability=ANY,
 )
 
 
@@ -98,6 +108,7 @@ def test_sample(sample: Sample) -> None:
 def reports(draw: st.DrawFn) -> MatchReport:
     size = draw(st.integers(0, 4))
     square = st.lists(ANY, min_size=size * size, max_size=size * size)
+    pairs = st.lists(ANY, min_size=2 * size, max_size=2 * size)
     names = draw(st.lists(TEXTS, min_size=size, max_size=size))
     with np.errstate(invalid="ignore"):
         match = Match(
@@ -115,6 +126,11 @@ def reports(draw: st.DrawFn) -> MatchReport:
             samples=(draw(INDICES), draw(INDICES)),
             status=draw(st.sampled_from(Status)),
             reason=draw(TEXTS),
+            directions=np.array(draw(square), dtype=np.float64).reshape(size, size),
+            intervals=np.array(draw(pairs), dtype=np.float64).reshape(size, 2),
+            believed=tuple(draw(st.lists(TEXTS, max_size=2))),
+            determined=draw(TEXTS),
+            suggestion=draw(TEXTS),
         )
     return MatchReport(draw(INDICES), draw(ANY), match)
 
@@ -149,6 +165,11 @@ def verdicts(draw: st.DrawFn) -> Verdict:
         nu_gap=tuple(draw(row) for _ in candidates),
         residual_y=draw(ANY),
         residual_u=draw(ANY),
+        decided=draw(st.booleans()),
+        certainty=draw(TEXTS),
+        fault=draw(TEXTS),
+        fault_since=draw(st.none() | INDICES),
+        structure=draw(TEXTS),
     )
 
 

@@ -38,7 +38,7 @@ NAN = float("nan")
 STATUSES = {status: getattr(messages.Match, status.name) for status in Status}
 LEVELS = {level: getattr(messages.ModelScore, level.name) for level in TrustLevel}
 COUNTS = ("trivial_length", "model_length", "gain")
-FRACTIONS = ("explanation", "naic", "bic", "mdl")
+FRACTIONS = ("explanation", "naic", "bic", "mdl", "two_part_length")
 
 
 def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
@@ -97,7 +97,7 @@ def match_message(report: MatchReport, stamp: int) -> messages.Match:
         status_name=match.status.value,
         reason=match.reason,
         parameters=_parameters_message(match.parameters),
-        sink_start=NAN if match.sink_start is None else match.sink_start,
+        sink_start=_or_nan(match.sink_start),
         free=list(match.free),
         covariance=match.covariance.ravel().tolist(),
         standard_errors=match.standard_errors.tolist(),
@@ -105,6 +105,11 @@ def match_message(report: MatchReport, stamp: int) -> messages.Match:
         eigenvalues=match.eigenvalues.tolist(),
         condition=match.condition,
         bounds_hit=list(match.bounds_hit),
+        directions=match.directions.ravel().tolist(),
+        intervals=match.intervals.ravel().tolist(),
+        believed=list(match.believed),
+        determined=match.determined,
+        suggestion=match.suggestion,
         fit_y=match.fit.y,
         fit_u=match.fit.u,
         held_back_fit_y=match.held_back.y,
@@ -132,6 +137,11 @@ def match_from(message: messages.Match) -> MatchReport:
         samples=(message.first, message.last),
         status=_key(STATUSES, message.status),
         reason=message.reason,
+        directions=_square(message.directions),
+        intervals=np.array(message.intervals, dtype=np.float64).reshape(-1, 2),
+        believed=tuple(message.believed),
+        determined=message.determined,
+        suggestion=message.suggestion,
     )
     return MatchReport(message.sample, message.operating_point, match)
 
@@ -147,6 +157,11 @@ def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
         stands=verdict.stands,
         nominal=verdict.nominal or "",
         reason=verdict.reason,
+        decided=verdict.decided,
+        certainty=verdict.certainty,
+        fault=verdict.fault,
+        fault_since=-1 if verdict.fault_since is None else verdict.fault_since,
+        structure=verdict.structure,
         decimals=verdict.decimals,
         candidates=[candidate_message(verdict, row) for row in range(len(verdict.candidates))],
         order=verdict.order or "",
@@ -174,13 +189,17 @@ def verdict_from(message: messages.ModelScore) -> Verdict:
         nu_gap=tuple(tuple(row) for row in _square(message.nu_gap).tolist()),
         residual_y=message.residual_y,
         residual_u=message.residual_u,
+        decided=message.decided,
+        certainty=message.certainty,
+        fault=message.fault,
+        fault_since=None if message.fault_since < 0 else message.fault_since,
+        structure=message.structure,
     )
 
 
 def candidate_message(verdict: Verdict, row: int) -> messages.Candidate:
     """One candidate of a verdict as `Candidate`, with its row of the ν-gap matrix."""
     candidate = verdict.candidates[row]
-    to_plant = candidate.nu_gap_to_plant
     return messages.Candidate(
         name=candidate.name,
         operating_point=candidate.operating_point,
@@ -193,14 +212,23 @@ def candidate_message(verdict: Verdict, row: int) -> messages.Candidate:
                 y=_criteria_message(score.y),
                 u=_criteria_message(score.u),
                 total=_criteria_message(score.total),
+                aic_difference=score.aic_difference,
+                weight=score.weight,
             )
             for score in candidate.orders
         ],
         chosen_order=candidate.chosen_order,
         nu_gap=list(verdict.nu_gap[row]) if verdict.nu_gap else [],
         nu_gap_sum=candidate.nu_gap_sum,
+        nu_gap_low=list(candidate.nu_gap_low),
+        nu_gap_high=list(candidate.nu_gap_high),
+        nu_gap_sum_low=candidate.nu_gap_sum_low,
+        nu_gap_sum_high=candidate.nu_gap_sum_high,
+        nominal_probability=candidate.nominal_probability,
+        margin=_or_nan(candidate.margin),
+        plant_gap_to_nominal=_or_nan(candidate.plant_gap_to_nominal),
         newest=_criteria_message(candidate.newest),
-        nu_gap_to_plant=NAN if to_plant is None else to_plant,
+        nu_gap_to_plant=_or_nan(candidate.nu_gap_to_plant),
     )
 
 
@@ -213,13 +241,27 @@ def _candidate_from(message: messages.Candidate) -> CandidateScore:
         first=message.first,
         last=message.last,
         orders=tuple(
-            OrderScore(s.order, _criteria_from(s.y), _criteria_from(s.u), _criteria_from(s.total))
+            OrderScore(
+                s.order,
+                _criteria_from(s.y),
+                _criteria_from(s.u),
+                _criteria_from(s.total),
+                s.aic_difference,
+                s.weight,
+            )
             for s in message.orders
         ),
         chosen_order=message.chosen_order,
         nu_gap_sum=message.nu_gap_sum,
         newest=None if absent else _criteria_from(message.newest),
         nu_gap_to_plant=_unless_nan(message.nu_gap_to_plant),
+        margin=_unless_nan(message.margin),
+        plant_gap_to_nominal=_unless_nan(message.plant_gap_to_nominal),
+        nu_gap_low=tuple(message.nu_gap_low),
+        nu_gap_high=tuple(message.nu_gap_high),
+        nu_gap_sum_low=message.nu_gap_sum_low,
+        nu_gap_sum_high=message.nu_gap_sum_high,
+        nominal_probability=message.nominal_probability,
     )
 
 
@@ -252,6 +294,10 @@ def _square(values: Any) -> FloatArray:
     flat = np.array(values, dtype=np.float64)
     side = math.isqrt(flat.size)
     return flat.reshape(side, side)
+
+
+def _or_nan(value: float | None) -> float:
+    return NAN if value is None else value
 
 
 def _unless_nan(value: float) -> float | None:
