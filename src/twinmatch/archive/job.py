@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import traceback
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -86,8 +87,9 @@ def judge(job: Job, place: str = "") -> Outcome:
     except TwinmatchError as error:
         return Outcome(job.number, None, str(error))
     except Exception as error:  # a defect, but the other sessions shall not suffer from it
+        where = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {error}".splitlines()[0]
-        msg = f"{job.path}: {what}; this is a defect, replay this session alone to see where"
+        msg = f"{job.path}: {what} (a defect, in {where.filename} line {where.lineno})"
         return Outcome(job.number, None, msg)
 
 
@@ -120,10 +122,15 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
         rows.append(
             {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
             | {key: value for key, value in known.items() if key != "orders"}
-            | {"criteria": {key: value["total"] for key, value in chosen.items() if key != "order"}}
+            | {"criteria": {key: _total(value) for key, value in chosen.items() if key != "order"}}
             | {"fit": {output: _finite(value) for output, value in zip("yu", fit, strict=True)}}
         )
     return rows
+
+
+def _total(value: Any) -> Any:
+    """A criterion of both outputs together; what a model has only one of, as it is."""
+    return value["total"] if isinstance(value, dict) else value
 
 
 def _finite(value: float) -> float | None:
