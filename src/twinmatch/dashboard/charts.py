@@ -94,7 +94,7 @@ class TimeCharts:
         return chart
 
     def _temperature(self) -> Any:
-        chart = self._figure("temperature", 270, "temperature / °C")
+        chart = self._figure("temperature", 320, "temperature / °C")
         plant = chart.line("t", "temperature", source=self._plant, color=PLANT, line_width=2)
         closed = chart.line("t", "closed_temperature", source=self._twin, color=CLOSED, line_width=1.6)
         asked = chart.step(
@@ -107,7 +107,7 @@ class TimeCharts:
         return chart
 
     def _control(self) -> Any:
-        chart = self._figure("control", 180, "control / PWM")
+        chart = self._figure("control", 210, "control / PWM")
         plant = chart.step("t", "pwm", source=self._plant, mode="after", color=PLANT, line_width=1.6)
         closed = chart.step("t", "closed_pwm", source=self._twin, mode="after", color=CLOSED, line_width=1.2)
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
@@ -115,7 +115,7 @@ class TimeCharts:
         return chart
 
     def _residual(self) -> Any:
-        chart = self._figure("residual", 150, "residual / K")
+        chart = self._figure("residual", 180, "residual / K")
         band = chart.varea(
             "t", "driven_low", "driven_high", source=self._twin, fill_color=DRIVEN, fill_alpha=0.18
         )
@@ -127,7 +127,7 @@ class TimeCharts:
         return chart
 
     def _control_residual(self) -> Any:
-        chart = self._figure("control_residual", 150, "residual / PWM")
+        chart = self._figure("control_residual", 180, "residual / PWM")
         band = chart.varea("t", "pwm_low", "pwm_high", source=self._twin, fill_color=CLOSED, fill_alpha=0.15)
         line = chart.line("t", "residual_pwm", source=self._twin, color=CLOSED, line_width=1.2)
         _legend(chart, {"plant − closed-loop twin": line, f"± {BAND:g} RMS": band})
@@ -136,7 +136,7 @@ class TimeCharts:
 
     def _happened(self) -> Any:
         lanes = FactorRange(factors=list(reversed(LANES.values())))
-        chart = self._figure("happened", 170, "", y_range=lanes)
+        chart = self._figure("happened", 185, "", y_range=lanes)
         chart.xaxis.axis_label = "time since the session began / s"
         chart.xaxis.major_label_text_font_size = "12px"
         chart.ygrid.grid_line_color = None

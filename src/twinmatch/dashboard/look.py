@@ -30,7 +30,7 @@ MARKS = {
     Mark.WARNING: LEVELS[TrustLevel.DOUBTFUL],
     Mark.BAD: LEVELS[TrustLevel.FAULT],
 }
-SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "dash", Mark.WARNING: "triangle", Mark.BAD: "x"}
+SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "diamond", Mark.WARNING: "triangle", Mark.BAD: "x"}
 """Markers of the time line: nobody has to tell them by their colour."""
 
 THEME = Theme(

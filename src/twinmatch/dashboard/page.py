@@ -40,12 +40,24 @@ class Page:
         self._twin = Feed(state.twin, bands)
         self._charts = TimeCharts(self._plant.source, self._twin.source)
         self._matrix, self._thermal = Matrix(), Thermal()
-        names = ("status", "alarm", "headline", "tiles", "family", "events", "nodes", "thermal_note")
+        names = (
+            "status",
+            "alarm",
+            "headline",
+            "tiles",
+            "family",
+            "events",
+            "nodes",
+            "thermal_note",
+            "matrix_note",
+        )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
         self._every = Toggle(label="all orders", name="every", width=110)
         self._span = SpanButtons()
         self._player = PlayerButtons(actions)
         self._rig = RigButtons(actions) if actions.control else None
+        if self._rig is not None:
+            self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}
 
     def build(self, document: Document) -> None:
@@ -60,7 +72,7 @@ class Page:
             self._player.root,
         ]
         if self._rig is not None:
-            roots += [self._rig.root, self._rig.notice]
+            roots.append(self._rig.root)
         for root in roots:
             document.add_root(root)
         document.title = "twinmatch"
@@ -95,6 +107,9 @@ class Page:
                 self._say("events", panels.events_table(events, state.session, state.period))
             if self._changed("family", (state.verdicts, self._every.active)):
                 self._matrix.update(state.verdict)
+                none_yet = state.verdict is None or not state.verdict.candidates
+                self._matrix.figure.visible = not none_yet
+                self._say("matrix_note", panels.NO_CANDIDATE if none_yet else "")
                 self._say("family", panels.family_table(state.verdict, every=bool(self._every.active)))
             if self._changed("image", state.images) and state.image is not None:
                 self._thermal.update(state.image)
@@ -104,14 +119,14 @@ class Page:
         state = self._state
         self._say("status", panels.status(state, now))
         self._say("alarm", panels.alarm(state))
-        self._say("headline", panels.headline(state.verdict))
+        self._say("headline", panels.headline(state.verdict, state.period))
         self._say("tiles", panels.tiles(state))
         self._say("nodes", panels.nodes(state.roster, now))
         none_yet = state.image is None
         self._thermal.figure.visible = not none_yet
         self._say("thermal_note", panels.NO_IMAGE if none_yet else "")
         if self._rig is not None:
-            self._rig.notice.text = panels.notice(state)
+            self._say("notice", panels.notice(state))
 
     def _say(self, name: str, html: str) -> None:
         place = self._texts[name]

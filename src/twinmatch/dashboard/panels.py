@@ -16,6 +16,7 @@ from twinmatch.views.quantities import number, quantity
 from twinmatch.views.style import LEVEL_WORDS, LEVELS
 
 __all__ = [
+    "NO_CANDIDATE",
     "NO_IMAGE",
     "alarm",
     "events_table",
@@ -34,64 +35,53 @@ SILENCE = 5.0
 MATCHED = ("seebeck", "resistance", "conductance", "heat_capacity")
 LIGHT = (TrustLevel.UNKNOWN, TrustLevel.DOUBTFUL)
 """Levels whose colour wants dark letters."""
-CALLED = {"t": "judged at", "rms y": "rms temperature", "rms u": "rms control"}
-UNITS = {"gain": "characters", "rms u": "PWM"}
-"""Of the columns of the terminal's table that have no room for theirs."""
+IN_WORDS = ("level", "nominal", "why")
+"""Columns of the terminal's table that are shown in large or as a sentence."""
+CALLED = {"t / s": "judged at / s", "gain": "gain / characters", "rms u": "rms u / PWM"}
+"""Its names that have no room there for a unit."""
 DASH = "–"
+NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been accepted.</p>'
 NO_IMAGE = '<p class="quiet">No thermal image has come; only a rig with a camera sends them.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
 """Colours of the levels of REP 107."""
 NODE_WORDS = ("well", "warning", "error", "silent")
 
 
-def headline(verdict: Verdict | None) -> str:
-    """Level and nominal in large, and why."""
+def headline(verdict: Verdict | None, period: float) -> str:
+    """Level and nominal in large, the figures of the verdict as the terminal has them, and why."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
-    if verdict is None or verdict.nominal is None:
-        name, order = "none yet", ""
-    else:
-        name = verdict.nominal
-        chosen = next((c.chosen_order for c in verdict.candidates if c.name == name), "")
-        order = f"order {chosen}" if chosen else ""
-    why = "no verdict has come yet" if verdict is None else verdict.reason
+    name, why, figures = "none yet", "no verdict has come yet", ""
+    if verdict is not None:
+        name, why = verdict.nominal or name, verdict.reason
+        told = dict(zip(COLUMNS, row(verdict, period), strict=True))
+        figures = _tiles([(CALLED.get(n, n), cell) for n, cell in told.items() if n not in IN_WORDS])
     dark = " dark" if level in LIGHT else ""
     return (
         f'<div class="hero"><div class="level{dark}" style="background:{LEVELS[level]}">'
         f'<div class="sign">{SIGNS[level]}</div><div><div class="word">{text(level.value)}</div>'
         f'<div class="meaning">{text(LEVEL_WORDS[level])}</div></div></div>'
         f'<div class="nominal"><div class="label">nominal twin, matched at</div>'
-        f'<div class="name">{text(name)}</div><div class="label">{text(order)}</div></div>'
-        f'<div class="why"><div class="label">newest verdict</div><p>{text(why)}</p></div></div>'
+        f'<div class="name">{text(name)}</div></div>'
+        f'<div class="why">{figures}<p><span class="label">newest verdict:</span> {text(why)}</p></div></div>'
     )
 
 
 def tiles(state: DashboardState) -> str:
-    """Figures of the moment, and those of the newest verdict as the terminal shows them."""
+    """Figures of the moment."""
     now = state.plant.newest() or {}
     twin = state.twin.newest() or {}
     entries = [
-        ("plant", number(now.get("temperature"), 2), "°C"),
-        ("set-point", number(now.get("reference"), 1), "°C"),
-        ("closed-loop twin", number(twin.get("closed_temperature"), 2), "°C"),
-        ("control", number(now.get("pwm"), 1), "PWM"),
-        ("its twin", number(twin.get("closed_pwm"), 1), "PWM"),
+        ("set-point / °C", number(now.get("reference"), 1)),
+        ("plant / °C", number(now.get("temperature"), 2)),
+        ("closed-loop twin / °C", number(twin.get("closed_temperature"), 2)),
+        ("driven twin / °C", number(twin.get("driven_temperature"), 2)),
+        ("plant's control / PWM", number(now.get("pwm"), 1)),
+        ("twin's control / PWM", number(twin.get("closed_pwm"), 1)),
     ]
     if state.drive is not None:
-        entries.append(("current", number(state.drive.current, 2), "A"))
-    if state.verdict is not None:
-        cells = row(state.verdict, state.period)
-        told = [
-            pair for pair in zip(COLUMNS, cells, strict=True) if pair[0] not in ("level", "nominal", "why")
-        ]
-        for name, cell in told:
-            words, _, unit = name.partition(" / ")
-            entries.append((CALLED.get(words, words), cell, unit or UNITS.get(words, "")))
-    shown = [
-        f'<div><div class="label">{text(name)}</div>'
-        f'<div class="value">{text(value)} <span class="unit">{text(unit)}</span></div></div>'
-        for name, value, unit in entries
-    ]
-    return f'<div class="tiles">{"".join(shown)}</div>'
+        entries.append(("applied / PWM", number(state.drive.pwm, 0)))
+        entries.append(("current / A", number(state.drive.current, 2)))
+    return _tiles(entries)
 
 
 def status(state: DashboardState, now: float) -> str:
@@ -135,7 +125,7 @@ def alarm(state: DashboardState) -> str:
 def family_table(verdict: Verdict | None, *, every: bool) -> str:
     """The candidates with their criteria, on both outputs together; with `every` order or the chosen one."""
     if verdict is None or not verdict.candidates:
-        return '<p class="quiet">There is no candidate yet: no match has been accepted.</p>'
+        return NO_CANDIDATE
     criteria = computed(verdict.candidates)
     head = ["candidate", "order"]
     head += [f"{c.name} / {c.unit}" if c.unit else c.name for c in criteria]
@@ -207,6 +197,15 @@ def notice(state: DashboardState) -> str:
 
 def _parameters(parameters: RigParameters) -> list[str]:
     return [quantity(name).text(getattr(parameters, name)) for name in MATCHED]
+
+
+def _tiles(entries: Sequence[tuple[str, str]]) -> str:
+    """Names with their units, and the figures below them."""
+    shown = [
+        f'<div><div class="label">{text(name)}</div><div class="value">{text(value)}</div></div>'
+        for name, value in entries
+    ]
+    return f'<div class="tiles">{"".join(shown)}</div>'
 
 
 def _pill(level: TrustLevel | None, words: str) -> str:

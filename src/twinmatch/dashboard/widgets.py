@@ -7,7 +7,6 @@ from typing import Any
 from bokeh.models import Button, NumericInput, RadioButtonGroup, Row
 
 from twinmatch.dashboard.actions import RATES, Actions
-from twinmatch.dashboard.look import panel
 from twinmatch.dashboard.roster import Player
 
 __all__ = ["PlayerButtons", "RigButtons", "SpanButtons"]
@@ -79,7 +78,6 @@ class RigButtons:
         stop.on_click(actions.stop)
         styles = {"align-items": "flex-end", "flex-wrap": "wrap"}
         self.root = Row(self._input, ask, clear, stop, name="rig", spacing=8, styles=styles)
-        self.notice = panel("notice")
 
     def _on_ask(self) -> None:
         if self._input.value is not None:
