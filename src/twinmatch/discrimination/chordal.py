@@ -68,20 +68,17 @@ def minors(
 
 
 @kernel
-def value(row: FloatArray, t: float) -> tuple[float, float]:
-    """Real and imaginary part of one row at t."""
+def value(row: FloatArray, x: float, above: bool) -> tuple[float, float]:
+    """Real and imaginary part of one row at Ω = x, or, above 1, at Ω = 1/x."""
     even, odd = 0.0, 0.0
     degree = row.size - 1
-    if t <= 0:
-        x = math.exp(t)
-        y = x * x
+    y = x * x
+    if not above:
         for k in range(degree - degree % 2, -1, -2):
             even = even * y + row[k]
         for k in range(degree - 1 + degree % 2, 0, -2):
             odd = odd * y + row[k]
         return even, odd * x
-    x = math.exp(-t)
-    y = x * x
     for k in range(0, degree + 1, 2):
         even = even * y + row[k]
     for k in range(1, degree + 1, 2):
@@ -90,13 +87,13 @@ def value(row: FloatArray, t: float) -> tuple[float, float]:
 
 
 @kernel
-def _square_and_slope(stack: FloatArray, t: float, weight: float) -> tuple[float, float]:
+def _square_and_slope(stack: FloatArray, x: float, weight: float, above: bool) -> tuple[float, float]:
     """Σ |weight·p|² over the rows and its derivative by t."""
-    derivative = 1 if t <= 0 else 2
+    derivative = 2 if above else 1
     square, slope = 0.0, 0.0
     for k in range(stack.shape[1]):
-        real, imaginary = value(stack[0, k], t)
-        d_real, d_imaginary = value(stack[derivative, k], t)
+        real, imaginary = value(stack[0, k], x, above)
+        d_real, d_imaginary = value(stack[derivative, k], x, above)
         real *= weight
         imaginary *= weight
         square += real * real + imaginary * imaginary
@@ -109,11 +106,12 @@ def squared_distance(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, t: float
 ) -> tuple[float, float]:
     """κ² and dκ²/dt at t, in plain floats: for searching."""
-    size1, slope1 = _square_and_slope(stack1, t, 1.0)
-    size2, slope2 = _square_and_slope(stack2, t, 1.0)
+    x, above = math.exp(-abs(t)), t > 0
+    size1, slope1 = _square_and_slope(stack1, x, 1.0, above)
+    size2, slope2 = _square_and_slope(stack2, x, 1.0, above)
     # one root after the other: the product of two small squares may underflow
     weight = 1 / math.sqrt(size1) / math.sqrt(size2)
-    square, slope = _square_and_slope(stack_minors, t, weight)
+    square, slope = _square_and_slope(stack_minors, x, weight, above)
     return square, slope - square * (slope1 / size1 + slope2 / size2)
 
 

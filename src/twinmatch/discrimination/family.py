@@ -61,3 +61,7 @@ class Family:
             self._candidates.remove(leaving)
         self._candidates.append(candidate)
         return leaving
+
+    def dismiss(self, name: str) -> None:
+        """Let the candidate of this name go, if it is there."""
+        self._candidates = [c for c in self._candidates if c.name != name]

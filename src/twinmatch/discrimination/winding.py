@@ -53,9 +53,10 @@ def inner_product(
     """c at t: real at both ends of the axis."""
     inner = 0j
     size1, size2 = 0.0, 0.0
+    x, above = math.exp(-abs(t)), t > 0
     for k in range(signed1.shape[0]):
-        real1, imaginary1 = value(signed1[k], t)
-        real2, imaginary2 = value(signed2[k], t)
+        real1, imaginary1 = value(signed1[k], x, above)
+        real2, imaginary2 = value(signed2[k], x, above)
         inner += complex(real1 * real2 + imaginary1 * imaginary2, real2 * imaginary1 - real1 * imaginary2)
         size1 += real1 * real1 + imaginary1 * imaginary1
         size2 += real2 * real2 + imaginary2 * imaginary2
