@@ -13,6 +13,7 @@ from twinmatch import __version__
 from twinmatch.archive import program as archive_program
 from twinmatch.emulation import virtual_rig_program
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.reporting import command as report_command
 
 if TYPE_CHECKING:
     from twinmatch.replay import Judgement
@@ -90,6 +91,12 @@ def _parser() -> argparse.ArgumentParser:
     repairing = commands.add_parser("repair", help="make a session whole whose recorder was killed")
     repairing.add_argument("session", type=Path, help="session folder")
     repairing.set_defaults(command=_repair)
+
+    reporting = commands.add_parser(
+        "report", help="write a session up as one HTML file, with its figures and tables"
+    )
+    report_command.add_arguments(reporting)
+    reporting.set_defaults(command=report_command.run)
 
     rig = commands.add_parser("virtual-rig", help="the rig without the rig: board, camera and plate emulated")
     virtual_rig_program.add_options(rig)

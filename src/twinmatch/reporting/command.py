@@ -1,0 +1,85 @@
+"""`twinmatch report`: a session as a document to hand around."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinmatch.errors import TwinmatchError
+
+if TYPE_CHECKING:
+    from twinmatch.reporting.report import Report
+
+__all__ = ["add_arguments", "run"]
+
+FORMATS = ("png", "pdf")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    parser.add_argument("session", type=Path, help="session folder, .mcap file, or a recording (.mat, .csv)")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT", help="the file to write (default: SESSION.html, here)"
+    )
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="write the figures into this folder, too")
+    parser.add_argument("--format", choices=FORMATS, default="png", help="of those figures (default: png)")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="parameters (.yaml) instead of the recorded ones"
+    )
+    parser.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the report; returns the exit code.
+
+    Raises:
+        TwinmatchError: the session cannot be used, or a file cannot be written.
+    """
+    output: Path = options.output or Path(f"{_stem(options.session)}.html")
+    _check(output)
+    report = _make(options)
+    report.write(output)
+    print(report.sentence)
+    print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB, opens in any browser, offline)")
+    if options.figures is not None:
+        from twinmatch.reporting.pictures import write_pictures  # noqa: PLC0415 — keeps --help fast
+
+        written = write_pictures(report.pictures, options.figures, options.format)
+        print(f"figures: {len(written)} {options.format.upper()} files in {options.figures}")
+    return 0
+
+
+def _make(options: argparse.Namespace) -> Report:
+    from rich.console import Console  # noqa: PLC0415 — keeps --help fast
+    from rich.progress import Progress  # noqa: PLC0415
+
+    from twinmatch.reporting.report import make_report  # noqa: PLC0415
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("judging", total=None)
+        return make_report(
+            options.session,
+            config=options.config,
+            candidates=options.candidates,
+            watch=lambda done, total: bar.update(task, completed=done, total=total),
+            command=shlex.join(["twinmatch", *sys.argv[1:]]),
+        )
+
+
+def _stem(session: Path) -> str:
+    resolved = session.resolve()
+    return resolved.name if resolved.is_dir() else resolved.stem
+
+
+def _check(output: Path) -> None:
+    """Before a minute of work, not after."""
+    if not output.absolute().parent.is_dir():
+        msg = f"{output}: there is no folder {output.parent} to write into; create it first"
+        raise TwinmatchError(msg)
+    if output.is_dir():
+        msg = f"{output}: is a folder; name the file to write, such as {output / 'report.html'}"
+        raise TwinmatchError(msg)

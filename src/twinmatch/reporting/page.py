@@ -1,0 +1,29 @@
+"""Lays a report out with its template."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+__all__ = ["render"]
+
+TEMPLATE = "report.html"
+
+
+@cache
+def _environment() -> Environment:
+    """Everything is escaped, and a name that the template asks for in vain is an error."""
+    return Environment(
+        loader=PackageLoader("twinmatch.reporting", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def render(content: Mapping[str, object]) -> str:
+    """The template filled with this content."""
+    return _environment().get_template(TEMPLATE).render(content)

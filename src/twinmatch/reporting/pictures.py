@@ -1,0 +1,169 @@
+"""The pictures of a report, each with its title, what it shows, and words for those who cannot see it."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.replay import Judgement
+from twinmatch.views.events import level_stretches
+from twinmatch.views.family import Member
+from twinmatch.views.figures import (
+    draw_criteria,
+    draw_health,
+    draw_matrix,
+    draw_parameters,
+    draw_responses,
+    draw_session,
+    draw_uncertainty,
+    save,
+    svg,
+)
+from twinmatch.views.judged import last_verdict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["FORMATS", "Picture", "pictures", "write_pictures"]
+
+FORMATS = ("png", "pdf")
+"""What `write_pictures` writes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture."""
+
+    name: str
+    """Of its file, without ending."""
+    title: str
+    alt: str
+    """What it shows, in words."""
+    figure: Figure
+    svg: str
+
+    @property
+    def uri(self) -> str:
+        """The picture itself as the source of an image, for a file that loads nothing."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode("ascii")
+
+
+def pictures(judgement: Judgement, members: Sequence[Member]) -> dict[str, Picture]:
+    """Every picture that this session gives, by name and in the order of the report."""
+    j, last = judgement, last_verdict(judgement.verdicts)
+    found = [
+        _picture(
+            "session",
+            "Plant and nominal twin over the whole session",
+            _session_alt(j),
+            draw_session(j.samples, j.verdicts, j.settings),
+        ),
+        _picture(
+            "health",
+            "Health over time",
+            _health_alt(j),
+            draw_health(j.samples, j.matches, j.verdicts, j.settings),
+        ),
+    ]
+    if j.matches:
+        nominal = next((m.match for m in members if m.nominal), None)
+        figure = draw_parameters(j.matches, nominal, j.settings.period)
+        found.append(_picture("parameters", "Parameters of every match", _parameters_alt(j), figure))
+    if members:
+        names = ", ".join(m.score.name for m in members)
+        found += [
+            _picture(
+                "responses",
+                "The family on the measured data",
+                f"One panel for each candidate ({names}): set-point, measured temperature and control, "
+                "the twin's answer and that of its Box–Jenkins model.",
+                draw_responses(members),
+            ),
+            _picture(
+                "uncertainty",
+                "Uncertainty of the twin",
+                f"The twins of all candidates ({names}) on the nominal one's window, and how far each "
+                "differs from the nominal twin in temperature and control.",
+                draw_uncertainty(members),
+            ),
+        ]
+    if last is not None:
+        gains = ", ".join(
+            f"{c.name}: order {c.chosen_order}, gain "
+            f"{next(o.total.gain for o in c.orders if o.order == c.chosen_order)} characters"
+            for c in last.candidates
+        )
+        sums = ", ".join(f"{c.name} {c.nu_gap_sum:.2f}" for c in last.candidates)
+        found += [
+            _picture(
+                "criteria",
+                "Criteria of the orders",
+                f"Bars for every candidate and order. {gains}.",
+                draw_criteria(last),
+            ),
+            _picture(
+                "nu_gap",
+                "ν-gap in the family",
+                f"Heat map of the ν-gaps between the candidates. Sums: {sums}. Nominal: {last.nominal}.",
+                draw_matrix(last),
+            ),
+        ]
+    return {picture.name: picture for picture in found}
+
+
+def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
+    """Write every picture into a folder, which is made if it is not there.
+
+    Raises:
+        TwinmatchError: the folder cannot be made or written into.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{folder}: the folder for the figures cannot be made: {error.strerror}"
+        raise TwinmatchError(msg) from error
+    paths = []
+    for name, picture in found.items():
+        path = folder / f"{name}.{ending}"
+        save(picture.figure, path)
+        paths.append(path)
+    return paths
+
+
+def _picture(name: str, title: str, alt: str, figure: Figure) -> Picture:
+    return Picture(name, title, alt, figure, svg(figure))
+
+
+def _session_alt(j: Judgement) -> str:
+    low, high = min(s.temperature for s in j.samples), max(s.temperature for s in j.samples)
+    base = f"Time series of set-point, measured temperature ({low:.1f} to {high:.1f} °C) and control"
+    if j.summary.nominal is None:
+        return f"{base}; there is no nominal twin to compare them with."
+    return (
+        f"{base}, with the closed-loop and the driven twin of {j.summary.nominal}; below, what is left "
+        f"between plant and twin. The closed-loop twin fits the temperature to {100 * j.summary.fit_y:.1f} %."
+    )
+
+
+def _health_alt(j: Judgement) -> str:
+    period = j.settings.period
+    told = ", ".join(
+        f"{s.level.value} from {s.first * period:.0f} to {s.last * period:.0f} s"
+        for s in level_stretches(j.verdicts, j.samples[0].index)
+    )
+    accepted = sum(m.match.accepted for m in j.matches)
+    return (
+        f"Trust over time: {told or 'nothing was judged'}. {accepted} matches accepted, "
+        f"{len(j.matches) - accepted} refused."
+    )
+
+
+def _parameters_alt(j: Judgement) -> str:
+    return (
+        f"Value and 95 % interval of every fitted parameter at each of {len(j.matches)} matches; "
+        "refused ones hollow, the nominal one as a diamond."
+    )

@@ -1,0 +1,137 @@
+"""Where the figures of a report come from: programs, files, parameters."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from dataclasses import dataclass, fields, is_dataclass
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+import twinmatch
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS
+from twinmatch.twin import TwinSettings
+
+__all__ = ["FileHash", "Provenance", "Setting", "provenance", "settings_of"]
+
+_LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
+_CHUNK = 1 << 20
+_GROUPS = {"gains": "pid"}
+"""What a group of settings is called among the parameters, where that is not its own name."""
+
+
+class FileHash(NamedTuple):
+    """One file of the session."""
+
+    name: str
+    size: int
+    """Bytes."""
+    sha256: str
+
+
+class Setting(NamedTuple):
+    """One parameter."""
+
+    name: str
+    value: str
+    unit: str
+    meaning: str
+    changed: bool
+    """Whether it differs from the default."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """All of it."""
+
+    made: str
+    """When, with the offset from UTC."""
+    command: str
+    """The command line, or what stands for it."""
+    versions: tuple[tuple[str, str], ...]
+    files: tuple[FileHash, ...]
+    settings: tuple[Setting, ...]
+
+
+def provenance(path: Path, settings: TwinSettings, command: str, made: datetime) -> Provenance:
+    """Gather it.
+
+    Args:
+        path: the session: a folder, whose files are taken in, or a file.
+        settings: what the session was judged with.
+        command: the command line.
+        made: when the report is made, with its time zone.
+
+    Raises:
+        TwinmatchError: a file of the session cannot be read.
+    """
+    return Provenance(
+        made=made.isoformat(sep=" ", timespec="seconds"),
+        command=command,
+        versions=_versions(),
+        files=tuple(_hash(file, path) for file in _files(path)),
+        settings=settings_of(settings),
+    )
+
+
+def settings_of(settings: TwinSettings) -> tuple[Setting, ...]:
+    """Every parameter with unit and meaning, by the name it has in a parameter file."""
+    known = {p.name: p for p in TWIN_PARAMETERS}
+    defaults = dict(_flat(TwinSettings()))
+    found = []
+    for name, value in _flat(settings):
+        about = known.get(name)
+        unit, meaning = (about.unit, about.description) if about else ("", "")
+        found.append(Setting(name, _text(value), unit, meaning, value != defaults.get(name)))
+    return tuple(found)
+
+
+def _flat(settings: object, prefix: str = "") -> list[tuple[str, object]]:
+    if not (is_dataclass(settings) and not isinstance(settings, type)):
+        return [(prefix, settings)]
+    found: list[tuple[str, object]] = []
+    for field in fields(settings):
+        name = (
+            _GROUPS.get(field.name, field.name) if is_dataclass(getattr(settings, field.name)) else field.name
+        )
+        found += _flat(getattr(settings, field.name), f"{prefix}.{name}" if prefix else name)
+    return found
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(_text(v) for v in value) or "none"
+    if isinstance(value, float):
+        return f"{value:g}".replace("inf", "∞").replace("-", "−")
+    return str(value)
+
+
+def _versions() -> tuple[tuple[str, str], ...]:
+    found = [("twinmatch", twinmatch.__version__), ("Python", platform.python_version())]
+    for name in _LIBRARIES:
+        try:
+            found.append((name, version(name)))
+        except PackageNotFoundError:
+            found.append((name, "installed without metadata"))
+    return (*found, ("system", f"{platform.system()} {platform.machine()}"))
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+
+
+def _hash(file: Path, path: Path) -> FileHash:
+    digest = hashlib.sha256()
+    try:
+        with file.open("rb") as stream:
+            while chunk := stream.read(_CHUNK):
+                digest.update(chunk)
+            size = stream.tell()
+    except OSError as error:
+        msg = f"{file}: cannot be read ({error.strerror})"
+        raise TwinmatchError(msg) from error
+    name = str(file.relative_to(path)) if file != path else file.name
+    return FileHash(name, size, digest.hexdigest())

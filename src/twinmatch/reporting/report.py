@@ -1,0 +1,134 @@
+"""The report: everything a template needs, and the file it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.reporting import tables
+from twinmatch.reporting.judging import Judged, judge
+from twinmatch.reporting.page import render
+from twinmatch.reporting.pictures import Picture, pictures
+from twinmatch.reporting.provenance import Provenance, provenance
+from twinmatch.reporting.words import plain_words, session_facts
+from twinmatch.views import sentence
+from twinmatch.views.family import Member, family
+from twinmatch.views.judged import last_verdict
+from twinmatch.views.style import LEVEL_WORDS, LEVELS
+
+__all__ = ["Report", "build_report", "make_report"]
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a report says, ready to be laid out."""
+
+    judged: Judged
+    members: tuple[Member, ...]
+    pictures: dict[str, Picture]
+    provenance: Provenance
+
+    @property
+    def name(self) -> str:
+        """Of the session."""
+        return self.judged.judgement.name
+
+    @property
+    def sentence(self) -> str:
+        """All of it in one line."""
+        return sentence(self.judged.judgement.summary)
+
+    @property
+    def nominal(self) -> Member | None:
+        """The nominal candidate, if there is one and its window is at hand."""
+        return next((m for m in self.members if m.nominal), None)
+
+    def html(self) -> str:
+        """The report as one HTML document that loads nothing from anywhere."""
+        return render(self._content())
+
+    def write(self, path: Path) -> None:
+        """Write the document.
+
+        Raises:
+            TwinmatchError: it cannot be written there.
+        """
+        try:
+            path.write_text(self.html(), encoding="utf-8")
+        except OSError as error:
+            msg = f"{path}: the report cannot be written: {error.strerror}"
+            raise TwinmatchError(msg) from error
+
+    def _content(self) -> dict[str, object]:
+        judgement = self.judged.judgement
+        last, nominal = last_verdict(judgement.verdicts), self.nominal
+        period, level = judgement.settings.period, judgement.summary.level
+        return {
+            "name": self.name,
+            "sentence": self.sentence,
+            "level": level.value,
+            "level_colour": LEVELS[level],
+            "level_words": LEVEL_WORDS[level],
+            "words": plain_words(judgement),
+            "facts": session_facts(judgement),
+            "notes": judgement.summary.notes,
+            "pictures": self.pictures,
+            "events": tables.event_table(judgement.matches, judgement.verdicts, period),
+            "match": nominal.match if nominal else None,
+            "nominal_parameters": tables.nominal_table(nominal.score, nominal.match) if nominal else None,
+            "family": tables.family_table(self.members) if self.members else None,
+            "matches": tables.match_table(judgement.matches, period) if judgement.matches else None,
+            "verdict": last,
+            "criteria": tables.criterion_tables(last) if last else [],
+            "weights": tables.order_table(last) if last else None,
+            "gaps": tables.gap_table(last) if last else None,
+            "coefficients": tables.coefficient_table(nominal) if nominal else None,
+            "other_coefficients": [tables.coefficient_table(m) for m in self.members if not m.nominal],
+            "limits": judgement.settings.limits,
+            "schedule": judgement.settings.schedule,
+            "judged": self.judged,
+            "provenance": self.provenance,
+        }
+
+
+def build_report(
+    judged: Judged, path: Path, *, command: str = "from Python", made: datetime | None = None
+) -> Report:
+    """Gather a report on a session that was judged; `path` is where it was read from."""
+    judgement = judged.judgement
+    members = family(
+        judgement.samples, judgement.matches, last_verdict(judgement.verdicts), judgement.settings
+    )
+    made = made or datetime.now().astimezone()
+    return Report(
+        judged=judged,
+        members=members,
+        pictures=pictures(judgement, members),
+        provenance=provenance(path, judgement.settings, command, made),
+    )
+
+
+def make_report(
+    path: Path,
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    watch: Callable[[int, int], None] | None = None,
+    command: str = "from Python",
+) -> Report:
+    """Judge a session, an `.mcap` file or a recording and gather a report on it.
+
+    Args:
+        path: what to judge.
+        config: file of parameters; without one those recorded with the session, or the defaults.
+        candidates: file of candidates to begin with.
+        watch: called with (samples done, samples in all) now and then.
+        command: what the report says it was made by.
+
+    Raises:
+        TwinmatchError: one of the files cannot be used.
+    """
+    return build_report(judge(path, config=config, candidates=candidates, watch=watch), path, command=command)

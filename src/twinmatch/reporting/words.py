@@ -1,0 +1,200 @@
+"""What a session came to, in plain words, for someone who was not there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
+from twinmatch.replay import Judgement
+from twinmatch.signals import Sample
+from twinmatch.twin import TwinSettings
+from twinmatch.views.comparison import compare, root_mean_square
+from twinmatch.views.events import level_stretches
+from twinmatch.views.judged import last_verdict, nominal_score
+from twinmatch.views.quantities import number
+
+__all__ = ["duration", "plain_words", "session_facts"]
+
+
+def duration(seconds: float) -> str:
+    """A span of time as a person says it."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.3g} s"
+    hours, rest = divmod(whole, 3600)
+    minutes, left = divmod(rest, 60)
+    parts = [(hours, "h"), (minutes, "min"), (left, "s")]
+    return " ".join(f"{value} {unit}" for value, unit in parts if value)
+
+
+def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
+    """The session in figures."""
+    samples, period = judgement.samples, judgement.settings.period
+    reference = [s.reference for s in samples]
+    measured = [s.temperature for s in samples]
+    pwm = [s.pwm for s in samples]
+    facts = [
+        ("samples", f"{len(samples)}, one every {period:g} s"),
+        ("duration", duration((samples[-1].index - samples[0].index + 1) * period)),
+        ("set-point", f"{number(min(reference), 1)} to {number(max(reference), 1)} °C"),
+        ("temperature", f"{number(min(measured), 1)} to {number(max(measured), 1)} °C"),
+        ("control", f"{number(min(pwm), 0)} to {number(max(pwm), 0)} counts of PWM (limits −255 to 255)"),
+        ("set-point steps", f"{_steps(samples, judgement.settings)}"),
+        ("matches", _matches(judgement)),
+        ("verdicts", f"{len(judgement.verdicts)}, of which {judgement.summary.identified} identified models"),
+    ]
+    nominal = nominal_score(last_verdict(judgement.verdicts))
+    if nominal is not None:
+        facts += _fit_facts(judgement, nominal)
+    return facts
+
+
+def plain_words(judgement: Judgement) -> list[str]:
+    """The story of the session in a few sentences, one thought each."""
+    told = [_what(judgement)]
+    last = judgement.verdicts[-1] if judgement.verdicts else None
+    nominal = nominal_score(last_verdict(judgement.verdicts))
+    told.append(_matching(judgement))
+    if last is None or nominal is None:
+        told.append(_nothing(judgement))
+        return told
+    told.append(_choice(last, nominal))
+    if last.certainty:
+        told.append(_sentence(last.certainty))
+    told.append(_fit(judgement, nominal))
+    told.append(_trust(judgement))
+    told.append(_health(judgement))
+    return told
+
+
+def _what(judgement: Judgement) -> str:
+    samples, period = judgement.samples, judgement.settings.period
+    low, high = min(s.reference for s in samples), max(s.reference for s in samples)
+    asked = f"set-points from {low:g} to {high:g} °C" if high > low else f"a set-point of {low:g} °C"
+    time = duration((samples[-1].index - samples[0].index + 1) * period)
+    return (
+        f"For {time} a thermal plate was held by its controller at {asked}; every {period:g} s its "
+        f"temperature and the control (the PWM of its driver) were recorded, {len(samples)} times in all."
+    )
+
+
+def _matching(judgement: Judgement) -> str:
+    count = len(judgement.matches)
+    if not count:
+        return (
+            "No set-point step was found that a digital twin could be fitted to, so there was no match and "
+            "no candidate."
+        )
+    accepted = sum(m.match.accepted for m in judgement.matches)
+    refused = count - accepted
+    return (
+        f"After set-point steps a digital twin, a simulation of the plate with its controller, was fitted to "
+        f"what had been measured: {count} time{_s(count)}, of which {accepted} "
+        f"{'was' if accepted == 1 else 'were'} accepted"
+        + (f" and {refused} refused (section 2 says why)." if refused else ".")
+    )
+
+
+def _nothing(judgement: Judgement) -> str:
+    if judgement.matches:
+        return "No fit was accepted, so there is no twin to trust."
+    return (
+        f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} °C or more, some "
+        "minutes apart; a recording of one or two set-points held for a few minutes each is enough."
+    )
+
+
+def _choice(last: Verdict, nominal: CandidateScore) -> str:
+    count = len(last.candidates)
+    if count == 1:
+        return (
+            f"There is one candidate, matched at {nominal.name}; it is the nominal twin because there is no "
+            "other to compare it with."
+        )
+    return (
+        f"The family has {count} candidates. Of these the one matched at {nominal.name} is nominal: its "
+        f"ν-gaps to the others (0: behaves the same in a loop, 1: does not) have the smallest sum, "
+        f"{nominal.nu_gap_sum:.3f}. Its behaviour is written best by a Box–Jenkins model of order "
+        f"{nominal.chosen_order}."
+    )
+
+
+def _fit(judgement: Judgement, nominal: CandidateScore) -> str:
+    s = judgement.summary
+    parts = compare(judgement.samples, nominal.parameters, judgement.settings.gains)
+    y = root_mean_square([p.residual_y for p in parts])
+    u = root_mean_square([p.residual_u for p in parts])
+    return (
+        "Given only the set-points, the nominal twin follows the measured temperature over the whole session "
+        f"to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; {number(y)} °C "
+        f"RMS) and the control to {number(100 * s.fit_u, 1)} % ({number(u, 1)} counts RMS)."
+    )
+
+
+def _trust(judgement: Judgement) -> str:
+    s = judgement.summary
+    if s.range is None:
+        return "There is no range of temperatures in which it has been seen to hold."
+    held = f"It has been seen to hold between {s.range}"
+    if s.level is TrustLevel.TRUSTED:
+        return f"{held}, and at the end of the session it is to be trusted there."
+    if s.level is TrustLevel.DOUBTFUL:
+        return f"{held}, but at the end of the session it is doubtful: twin and plant have drifted apart."
+    return f"{held}, but at the end of the session it is not to be trusted."
+
+
+def _health(judgement: Judgement) -> str:
+    period = judgement.settings.period
+    stretches = level_stretches(judgement.verdicts, judgement.samples[0].index)
+    faults = [s for s in stretches if s.level is TrustLevel.FAULT]
+    doubts = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
+    named = sorted({v.fault for v in judgement.verdicts if v.fault})
+    if faults:
+        when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in faults)
+        what = f" ({', '.join(named)})" if named else ""
+        return (
+            f"The plant did what no twin explains{what}: {when}. Look at the plant (drive, camera, cables) "
+            "before anything else."
+        )
+    if doubts:
+        when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in doubts)
+        return f"No fault was seen; the twin was doubtful at {when}."
+    return "No fault was seen: plant and twin never differed by more than healthy ones do."
+
+
+def _fit_facts(judgement: Judgement, nominal: CandidateScore) -> list[tuple[str, str]]:
+    parts = compare(judgement.samples, nominal.parameters, judgement.settings.gains)
+    s = judgement.summary
+    y = root_mean_square([p.residual_y for p in parts])
+    u = root_mean_square([p.residual_u for p in parts])
+    driven = root_mean_square([p.residual_driven for p in parts])
+    return [
+        ("closed-loop twin, temperature", f"fit {number(100 * s.fit_y, 1)} %, {number(y, 3)} °C RMS"),
+        ("closed-loop twin, control", f"fit {number(100 * s.fit_u, 1)} %, {number(u, 1)} counts RMS"),
+        ("driven twin, temperature", f"{number(driven, 2)} °C RMS"),
+        ("trusted between", str(s.range) if s.range else "–"),
+    ]
+
+
+def _matches(judgement: Judgement) -> str:
+    counts = judgement.summary.matches
+    told = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
+    return f"{sum(counts.values())}" + (f" ({told})" if told else "")
+
+
+def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
+    least = settings.schedule.min_step
+    count, anchor = 0, samples[0].reference
+    for sample in samples:
+        if abs(sample.reference - anchor) >= least:
+            count, anchor = count + 1, sample.reference
+    return f"{count} of {least:g} °C or more"
+
+
+def _s(count: int) -> str:
+    return "" if count == 1 else "s"
+
+
+def _sentence(text: str) -> str:
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith((".", "!", "?")) else f"{text}."
