@@ -14,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
 from twinmatch.nodes.parameters import Parameter, ParameterError, check
 from twinmatch.plant import PARAMETER_NAMES, Camera, PidGains, RigParameters
@@ -23,6 +24,7 @@ __all__ = ["TWIN_PARAMETERS", "at_period", "read_settings", "settings_from"]
 
 _D = TwinSettings()
 _S, _L, _G, _C, _N, _R = _D.schedule, _D.limits, _D.gains, _D.camera, _D.noise, _D.start
+_H = _D.health
 
 TWIN_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("period", _D.period, "Sample time of the loop.", "s", 0.01, 60.0),
@@ -88,6 +90,18 @@ TWIN_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("limits.doubtful_u", _L.doubtful_u, "The same for the control.", "PWM", 1e-3, 1e3),
     Parameter("limits.fault_u", _L.fault_u, "The same for the control.", "PWM", 1e-3, 1e3),
     Parameter(
+        "health.lost",
+        _H.lost,
+        "Share of the drive's expected effect below which it is lost.",
+        "",
+        0.01,
+        0.99,
+    ),
+    Parameter("health.jump", _H.jump, "Step of a reading that no plate can make.", "°C", 0.1, 1e3),
+    Parameter("health.frozen", _H.frozen, "How long one reading has to be repeated.", "s", 1.0, 1e4),
+    Parameter("health.drift", _H.drift, "Unexplained slow heating, in its uncertainty.", "", 0.1, 1e3),
+    Parameter("health.start", _H.start, "Time after the first sample without alarms.", "s", 0.1, 1e4),
+    Parameter(
         "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
     ),
     Parameter("candidates", "", "File of candidates to begin with, for the discriminator; empty: none."),
@@ -120,6 +134,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         most_candidates=values["most_candidates"],
         regime_width=values["regime_width"],
         limits=TrustLimits(**group("limits.")),
+        health=HealthSettings(period=values["period"], **group("health.")),
     )
 
 

@@ -4,74 +4,63 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import (
-    Candidate,
-    CandidateScore,
-    Family,
-    OrderScore,
-    SimoModel,
-    TrustLevel,
-    Verdict,
-    choose_order,
-    common_order,
-    identify,
-    nominal_of,
-    nu_gap_matrix,
-    nu_gap_of,
-    score,
-    twin_response,
-)
+from twinmatch.discrimination import Candidate, SimoModel, TrustLevel, Verdict, nominal_of
 from twinmatch.errors import TwinmatchError
-from twinmatch.identification import ORDERS
+from twinmatch.health import Alarm, Health, Monitor, State
 from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.matcher import MatchReport, candidate_name
+from twinmatch.twin.members import Members, plant_model
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinSettings
 from twinmatch.twin.threads import one_thread
 
-__all__ = ["Discriminator"]
+__all__ = ["Discriminator", "trust_level"]
+
+UNEXPLAINED = "unexplained"
+"""What a fault is called that the residuals show and the monitor has no name for."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """A candidate with the models of its twin and their scores, found once when it is admitted."""
+class _Looked(NamedTuple):
+    """The newest window that was judged, and the plant's model of it."""
 
-    candidate: Candidate
     window: Window
-    models: dict[str, SimoModel]
-    orders: tuple[OrderScore, ...]
-    chosen: str
+    plant: SimoModel
 
 
 class Discriminator:
-    """Judges the family at every trigger of the schedule.
+    """Judges the family at every trigger of the schedule, and the plant's health at every sample.
 
     It runs its own schedule on the samples and, at an excited trigger, waits for the match of that
-    window. Verdicts come out in the order of the triggers, whenever matches arrive, so that live
-    nodes and a replay give the same ones.
+    window; samples that come meanwhile wait behind it. So verdicts come out in one order, whenever
+    matches arrive, and live nodes and a replay give the same ones. A fault of the plant is told at
+    once, with a verdict between the triggers.
     """
 
     def __init__(self, settings: TwinSettings | None = None, given: Sequence[Candidate] = ()) -> None:
         """Begin with no candidates but those given (their twins are judged on the first excited window)."""
         self.settings = settings or TwinSettings()
         self.schedule = Schedule(self.settings.schedule, self.settings.period)
-        self._family = Family(self.settings.most_candidates, self.settings.regime_width)
-        self._judged: dict[str, _Judged] = {}
+        self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
+        self._members = Members(self.settings)
         self._given = list(given)
-        self._waiting: deque[Trigger] = deque()
+        self._waiting: deque[Sample | Trigger] = deque()
         self._reports: deque[MatchReport] = deque()
+        self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
+        self._health: Health | None = None
+        self._looked: _Looked | None = None
         self._standing: Verdict | None = None
 
     @property
     def waiting_for(self) -> tuple[int, int] | None:
         """First and last sample of the window whose match is awaited, if any."""
-        if not self._waiting:
+        if not self._waiting or isinstance(self._waiting[0], Sample):
             return None
         window = self._waiting[0].window
         return window.first, window.last
@@ -81,10 +70,11 @@ class Discriminator:
         """The nominal candidate as it stands."""
         if self._standing is None or self._standing.nominal is None:
             return None
-        return self._judged[self._standing.nominal].candidate
+        return self._members.candidate(self._standing.nominal)
 
     def push_sample(self, sample: Sample) -> list[Verdict]:
         """Take one sample; return the verdicts that became due."""
+        self._waiting.append(sample)
         trigger = self.schedule.push(sample)
         if trigger is not None:
             self._waiting.append(trigger)
@@ -98,61 +88,111 @@ class Discriminator:
     def _settle(self) -> list[Verdict]:
         verdicts = []
         while self._waiting:
-            trigger = self._waiting[0]
+            item = self._waiting[0]
+            if isinstance(item, Sample):
+                self._waiting.popleft()
+                verdicts += self._watch(item)
+                continue
             report = None
-            if trigger.excited:
+            if item.excited:
                 # Matches come in order: one for an earlier window is of a trigger this object never
                 # had (it joined late), one for a later window means that ours was lost.
-                while self._reports and self._reports[0].sample < trigger.sample:
+                while self._reports and self._reports[0].sample < item.sample:
                     self._reports.popleft()
                 if not self._reports:
                     break
-                if self._reports[0].sample == trigger.sample:
+                if self._reports[0].sample == item.sample:
                     report = self._reports.popleft()
             self._waiting.popleft()
             with one_thread():
-                verdicts.append(self._judge(trigger, report))
+                verdicts.append(self._judge(item, report))
         return verdicts
 
+    def _watch(self, sample: Sample) -> list[Verdict]:
+        """Judge the plant's health; return a verdict if a fault has just begun or gone."""
+        if self._recent and sample.index != self._recent[-1].index + 1:
+            self._recent.clear()
+        self._recent.append(sample)
+        nominal = self.nominal
+        self._health = self.monitor.push(sample, nominal.parameters if nominal else None)
+        news = self._health.news
+        if news is None:
+            return []
+        window = Window.from_samples(list(self._recent), self.settings.period)
+        if news.last is not None:
+            return [self._stand(sample.index, window, f"{news.fault.value} is over: the plate obeys again")]
+        with one_thread():
+            self._let_go(news)
+        return [self._stand(sample.index, window, news.reason)]
+
+    def _let_go(self, alarm: Alarm) -> None:
+        """Dismiss the candidates that were matched while the fault was already there."""
+        gone = self._members.expel(alarm.first, alarm.flagged)
+        if not gone or self._standing is None or self._looked is None:
+            return
+        if not len(self._members):
+            self._standing = replace(self._standing, nominal=None, candidates=(), order=None, nu_gap=())
+            return
+        order = self._members.order
+        plant = plant_model(self._looked.window, order)
+        self._standing = self._scored(self._standing, self._looked._replace(plant=plant))
+
     def _judge(self, trigger: Trigger, report: MatchReport | None) -> Verdict:
+        window = trigger.window
         if not trigger.excited:
-            return self._stand(trigger)
+            return self._stand(trigger.sample, window, "the set-point did not move")
         reason = self._admit(trigger, report)
-        if not self._judged:
-            return self._stand(trigger, reason)
-        order = common_order([self._judged[c.name].chosen for c in self._family.candidates])
+        if not len(self._members):
+            return self._stand(trigger.sample, window, reason)
         try:
-            plant = _plant_model(trigger.window, order)
+            self._looked = _Looked(window, plant_model(window, self._members.order))
         except TwinmatchError as error:
-            return self._stand(trigger, f"nothing could be identified: {error}")
-        candidates, matrix = self._score_family(trigger.window, plant)
-        nominal = nominal_of(candidates)
-        found = self._residuals(nominal, trigger.window)
-        faulty = report is not None and report.match.status is Status.PLANT_FAULT_SUSPECTED
-        level = TrustLevel.FAULT if faulty else trust_level(found, self.settings.limits)
-        self._standing = Verdict(
-            sample=trigger.sample,
-            first=trigger.window.first,
-            last=trigger.window.last,
-            level=level,
-            stands=False,
-            nominal=nominal,
-            reason=reason,
-            decimals=self.settings.decimals,
+            return self._stand(trigger.sample, window, f"nothing could be identified: {error}")
+        fresh = replace(self._standing or self._nothing(), stands=False, reason=reason)
+        self._standing = self._scored(fresh, self._looked)
+        doubtful = report is not None and report.match.status is Status.PLANT_FAULT_SUSPECTED
+        self._standing = self._at(self._standing, trigger.sample, window, doubtful=doubtful)
+        return self._standing
+
+    def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
+        candidates, matrix = self._members.scores(looked.window, looked.plant)
+        return replace(
+            verdict,
             candidates=candidates,
-            order=order,
+            nominal=nominal_of(candidates),
+            order=looked.plant.order,
             nu_gap=matrix,
+        )
+
+    def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
+        """The verdict before, marked as standing; only health, residuals and level are new."""
+        base = replace(self._standing or self._nothing(), stands=True, reason=reason)
+        return self._at(base, sample, window)
+
+    def _at(self, verdict: Verdict, sample: int, window: Window, *, doubtful: bool = False) -> Verdict:
+        """The verdict with what holds at this sample: window, residuals of the nominal, fault, level."""
+        found = self._residuals(verdict.nominal, window)
+        level, fault, since = trust_level(found, self.settings.limits), "", None
+        if doubtful and level is TrustLevel.TRUSTED:
+            level = TrustLevel.DOUBTFUL
+        if self._health is not None and self._health.state is State.FAULT and self._health.fault:
+            level, fault, since = TrustLevel.FAULT, self._health.fault.value, self._health.since
+        elif level is TrustLevel.FAULT:
+            fault, since = UNEXPLAINED, max(window.first, window.last - self.settings.schedule.stride + 1)
+        return replace(
+            verdict,
+            sample=sample,
+            first=window.first,
+            last=window.last,
+            level=level,
+            fault=fault,
+            fault_since=since,
             residual_y=found.y,
             residual_u=found.u,
         )
-        return self._standing
 
-    def _stand(self, trigger: Trigger, reason: str = "the set-point did not move") -> Verdict:
-        """The verdict before, marked as standing; only the residuals and the level are new."""
-        nominal = self._standing.nominal if self._standing else None
-        found = self._residuals(nominal, trigger.window)
-        level = trust_level(found, self.settings.limits)
-        base = self._standing or Verdict(
+    def _nothing(self) -> Verdict:
+        return Verdict(
             sample=0,
             first=0,
             last=0,
@@ -167,80 +207,32 @@ class Discriminator:
             residual_y=float("nan"),
             residual_u=float("nan"),
         )
-        return replace(
-            base,
-            sample=trigger.sample,
-            first=trigger.window.first,
-            last=trigger.window.last,
-            level=level,
-            stands=True,
-            reason=reason,
-            residual_y=found.y,
-            residual_u=found.u,
-        )
 
     def _admit(self, trigger: Trigger, report: MatchReport | None) -> str:
         if report is None:
             return "no match of this window arrived"
-        for given in self._given:
-            self._take_in(given, trigger.window)
-        self._given.clear()
-        if report.match.status is not Status.ACCEPTED:
-            return f"match refused: {report.match.reason}"
+        window, match = trigger.window, report.match
+        while self._given:
+            self._take_in(self._given.pop(0), window)
+        if match.status is not Status.ACCEPTED:
+            return f"match refused: {match.reason}"
+        alarm = self.monitor.fault_between(window.first, window.last)
+        if alarm is not None:
+            return f"match refused: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
         name = candidate_name(report.operating_point)
-        candidate = Candidate(name, report.operating_point, report.match.parameters, trigger.window)
-        return self._take_in(candidate, trigger.window)
+        return self._take_in(Candidate(name, report.operating_point, match.parameters, window), window)
 
     def _take_in(self, candidate: Candidate, window: Window) -> str:
-        settings = self.settings
-        response = twin_response(
-            candidate.parameters, window, settings.gains, settings.camera, settings.seed + window.first
-        )
         try:
-            models = {m.order: m for m in identify(response)}
+            return self._members.admit(candidate, window)
         except TwinmatchError as error:
             return f"no models of candidate {candidate.name}: {error}"
-        measured = window.part(response.first, response.last)
-        orders = tuple(score(m, measured, settings.decimals) for m in models.values())
-        leaving = self._family.admit(candidate)
-        if leaving is not None:
-            del self._judged[leaving.name]
-        self._judged[candidate.name] = _Judged(candidate, window, models, orders, choose_order(orders))
-        return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
-
-    def _score_family(
-        self, newest: Window, plant: SimoModel
-    ) -> tuple[tuple[CandidateScore, ...], tuple[tuple[float, ...], ...]]:
-        family = [self._judged[c.name] for c in self._family.candidates]
-        models = [j.models[plant.order] for j in family]
-        matrix = nu_gap_matrix([m.symbol for m in models])
-        scores = tuple(
-            CandidateScore(
-                name=judged.candidate.name,
-                operating_point=judged.candidate.operating_point,
-                parameters=judged.candidate.parameters,
-                first=judged.window.first,
-                last=judged.window.last if judged.candidate.window else judged.window.first - 1,
-                orders=judged.orders,
-                chosen_order=judged.chosen,
-                nu_gap_sum=float(total),
-                newest=score(model, newest, self.settings.decimals).total,
-                nu_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
-            )
-            for judged, model, total in zip(family, models, matrix.sum(axis=0), strict=True)
-        )
-        return scores, tuple(tuple(float(v) for v in row) for row in matrix)
 
     def _residuals(self, nominal: str | None, window: Window) -> Residuals:
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
         newest = window.part(max(window.first, window.last - self.settings.schedule.stride + 1), window.last)
-        return residuals(self._judged[nominal].candidate.parameters, newest, self.settings.gains)
-
-
-def _plant_model(window: Window, order: str) -> SimoModel:
-    """The measured window's model of one order, climbed to from the lower ones as every other was."""
-    return identify(window, ORDERS[: ORDERS.index(order) + 1])[-1]
+        return residuals(self._members.candidate(nominal).parameters, newest, self.settings.gains)
 
 
 def trust_level(found: Residuals, limits: TrustLimits) -> TrustLevel:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
 from twinmatch.plant import Camera, PidGains, RigParameters
 from twinmatch.twin.schedule import ScheduleSettings
@@ -66,6 +67,8 @@ class TwinSettings:
     regime_width: float = 10.0
     """Operating points closer than half of this are one regime, °C."""
     limits: TrustLimits = field(default_factory=TrustLimits)
+    health: HealthSettings = field(default_factory=HealthSettings)
+    """Of the monitor of the plant's health; its period is `period`."""
 
     def __post_init__(self) -> None:
         if self.most_candidates < 1:
