@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import pickle
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 from twinmatch.archive.errors import ClusterError
 from twinmatch.archive.fingerprint import software
@@ -16,7 +18,7 @@ from twinmatch.archive.job import Job, Outcome, judge
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["judge_on_cluster"]
+__all__ = ["judge_on_cluster", "judge_packed"]
 
 PATIENCE = 10.0
 """How long to wait for the scheduler, and then for a first worker, s."""
@@ -42,7 +44,7 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
         _check_workers(client, address, [job.path for job in jobs])
         futures = {_submit(client, job): job for job in jobs}
         try:
-            yield from _outcomes(address, futures)
+            yield from _outcomes(client, address, futures)
         finally:
             with contextlib.suppress(Exception):  # the scheduler may be what failed
                 client.cancel(list(futures), force=True)
@@ -51,15 +53,16 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
 def _connected(address: str) -> Client:
     try:
         from distributed import Client  # noqa: PLC0415 — only who has a cluster needs it
+        from distributed.comm import get_address_host_port  # noqa: PLC0415
     except ImportError as error:
         msg = f"--scheduler needs the package 'distributed' ({error}); pip install 'twinmatch[cluster]'"
         raise ClusterError(msg) from error
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its tracebacks; failures are named here
     try:
+        get_address_host_port(address)  # a client of an address that is none would linger for 20 s
         return Client(address, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:  # TypeError: an address without a port
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        msg = f"scheduler {address}: cannot be reached ({reason}); give it as tcp://HOST:PORT"
+    except (OSError, ValueError) as error:
+        msg = f"scheduler {address}: cannot be reached ({_line(error)}); give it as tcp://HOST:PORT"
         raise ClusterError(msg) from error
 
 
@@ -89,29 +92,41 @@ def _look(paths: list[Path]) -> tuple[str, list[Path]]:
 
 
 def _submit(client: Client, job: Job) -> Future:
-    return client.submit(
-        _judge_there, job, key=f"twinmatch-{job.path.name}-{job.number}-{id(job)}", pure=False
-    )
+    """A task that the scheduler need not understand: it has to have Dask, not this package."""
+
+    def judge_there(packed: bytes) -> tuple[Any, ...]:  # local, so that it travels by value
+        from twinmatch.archive.cluster import judge_packed  # noqa: PLC0415
+
+        return judge_packed(packed)
+
+    return client.submit(judge_there, pickle.dumps(job), key=f"twinmatch-{uuid4()}", pure=False)
 
 
-def _judge_there(job: Job) -> Outcome:
+def judge_packed(packed: bytes) -> tuple[Any, ...]:
     """On a worker: one session at a time, since what sets the threads of a BLAS sets them for all."""
     from distributed import get_worker  # noqa: PLC0415
 
     with _one_at_a_time:
-        return judge(job, f" on worker {get_worker().address}")
+        job: Job = pickle.loads(packed)  # noqa: S301 — from the client whose code this worker runs anyway
+        return tuple(judge(job, f" on worker {get_worker().address}"))
 
 
-def _outcomes(address: str, futures: dict[Future, Job]) -> Iterator[Outcome]:
+def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Iterator[Outcome]:
     from distributed import as_completed  # noqa: PLC0415
 
-    for done, future in enumerate(as_completed(futures)):
+    for done, future in enumerate(as_completed(futures, loop=client.loop)):
         job = futures[future]
         if future.status == "finished":
             yield Outcome(*future.result())
         elif future.status == "error":
-            reason = f"{job.path}: its workers died ({type(future.exception()).__name__})"
+            error = future.exception()
+            reason = f"{job.path}: the cluster could not judge it ({_line(error)})"
             yield Outcome(job.number, None, reason)
         else:
             msg = f"scheduler {address}: went away after {done} of {len(futures)} sessions"
             raise ClusterError(msg)
+
+
+def _line(error: BaseException) -> str:
+    """The first line of what an error says, or what it is."""
+    return next(iter(str(error).splitlines()), "") or type(error).__name__

@@ -35,7 +35,8 @@ class Terms:
     """File the settings are from, for messages; it is not read again."""
 
 
-class Job(NamedTuple):
+@dataclass(frozen=True)
+class Job:
     """One session to judge."""
 
     number: int
