@@ -103,10 +103,10 @@ class GraphSymbol:
     def of_fractions(cls, fractions: Sequence[tuple[ArrayLike, ArrayLike]], period: float) -> GraphSymbol:
         """From (B, F) per output in powers of z⁻¹, constant first, as identified; raises as above."""
         padded = []
-        for numerator, denominator in fractions:
-            b, f = (np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in (numerator, denominator))
+        for pair in fractions:
+            b, f = (np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in pair)
             width = max(b.size, f.size)
-            padded.append((np.pad(b, (0, width - b.size)), np.pad(f, (0, width - f.size))))
+            padded.append((_filled(b, width), _filled(f, width)))
         return cls.of_transfer_functions(padded, period)
 
     @classmethod
@@ -161,6 +161,13 @@ def _ascending(coefficients: ArrayLike) -> FloatArray:
         msg = f"model: a polynomial has shape {descending.shape}; give its coefficients in one row"
         raise DiscriminationError(msg)
     return descending[::-1]
+
+
+def _filled(coefficients: FloatArray, width: int) -> FloatArray:
+    """With zeros up to this width; `np.pad` takes longer than all the arithmetic."""
+    filled = np.zeros(width)
+    filled[: coefficients.size] = coefficients
+    return filled
 
 
 def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool) -> Column:

@@ -8,6 +8,7 @@ list of integers, the constant first; all of one column have the same length.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -76,16 +77,23 @@ def to_half_plane(column: Column) -> Column:
     the frequency axis are then where powers of w resolve best, as slow poles near z = 1 need it.
     """
     degree = len(column[0]) - 1
+    basis = _half_plane_basis(degree)
+    return [
+        [sum(p[k] * basis[k][i] for k in range(degree + 1) if p[k]) for i in range(degree + 1)]
+        for p in column
+    ]
+
+
+@lru_cache(maxsize=64)
+def _half_plane_basis(degree: int) -> Column:
+    """(1 + w)^k (1 − w)^(degree − k) for every k."""
     basis: Column = []
     for k in range(degree + 1):
         term: Polynomial = [1]
         for factor in [[1, 1]] * k + [[1, -1]] * (degree - k):
             term = multiply(term, factor)
         basis.append(term)
-    return [
-        [sum(p[k] * basis[k][i] for k in range(degree + 1) if p[k]) for i in range(degree + 1)]
-        for p in column
-    ]
+    return basis
 
 
 def even_part(column: Column) -> Polynomial:
