@@ -7,6 +7,8 @@ from functools import cache
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from twinmatch.reporting.words import as_sentence
+
 __all__ = ["render"]
 
 TEMPLATE = "report.html"
@@ -15,13 +17,16 @@ TEMPLATE = "report.html"
 @cache
 def _environment() -> Environment:
     """Everything is escaped, and a name that the template asks for in vain is an error."""
-    return Environment(
+    environment = Environment(
         loader=PackageLoader("twinmatch.reporting", "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["sentence"] = as_sentence
+    environment.filters["short"] = lambda value: f"{value:g}"
+    return environment
 
 
 def render(content: Mapping[str, object]) -> str:

@@ -58,6 +58,12 @@ class Table:
     marked: frozenset[int] = frozenset()
     """Rows that are set off."""
 
+    @property
+    def right(self) -> tuple[bool, ...]:
+        """Whether the names of the columns are set flush right, as the figures below them are."""
+        first = self.rows[0] if self.rows else ()
+        return tuple(cell.number for cell in first) or (False,) * len(self.columns)
+
 
 def words(text: str, *, mark: str = "") -> Cell:
     """A cell of words."""
@@ -111,7 +117,7 @@ def nominal_table(score: CandidateScore, match: Match | None) -> Table:
 def _believed(match: Match, name: str) -> str:
     if not match.believed:
         return "fitted"
-    return "fitted, determined by its window" if name in match.believed else "fitted, hardly determined"
+    return "fitted, well determined" if name in match.believed else "fitted, hardly determined"
 
 
 def family_table(members: Sequence[Member]) -> Table:

@@ -13,7 +13,7 @@ from twinmatch.views.events import level_stretches
 from twinmatch.views.judged import last_verdict, nominal_score
 from twinmatch.views.quantities import number
 
-__all__ = ["duration", "plain_words", "session_facts"]
+__all__ = ["as_sentence", "duration", "plain_words", "session_facts"]
 
 
 def duration(seconds: float) -> str:
@@ -60,7 +60,7 @@ def plain_words(judgement: Judgement) -> list[str]:
         return told
     told.append(_choice(last, nominal))
     if last.certainty:
-        told.append(_sentence(last.certainty))
+        told.append(as_sentence(last.certainty))
     told.append(_fit(judgement, nominal))
     told.append(_trust(judgement))
     told.append(_health(judgement))
@@ -195,6 +195,7 @@ def _s(count: int) -> str:
     return "" if count == 1 else "s"
 
 
-def _sentence(text: str) -> str:
+def as_sentence(text: str) -> str:
+    """A remark with a capital and a full stop."""
     text = text[:1].upper() + text[1:]
     return text if text.endswith((".", "!", "?")) else f"{text}."

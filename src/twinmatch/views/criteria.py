@@ -36,10 +36,10 @@ CRITERIA: tuple[Criterion, ...] = (
     Criterion("explanation", "explained", "", 3, True),
     Criterion("naic", "nAIC", "", 3, False),
     Criterion("bic", "BIC", "", 1, False),
-    Criterion("mdl", "MDL", "V", 4, False),
+    Criterion("mdl", "MDL", "", 4, False),
     Criterion("two_part_length", "two-part", "characters", 0, False),
 )
-"""The columns, in the order of the paper's table; MDL has the unit of the loss V, °C² or counts²."""
+"""The columns, in the order of the paper's table; MDL has the unit of the loss, °C² or counts²."""
 
 OUTPUTS: tuple[tuple[str, str], ...] = (
     ("y", "temperature y/r"),

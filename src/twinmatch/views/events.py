@@ -102,11 +102,13 @@ def _nominal_event(verdict: Verdict, before: str | None) -> Event:
 
 def _level_event(verdict: Verdict) -> Event:
     kind = EventKind.FAULT if verdict.fault or verdict.level is TrustLevel.FAULT else EventKind.LEVEL
+    if verdict.fault:
+        since = "" if verdict.fault_since is None else f" (it shows since sample {verdict.fault_since})"
+        return Event(verdict.sample, kind, f"fault: {verdict.fault}", f"{verdict.reason}{since}")
     why = LEVEL_WORDS[verdict.level]
     if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT}:
         why += (
             f": over the newest samples they are {verdict.residual_y:.2f} °C "
             f"and {verdict.residual_u:.1f} counts apart"
         )
-    named = f" ({verdict.fault})" if verdict.fault else ""
-    return Event(verdict.sample, kind, f"{verdict.level.value}{named}", why)
+    return Event(verdict.sample, kind, verdict.level.value, why)

@@ -31,7 +31,7 @@ _PANELS = (
 @styled
 def draw_criteria(verdict: Verdict) -> Figure:
     """The four criteria, both outputs together, for every candidate and order."""
-    figure = new_figure(10, 5.4)
+    figure = new_figure(10, 4.8)
     grid = figure.add_gridspec(2, 2)
     for k, (attribute, name, hint) in enumerate(_PANELS):
         axes = figure.add_subplot(grid[k // 2, k % 2])

@@ -31,7 +31,7 @@ def draw_health(
     settings: TwinSettings,
 ) -> Figure:
     """Trust level, residuals of every verdict against their limits, matches accepted and refused."""
-    figure = new_figure(10, 5.6)
+    figure = new_figure(10, 4.8)
     axes = stack(figure, (1.2, 2, 2, 0.9))
     first, period = samples[0].index, settings.period
     draw_levels(axes[0], verdicts, period, first)

@@ -28,7 +28,7 @@ def draw_responses(members: Sequence[Member]) -> Figure:
     """For every candidate its window as measured, its twin's answer and that of its Box–Jenkins model."""
     columns = 2
     rows = -(-len(members) // columns)
-    figure = new_figure(10, 2.9 * rows + 0.3)
+    figure = new_figure(10, 2.7 * rows + 0.3)
     grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
     for k, member in enumerate(members):
         inner = grids[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 2))
@@ -72,7 +72,7 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     nominal = next((m for m in members if m.nominal), members[0])
     window = nominal.window
     answers = [simulate_window(m.score.parameters, window, gains=m.settings.gains) for m in members]
-    figure = new_figure(10, 7.2)
+    figure = new_figure(10, 6.2)
     axes = stack(figure, (3, 2, 1.5, 1.5))
     time = window.time[_SKIPPED:]
     _draw_set_point(axes[0], window)

@@ -33,7 +33,7 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     nominal = nominal_score(last_verdict(verdicts))
     parts = compare(samples, nominal.parameters, settings.gains) if nominal else ()
     rows = 4 if parts else 2
-    figure = new_figure(10, 2.15 * rows)
+    figure = new_figure(10, 1.75 * rows)
     axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])
     for number, stretch in enumerate(unbroken(samples)):
         _draw_plant(axes[0], axes[1], Window.from_samples(stretch, settings.period), first=number == 0)
