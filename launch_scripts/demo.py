@@ -3,7 +3,7 @@
     python launch_scripts/demo.py                 # the live graph on a virtual rig, faster than real time
     python launch_scripts/demo.py SESSION         # a recorded session through the ROS graph
 
-The first records what happens, judges the recording again, and draws the verdict.
+The first records what happens and judges the recording again. Both end with a report that says what was found.
 """
 
 from __future__ import annotations
@@ -37,30 +37,41 @@ def live(speed: float) -> int:
 
 
 def look_back(session: Path) -> int:
-    """Judge the recording again, and draw the verdict."""
-    from twinmatch.replay import judge_session  # noqa: PLC0415
-    from twinmatch.verify import verify_session  # noqa: PLC0415
+    """Judge the recording again, draw the verdict and write it up; the last line names the report."""
+    from twinmatch.reporting import build_report, judge  # noqa: PLC0415
     from twinmatch.views.figures import draw_verdict  # noqa: PLC0415
 
-    found = verify_session(session)
-    if found.identical:
-        print(f"judged again from the recording: {found.verdicts} verdicts identical, bit for bit")
-    else:
-        print(f"judged again from the recording: NOT identical, {found.difference}")
-    picture = session.with_suffix(".png")
-    judgement = judge_session(session)
-    draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, picture)
-    print(f"picture: {picture.relative_to(Path.cwd()) if picture.is_relative_to(Path.cwd()) else picture}")
-    return 0 if found.identical else 1
+    judged = judge(session)
+    print(judged.recorded)
+    picture, report = session.with_suffix(".png"), session.with_suffix(".html")
+    found = judged.judgement
+    draw_verdict(found.samples, found.verdicts, found.settings, picture)
+    build_report(judged, session, command="make demo").write(report)
+    print(f"picture: {_near(picture)}")
+    print(f"report: {_near(report)}")
+    return 0 if judged.identical else 1
 
 
 def recorded(session: Path) -> int:
-    """Play a session fast enough to watch it to its end; returns the exit code."""
+    """Play a session fast enough to watch it to its end, then write it up; returns the exit code."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
+    from twinmatch.reporting import make_report  # noqa: PLC0415
     from twinmatch.sessions import open_any  # noqa: PLC0415
 
-    rate = min(1000.0, max(50.0, open_any(session).duration / LONGEST))
-    return play(Replay(session, rate))
+    found = open_any(session)
+    code = play(Replay(session, min(1000.0, max(50.0, found.duration / LONGEST))))
+    if code:
+        return code
+    report = PROJECT / "out" / f"{found.name}.html"
+    report.parent.mkdir(exist_ok=True)
+    make_report(session, command=f"make demo SESSION={session}").write(report)
+    print(f"report: {_near(report)}")
+    return 0
+
+
+def _near(path: Path) -> Path:
+    """As seen from here, where that is shorter."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def main() -> int:
