@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from twinmatch.discrimination import DiscriminationError, code_length, information_gain
+from twinmatch.discrimination import DiscriminationError, code_length, information_gain, two_part_length
 from twinmatch.signals import KELVIN, Window
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -143,3 +143,19 @@ def test_tables_that_do_not_fit_are_refused() -> None:
         information_gain([1, 2], [1, 2], copied=3)
     with pytest.raises(DiscriminationError, match="-1 samples copied of 2"):
         information_gain([1, 2], [1, 2], copied=-1)
+
+
+def test_the_two_part_length_charges_sign_and_digits_of_every_parameter() -> None:
+    """N = 10 000 determines two digits; with the sign three characters each."""
+    assert two_part_length(500, 4, 10_000) == 500 + 4 * 3
+    assert two_part_length(500, 0, 10_000) == 500
+    assert two_part_length(500, 10, 1) == 510  # one sample says no more than the sign
+    # ½ log₂ N bits per parameter (Rissanen 1978), a character holding log₂ 10 of them
+    bits = 0.5 * np.log2(361.0) * 7
+    assert two_part_length(0, 7, 361) - 7 == pytest.approx(bits / np.log2(10.0))
+
+
+@pytest.mark.parametrize(("parameters", "samples"), [(-1, 10), (3, 0)])
+def test_a_two_part_length_of_nothing_is_refused(parameters: int, samples: int) -> None:
+    with pytest.raises(DiscriminationError, match="give 0 and 1 at least"):
+        two_part_length(100, parameters, samples)

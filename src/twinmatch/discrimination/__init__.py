@@ -10,7 +10,12 @@ window, `identify` finds Box–Jenkins models of it, `score` holds them against 
 `nominal_of` names the candidate nearest to all others. A `Verdict` carries all of it.
 """
 
-from twinmatch.discrimination.code_length import InformationGain, code_length, information_gain
+from twinmatch.discrimination.code_length import (
+    InformationGain,
+    code_length,
+    information_gain,
+    two_part_length,
+)
 from twinmatch.discrimination.criteria import aic, bic, loss, mdl, mdl_as_printed, naic, naic_as_printed
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.discrimination.family import Candidate, Family
@@ -21,8 +26,10 @@ from twinmatch.discrimination.nu_gap import chordal_distance, nu_gap, nu_gap_mat
 from twinmatch.discrimination.rig_loop import Scales, rig_controller, rig_margin, rig_plant
 from twinmatch.discrimination.score import Criteria, OrderScore, choose_order, common_order, score
 from twinmatch.discrimination.verdict import CandidateScore, TrustLevel, Verdict, nominal_of
+from twinmatch.discrimination.weights import AkaikeWeights, akaike_weights, score_orders
 
 __all__ = [
+    "AkaikeWeights",
     "Candidate",
     "CandidateScore",
     "Criteria",
@@ -36,6 +43,7 @@ __all__ = [
     "TrustLevel",
     "Verdict",
     "aic",
+    "akaike_weights",
     "bic",
     "choose_order",
     "chordal_distance",
@@ -57,6 +65,8 @@ __all__ = [
     "rig_margin",
     "rig_plant",
     "score",
+    "score_orders",
     "stability_margin",
     "twin_response",
+    "two_part_length",
 ]

@@ -16,6 +16,7 @@ Rounding is of the exact value of the float, ties to even, as Python prints it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,14 @@ from numpy.typing import ArrayLike, NDArray
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.signals import FloatArray
 
-__all__ = ["MODEL_PROGRAM", "TRIVIAL_PROGRAM", "InformationGain", "code_length", "information_gain"]
+__all__ = [
+    "MODEL_PROGRAM",
+    "TRIVIAL_PROGRAM",
+    "InformationGain",
+    "code_length",
+    "information_gain",
+    "two_part_length",
+]
 
 TRIVIAL_PROGRAM = 15
 """Length of the program that only reads the table out (paper, section IV)."""
@@ -136,6 +144,31 @@ def information_gain(  # noqa: PLR0917
     rest: FloatArray = _differences(observed[copied:], modelled[copied:], copied)
     model = code_length(start, decimals) + code_length(rest, decimals)
     return InformationGain(trivial_program + trivial, model_program + model, decimals)
+
+
+def two_part_length(model_length: float, parameters: int, samples: int) -> float:
+    """Length of a model's program and table with the parameters that the program needs written down too.
+
+    The published length charges 176 characters for the program of any order, as if its coefficients were
+    known beforehand. In a two-part code (Rissanen, Automatica 14, 1978) whoever reads the table gets them
+    first. N samples determine a parameter to about 1/√N of its size, and writing it more finely makes the
+    whole longer: ½ log₂ N bits each, which are ½ log₁₀ N digits, and its sign. So
+
+        l₂(p) = l(p) + n (1 + ½ log₁₀ N) characters.
+
+    Args:
+        model_length: l(p), characters.
+        parameters: n, how many coefficients the program needs: those of B and F, as the table is that of
+            the simulated B/F.
+        samples: N, the number of samples in the table.
+
+    Raises:
+        DiscriminationError: no samples, or a number of parameters below zero.
+    """
+    if samples < 1 or parameters < 0:
+        msg = f"two-part length: {parameters} parameters and {samples} samples; give 0 and 1 at least"
+        raise DiscriminationError(msg)
+    return model_length + parameters * (1 + 0.5 * math.log10(samples))
 
 
 def _differences(observed: FloatArray, modelled: FloatArray, first: int) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinmatch.discrimination.code_length import information_gain
+from twinmatch.discrimination.code_length import information_gain, two_part_length
 from twinmatch.discrimination.criteria import bic, mdl, naic
 from twinmatch.discrimination.models import SimoModel, ahead, deviations, operating_level
 from twinmatch.identification import BoxJenkins
@@ -35,7 +35,7 @@ class Criteria:
     bic: float
     mdl: float
     two_part_length: float = math.nan
-    """l(p) plus what it takes to write the model's parameters down, characters; NaN where not computed."""
+    """l(p) with the parameters written down too, characters (`two_part_length`); NaN where not computed."""
 
     def __add__(self, other: Criteria) -> Criteria:
         """Both outputs together: lengths and criteria add, as in the paper's table."""
@@ -116,4 +116,5 @@ def _criteria(model: BoxJenkins, r: FloatArray, output: FloatArray, offset: floa
         naic=naic(loss, n, count),
         bic=bic(loss, n, count),
         mdl=mdl(loss, n, count),
+        two_part_length=two_part_length(gain.model_length, model.order.nb + model.order.nf, count),
     )
