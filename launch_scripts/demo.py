@@ -3,7 +3,7 @@
     python launch_scripts/demo.py                 # the live graph on a virtual rig, faster than real time
     python launch_scripts/demo.py SESSION         # a recorded session through the ROS graph
 
-The first records what happens and judges the recording again. Both end with a report that says what was found.
+The first records what happens and judges the recording again. Both end with a report on what was found.
 """
 
 from __future__ import annotations
