@@ -139,6 +139,9 @@ class Browser:
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))
 
+    def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
+        return until(condition, what)
+
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(DEEP + script, *arguments)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from bokeh.models import Div, InlineStyleSheet
+from bokeh.models import Div
 from bokeh.themes import Theme
 
 from twinmatch.dashboard.events import Mark
@@ -79,7 +79,7 @@ THEME = Theme(
     }
 )
 
-_STYLE = InlineStyleSheet(css=Path(__file__).with_name("panel.css").read_text(encoding="utf-8"))
+_STYLE = Path(__file__).with_name("panel.css").read_text(encoding="utf-8")
 
 
 def panel(name: str) -> Div:

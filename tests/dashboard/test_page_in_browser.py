@@ -1,0 +1,341 @@
+"""The page in a real browser, beside real publishers, a real controller, PWM bridge and player."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Image, Temperature
+
+from twinmatch.nodes.conversions import match_message, sample_message, score_message, state_message
+from twinmatch.nodes.samples import RELIABLE
+from twinmatch.replay import Judgement
+from twinmatch.sessions import write_session
+from twinmatch.signals import Sample
+from twinmatch.twin import Mirror, TwinSettings
+from twinmatch_msgs.msg import LoopSample, Match, ModelScore, PwmApplied, TwinState
+
+pytestmark = pytest.mark.ros
+
+
+class Graph:
+    """What the nodes of a rig publish, from this process."""
+
+    def __init__(self, context: Context) -> None:
+        self.node = Node("graph", context=context)
+        kinds = {
+            "plant/sample": LoopSample,
+            "twin/state": TwinState,
+            "twin/model_score": ModelScore,
+            "twin/match": Match,
+            "plant/pwm_applied": PwmApplied,
+        }
+        self._publishers = {
+            name: self.node.create_publisher(kind, name, RELIABLE) for name, kind in kinds.items()
+        }
+        for name, kind in (("thermal/image", Image), ("plant/temperature", Temperature)):
+            self._publishers[name] = self.node.create_publisher(kind, name, qos_profile_sensor_data)
+
+    def publish(self, name: str, message: Any) -> None:
+        self._publishers[name].publish(message)
+
+    def heard(self, name: str) -> int:
+        return int(self._publishers[name].get_subscription_count())
+
+    def session(self, samples: list[Sample], judged: Judgement | None = None, rate: float = 400.0) -> None:
+        """Samples with the twins' state at each, and what a judgement has to say at some."""
+        mirror = Mirror(TwinSettings().start, TwinSettings().gains)
+        for sample in samples:
+            self.publish("plant/sample", sample_message(sample))
+            self.publish("twin/state", state_message(mirror.push(sample), ""))
+            for match in judged.matches if judged else ():
+                if match.sample == sample.index:
+                    self.publish("twin/match", match_message(match, sample.stamp))
+            for verdict in judged.verdicts if judged else ():
+                if verdict.sample == sample.index:
+                    self.publish("twin/model_score", score_message(verdict, sample.stamp))
+            time.sleep(1 / rate)
+
+    def fault(self, text: str) -> None:
+        self.publish("plant/pwm_applied", PwmApplied(pwm=0.0, current=0.1, fault=text))
+
+    def image(self, pixels: Any) -> None:
+        rows, columns = pixels.shape
+        message = Image(height=rows, width=columns, encoding="32FC1", step=4 * columns)
+        message.data = pixels.astype("<f4").tobytes()
+        self.publish("thermal/image", message)
+
+
+@pytest.fixture(scope="module")
+def graph(ros: None) -> Iterator[Graph]:  # noqa: ARG001
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    made = Graph(context)
+    yield made
+    made.node.destroy_node()
+    rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture(scope="module")
+def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
+    started = page_process()
+    browser.open(started.url)
+    for name in ("plant/sample", "twin/state", "twin/model_score", "twin/match", "plant/pwm_applied"):
+        browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
+    return started
+
+
+@pytest.fixture
+def node(tmp_path: Path) -> Iterator[Callable[..., Any]]:
+    """Start a node of ours in a process of its own."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(name: str, *parameters: str) -> Any:
+        words = [word for parameter in parameters for word in ("-p", parameter)]
+        command = [sys.executable, "-m", f"twinmatch.nodes.{name}", "--ros-args", *words]
+        with (tmp_path / f"{name}.txt").open("w") as stream:
+            started.append(subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.terminate()
+    for process in started:
+        process.wait(20)
+
+
+def counted(number: int, period: float = 1.0, first: int = 0) -> list[Sample]:
+    return [
+        Sample(k, 10**18 + round(k * period * 1e9), 50.0, 40.0 + np.sin(k / 9), 20.0)
+        for k in range(first, first + number)
+    ]
+
+
+def test_it_loads_from_this_machine_alone_and_says_that_it_waits(page: Any, browser: Any) -> None:
+    assert "waiting for the first sample" in browser.text
+    assert "unknown" in browser.text
+    assert browser.elsewhere(page.url) == []
+    assert browser.driver.title == "twinmatch"
+
+
+def test_data_move_as_they_come(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    enough = threading.Event()
+    sent: list[int] = []
+
+    def publish() -> None:
+        for sample in counted(100_000):
+            graph.session([sample], rate=50.0)
+            sent.append(sample.index)
+            if enough.is_set():
+                return
+
+    publishing = threading.Thread(target=publish)
+    publishing.start()
+    try:
+        browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) > 20, "the first samples")
+        picture = browser.picture("temperature")
+        before = len(browser.column("temperature", 0, "t"))
+        browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) >= before + 50, "more samples")
+        assert browser.picture("temperature") != picture
+    finally:
+        enough.set()
+        publishing.join()
+    browser.wait_for(lambda: f"sample {sent[-1]}, {sent[-1]} s" in browser.text, "the last sample")
+    browser.wait_for(lambda: browser.column("temperature", 0, "t")[-1] == sent[-1], "the last point")
+    shown = sent[-1200:]  # twenty minutes
+    assert browser.column("temperature", 0, "t") == shown
+    drawn = browser.column("temperature", 0, "temperature")
+    assert drawn == [40.0 + np.sin(k / 9) for k in shown]
+    browser.wait_for(lambda: browser.column("temperature", 1, "t")[-1] == sent[-1], "the twin's last")
+    assert browser.complaints() == []
+
+
+def test_verdicts_family_and_events_are_shown(
+    page: Any,  # noqa: ARG001
+    graph: Graph,
+    browser: Any,
+    judged: Judgement,
+) -> None:
+    graph.session(list(judged.samples), judged)
+    last = judged.verdicts[-1]
+    assert last.nominal is not None
+    browser.wait_for(lambda: f"sample {judged.samples[-1].index}" in browser.text, "the last sample")
+    browser.wait_for(lambda: last.level.value in browser.text and "nominal" in browser.text, "the verdict")
+    browser.wait_for(lambda: last.reason in browser.text, "why")
+    for candidate in last.candidates:
+        assert f"{candidate.name}" in browser.text
+    gaps = browser.column("matrix", 0, "gap")
+    assert gaps == [gap for row in last.nu_gap for gap in row]
+    assert browser.column("matrix", 2, "gap") == [c.nu_gap_sum for c in last.candidates]
+    accepted = sum(m.match.accepted for m in judged.matches)
+    assert browser.text.count("accepted") >= accepted
+    rows = browser.run("return deep(document).filter((e) => e.tagName == 'TR').length")
+    browser.click("all orders")
+    orders = len(last.candidates[0].orders)
+    more = (orders - 1) * len(last.candidates)
+    browser.wait_for(
+        lambda: browser.run("return deep(document).filter((e) => e.tagName == 'TR').length") == rows + more,
+        "a row for every order",
+    )
+    browser.click("all orders")
+    assert browser.complaints() == []
+
+
+def test_a_fault_is_shown_and_goes(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    graph.session(counted(5))
+    graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>")
+    browser.wait_for(lambda: "Output held at zero: over temperature" in browser.text, "the alarm")
+    assert "111.0 °C is above 110.0 °C <b>" in browser.text  # as text, whatever it looks like
+    assert len(browser.column("happened", 1, "t")) == 1
+    graph.fault("")
+    browser.wait_for(lambda: "Output held at zero: over temperature" not in browser.text, "the end of it")
+    browser.wait_for(lambda: "fault cleared" in browser.text, "a word of it")
+    assert browser.complaints() == []
+
+
+def test_the_thermal_image_is_shown(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    assert "No thermal image has come" in browser.text
+    pixels = np.full((60, 80), 25.0)
+    pixels[10:20, 30:50] = 71.25
+    browser.wait_for(lambda: graph.heard("thermal/image"), "a reader")
+
+    def shown() -> bool:
+        graph.image(pixels)
+        return "No thermal image has come" not in browser.text
+
+    browser.wait_for(shown, "the image")
+    largest = browser.run(
+        "return Bokeh.documents[0].get_model_by_name('thermal').renderers[0].data_source.data.image[0]"
+        ".reduce((a, b) => Math.max(a, b))"
+    )
+    assert largest == 71.25
+    assert browser.complaints() == []
+
+
+def test_it_survives_that_the_graph_is_started_again(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    graph.session(counted(50))
+    browser.wait_for(lambda: "sample 49, 49 s" in browser.text, "the first session's last sample")
+    graph.session(counted(20, period=0.1))
+    browser.wait_for(lambda: "sample 19, 1.9 s" in browser.text, "the second session's last sample")
+    # Twenty minutes at 10 Hz: ten samples are drawn as two points, their least and greatest.
+    browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) == 4, "its samples alone")
+    assert browser.column("temperature", 0, "t") == pytest.approx([0.0, 0.9, 1.0, 1.9])
+    browser.wait_for(lambda: "a new session began" in browser.text, "a word of it")
+    assert browser.complaints() == []
+
+
+def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser: Any) -> None:
+    first = browser.driver.current_window_handle
+    browser.driver.switch_to.new_window("tab")
+    browser.open(page.url)
+    graph.session(counted(400))
+    browser.click("5 min")
+    browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) == 300, "five minutes")
+    assert browser.column("temperature", 0, "t")[-1] == 399.0
+    browser.driver.close()
+    browser.driver.switch_to.window(first)
+    browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) == 400, "twenty minutes")
+    assert browser.complaints() == []
+
+
+def test_without_control_nothing_can_be_asked_of_the_rig(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    for label in ("Set", "Clear fault", "Output off"):
+        assert browser.button(label) is None
+    assert graph.node.count_publishers("plant/reference") == 0
+    services = {name for name, _ in graph.node.get_client_names_and_types_by_node("dashboard", "/")}
+    assert services == {"/player/pause", "/player/set_parameters"}
+
+
+def test_control_asks_the_controller_and_the_bridge(
+    page_process: Callable[..., Any], graph: Graph, browser: Any, node: Callable[..., Any]
+) -> None:
+    """A set-point entered on the page is the reference of the next sample of a real controller."""
+    commanding = page_process("--control")
+    ending = threading.Event()
+
+    def measure() -> None:
+        while not ending.wait(0.1):
+            message = Temperature(temperature=30.0)
+            message.header.stamp = graph.node.get_clock().now().to_msg()
+            graph.publish("plant/temperature", message)
+
+    measuring = threading.Thread(target=measure)
+    measuring.start()
+    try:
+        node("controller", "reference_source:=topic", "period:=0.2")
+        node("pwm_bridge", "port:=/dev/no-such-board")
+        browser.open(commanding.url)
+        browser.wait_for(lambda: browser.button("Output off"), "the buttons")
+
+        def ask(value: str) -> None:
+            entry = browser.run(
+                "return deep(document).find((e) => e.tagName == 'INPUT' && e.checkVisibility())"
+            )
+            entry.clear()
+            entry.send_keys(value, "\n")
+            browser.click("Set")
+
+        def asked(value: str, answer: str) -> bool:
+            ask(value)
+            time.sleep(1.0)
+            return answer in browser.text
+
+        browser.wait_for(lambda: asked("42.5", "asked for 42.5 °C"), "the answer")
+        browser.wait_for(
+            lambda: browser.column("temperature", 2, "reference")[-1:] == [42.5], "the set-point"
+        )
+        browser.wait_for(
+            lambda: asked("180", "180 °C was not asked for: allowed is 0 to 100 °C"), "the refusal"
+        )
+        assert browser.column("temperature", 2, "reference")[-1] == 42.5
+        browser.click("Output off")
+        browser.wait_for(lambda: "stopped as asked; clear_fault lets it go on" in browser.text, "the fault")
+        browser.click("Clear fault")
+        browser.wait_for(
+            lambda: "the PWM board is not connected, which comes first" in browser.text, "the answer"
+        )
+        assert browser.complaints() == []
+    finally:
+        ending.set()
+        measuring.join()
+
+
+def test_a_replay_is_paused_and_hurried(
+    page: Any, browser: Any, node: Callable[..., Any], tmp_path: Path
+) -> None:
+    session = write_session(tmp_path / "hour", counted(3600))
+    browser.open(page.url)
+    assert browser.button("Pause") is None
+    player = node("player", f"session:={session}", "rate:=10.0")
+    browser.wait_for(lambda: "playing: " in browser.text, "the player")
+    browser.click("Pause")
+    browser.wait_for(lambda: "paused: " in browser.text, "the pause")
+    stands = browser.column("temperature", 0, "t")[-1]
+    time.sleep(1.0)
+    assert browser.column("temperature", 0, "t")[-1] - stands <= 1.0
+    browser.click("200 ×")
+    browser.wait_for(lambda: "200 × recorded speed" in browser.text, "the speed")
+    browser.click("Continue")
+    browser.wait_for(lambda: browser.column("temperature", 0, "t")[-1] > stands + 300, "five minutes more")
+    browser.click("max")
+    assert player.wait(40) == 0
+    browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")
+    browser.wait_for(lambda: browser.button("Pause") is None, "that the player has gone")
+    assert browser.complaints() == []
