@@ -55,11 +55,6 @@ def test_good_evidence_is_accepted() -> None:
             Status.BOUNDS_HIT,
             "seebeck ended on its bound at 0.2",
         ),
-        (
-            {"bounds_hit": ("conductance",), "values": np.array([0.15, 0.0, 60.0])},
-            Status.BOUNDS_HIT,
-            "does not tell conduction from the Seebeck effect",
-        ),
         ({"condition": 1001.0}, Status.NOT_IDENTIFIABLE, "condition number 1e+03 is above 1000"),
         ({"condition": float("inf")}, Status.NOT_IDENTIFIABLE, "condition number inf"),
         (
@@ -103,17 +98,20 @@ def test_a_temperature_is_not_measured_by_its_distance_from_absolute_zero() -> N
     assert judge(loose, Limits())[0] is Status.NOT_IDENTIFIABLE
 
 
-def test_zero_may_be_let_through() -> None:
-    zero = replace(
+def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
+    two = replace(
         GOOD,
-        values=np.array([0.15, 0.0, 60.0]),
-        bounds_hit=("conductance",),
-        standard_errors=np.array([0.01, 0.2, 3.0]),
+        free=("seebeck", "heat_capacity"),
+        values=np.array([0.13, 60.0]),
+        standard_errors=np.array([0.01, 3.0]),
+        kept="conductance at 0.35 (anything from 0 to 0.4 will do)",
     )
-    limits = Limits(may_be_zero=("conductance",))
-    assert judge(zero, limits)[0] is Status.ACCEPTED
-    assert judge(replace(zero, values=np.array([0.15, 2.0, 60.0])), limits)[0] is Status.BOUNDS_HIT
-    assert judge(replace(zero, bounds_hit=("seebeck", "conductance")), limits)[0] is Status.BOUNDS_HIT
+    status, reason = judge(two, Limits())
+    assert status is Status.ACCEPTED
+    assert reason.endswith("not determined and kept: conductance at 0.35 (anything from 0 to 0.4 will do)")
+    assert judge(replace(two, bounds_hit=("seebeck",)), Limits())[0] is Status.BOUNDS_HIT
+    loose = replace(two, standard_errors=np.array([0.01, 40.0]))
+    assert judge(loose, Limits())[0] is Status.NOT_IDENTIFIABLE
 
 
 @given(

@@ -116,9 +116,32 @@ def test_a_truth_outside_the_bounds_hits_them(record: Recorder) -> None:
 
 
 def test_a_small_step_does_not_determine_the_parameters(record: Recorder) -> None:
-    result = match(record(TRUTH, levels=(30.0, 33.0), seed=4), start=TRUTH)
+    window = record(TRUTH, levels=(30.0, 33.0), seed=4)
+    result = match(window, start=TRUTH, limits=Limits(relative_error=0.02))
     assert result.status is Status.NOT_IDENTIFIABLE
     assert "this window does not determine it" in result.reason
+
+
+def test_what_a_small_step_leaves_open_stays_where_it_stood(record: Recorder) -> None:
+    window = record(TRUTH, levels=(30.0, 33.0), seed=4)
+    standing = TRUTH.replace(seebeck=0.08, conductance=0.62, heat_capacity=32.0)
+    result = match(window, start=standing)
+    assert result.accepted
+    assert "not determined and kept: seebeck at 0.08 (anything from " in result.reason
+    assert result.parameters.seebeck == 0.08
+    assert result.parameters.heat_capacity != 32.0
+    assert "seebeck" not in result.believed
+    assert np.isfinite(result.covariance).all()
+    assert result.suggestion.startswith("a step from 33 to ")
+
+
+def test_what_stands_is_kept_only_as_far_as_the_window_allows(record: Recorder) -> None:
+    window = record(TRUTH, levels=(30.0, 33.0), seed=4)
+    far = match(window, start=TRUTH.replace(seebeck=0.005))
+    low, high = far.intervals[0]
+    assert 0.01 < low < TRUTH.seebeck < high
+    assert far.parameters.seebeck == pytest.approx(low)
+    assert far.parameters.seebeck / far.parameters.heat_capacity == pytest.approx(0.0025, rel=0.5)
 
 
 def test_a_fit_that_may_not_finish_did_not_converge(

@@ -17,8 +17,9 @@ from twinmatch.matching.bounds import (
     MatchingError,
 )
 from twinmatch.matching.gate import Limits, Status
-from twinmatch.matching.match import FREE, Fit, Match, match
+from twinmatch.matching.match import FREE, match
 from twinmatch.matching.problem import Noise
+from twinmatch.matching.result import Fit, Match
 
 __all__ = [
     "AUTHORS_BOUNDS",

@@ -15,6 +15,7 @@ __all__ = [
     "BOUNDS",
     "SCALES",
     "SINK_START",
+    "WITHOUT_ZERO",
     "Bounds",
     "MatchingError",
     "checked_bounds",
@@ -68,6 +69,9 @@ SCALES: Final[Mapping[str, float]] = MappingProxyType(
 )
 """A typical size of each parameter (for temperatures, of their differences); fixed, so that condition
 numbers of different windows compare."""
+
+WITHOUT_ZERO: Final = frozenset({"ambient", "seebeck_slope", SINK_START})
+"""Parameters whose zero means nothing: their error is compared with a typical difference instead."""
 
 
 def checked_free(free: Iterable[str], parameters: RigParameters) -> tuple[str, ...]:

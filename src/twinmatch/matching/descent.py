@@ -11,14 +11,14 @@ step promises nothing more, which a step cut short by damping cannot pretend.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, TypeVar, cast
+from typing import Final, NamedTuple, Protocol, TypeVar, cast
 
 import numba
 import numpy as np
 
 from twinmatch.signals import FloatArray
 
-__all__ = ["Descended", "Point", "descend"]
+__all__ = ["LEAST_DAMPING", "Descended", "Point", "box_step", "compiled", "descend", "normal_equations"]
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -28,7 +28,8 @@ _NOTHING = 1e-13
 """The same in units of the noise variance of all residuals: exact data leave no sum to compare with."""
 _SMALL = 1e-10
 """Step, in units of the scales, below which a search between kinks ends."""
-_FIRST_DAMPING, _LEAST_DAMPING = 1e-3, 1e-12
+_FIRST_DAMPING = 1e-3
+LEAST_DAMPING: Final = 1e-12
 
 
 class Point(Protocol):
@@ -66,9 +67,9 @@ def descend(
     point = evaluate(values)
     cost = _cost(point)
     damping, growth, evaluations = _FIRST_DAMPING, 2.0, 1
-    gradient, hessian = _normal(point)
+    gradient, hessian = normal_equations(point)
     while True:
-        _, promised = box_step(hessian, gradient, values, lower, upper, _LEAST_DAMPING)
+        _, promised = box_step(hessian, gradient, values, lower, upper, LEAST_DAMPING)
         if promised <= _TOLERANCE * cost + _NOTHING * point.residuals.size:
             return Descended(values, point, cost, True, evaluations)
         while True:
@@ -86,26 +87,28 @@ def descend(
             damping, growth = damping * growth, 2.0 * growth
         # How far the quadratic model was right decides how far the next one is followed.
         trusted = (cost - ahead) / expected if expected > 0.0 else 0.0
-        damping = max(damping * max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3), _LEAST_DAMPING)
+        damping = max(damping * max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3), LEAST_DAMPING)
         growth = 2.0
         values, point, cost = tried, there, ahead
-        gradient, hessian = _normal(point)
+        gradient, hessian = normal_equations(point)
 
 
 def _cost(point: Point) -> float:
     return float(point.residuals @ point.residuals)
 
 
-def _normal(point: Point) -> tuple[FloatArray, FloatArray]:
+def normal_equations(point: Point) -> tuple[FloatArray, FloatArray]:
+    """Jᵀr, shape (n,), and JᵀJ, shape (n, n)."""
     jacobian = point.jacobian
     return jacobian.T @ point.residuals, jacobian.T @ jacobian
 
 
-def _compiled(function: _Function) -> _Function:
+def compiled(function: _Function) -> _Function:
+    """Compile a kernel of small matrices; division follows IEEE, it does not raise."""
     return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
-@_compiled
+@compiled
 def box_step(
     hessian: FloatArray,
     gradient: FloatArray,

@@ -82,12 +82,23 @@ class Uncertainty:
 
     fisher: FloatArray
     """Information JᵀJ of the weighed residuals, shape (n, n), in the parameters' own units."""
+    scores: FloatArray
+    """Covariance of the gradient Jᵀr, shape (n, n); for white noise of variance 1 it is `fisher`."""
+    scales: FloatArray
+    """Typical sizes of the parameters, shape (n,)."""
     eigenvalues: FloatArray
     """Of the information in units of the parameters' scales, ascending, shape (n,)."""
+    directions: FloatArray
+    """Its eigenvectors, shape (n, n), column by column; the largest component of each is positive."""
     condition: float
     """Condition number of the scaled Jacobian; infinite when a direction is not seen at all."""
     covariance: FloatArray
     """Of the parameters, shape (n, n); infinite where the information is singular."""
+
+    def given(self, places: Sequence[int]) -> Uncertainty:
+        """That of the parameters at these places, the others being known."""
+        block = np.ix_(places, places)
+        return _known(self.fisher[block], self.scores[block], self.scales[list(places)])
 
 
 def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
@@ -101,19 +112,25 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     """
     evaluation = problem.evaluate(estimate.values)
     jacobian = evaluation.jacobian
-    fisher = jacobian.T @ jacobian
-    scales = problem.scales
-    eigenvalues = np.maximum(np.linalg.eigvalsh(fisher * np.outer(scales, scales)), 0.0)
+    sums, expected = problem.noise_scores(evaluation)
+    free_samples = 1.0 - len(problem.free) / estimate.residuals.size
+    scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
+    return _known(jacobian.T @ jacobian, scores, problem.scales)
+
+
+def _known(fisher: FloatArray, scores: FloatArray, scales: FloatArray) -> Uncertainty:
+    scaling = np.outer(scales, scales)
+    eigenvalues, directions = np.linalg.eigh(fisher * scaling)
+    eigenvalues = np.maximum(eigenvalues, 0.0)
+    largest_components = directions[np.argmax(np.abs(directions), axis=0), np.arange(scales.size)]
+    directions = directions * np.where(largest_components < 0.0, -1.0, 1.0)
     smallest, largest = float(eigenvalues[0]), float(eigenvalues[-1])
     # Below this the smallest eigenvalue is rounding.
-    seen = smallest > np.finfo(np.float64).eps * largest
-    n = len(problem.free)
-    if not seen:
-        return Uncertainty(fisher, eigenvalues, float("inf"), np.full((n, n), np.inf))
-    sums, expected = problem.noise_scores(evaluation)
-    scores = sums.T @ sums
-    free_samples = 1.0 - n / estimate.residuals.size
-    inverse = np.linalg.inv(fisher * np.outer(scales, scales)) * np.outer(scales, scales)
-    covariance = inverse @ scores @ inverse * (estimate.chi2 / free_samples / expected)
-    covariance = (covariance + covariance.T) / 2
-    return Uncertainty(fisher, eigenvalues, float(np.sqrt(largest / smallest)), covariance)
+    if smallest > np.finfo(np.float64).eps * largest:
+        condition = float(np.sqrt(largest / smallest))
+        inverse = np.linalg.inv(fisher * scaling) * scaling
+        covariance = inverse @ scores @ inverse
+        covariance = (covariance + covariance.T) / 2
+    else:
+        condition, covariance = float("inf"), np.full_like(fisher, np.inf)
+    return Uncertainty(fisher, scores, scales, eigenvalues, directions, condition, covariance)

@@ -6,28 +6,26 @@ The questions are asked in this order, and the first that is answered badly name
 2. Did the set-point move, and early enough? Without that no fit is made.
 3. Can the best fit explain the window at all? If not, its parameters mean nothing, whatever the rest says.
 4. Did the fit converge? If not, bounds and covariance are those of a point on the way.
-5. Did a parameter end on its bound? Then the covariance, which knows no bounds, does not describe it.
-   A conductance of 0 is told apart in the reason, and may be let through by `Limits.may_be_zero`: it is
-   where physics ends and not a limit of ours, but it mostly says that the window does not show it.
-6. Are the parameters determined by this window?
+5. Did a parameter end on its bound? Then the search ended there and not the data. Zero is another matter:
+   there physics ends, and it mostly says that the window does not show the parameter (see 6).
+6. Are the parameters determined by this window? One that is not is kept near what stood before, because
+   the twin predicts well all along the valley that leaves it open; the question is put to the others.
 7. Do they predict what was held back no worse than the incumbent?
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
-from twinmatch.matching.bounds import SCALES, SINK_START, MatchingError
+from twinmatch.matching.bounds import SCALES, WITHOUT_ZERO, MatchingError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "worst_stretch"]
-
-_WITHOUT_ZERO = frozenset({"ambient", SINK_START})
-"""Parameters whose zero means nothing: their error is compared with a typical difference instead."""
+__all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "undetermined", "worst_stretch"]
 
 
 class Status(Enum):
@@ -63,16 +61,13 @@ class Limits:
     fit_y: float = 0.8
     """Least NRMSE of the temperature."""
     relative_error: float = 0.5
-    """Largest standard error of a free parameter in units of its value."""
+    """Largest standard error of a free parameter in units of its value, a kept one being known."""
     condition: float = 1000.0
     """Largest condition number of the scaled Jacobian."""
     slack: float = 1.1
     """Factor by which chance may make the held-back part worse than the incumbent leaves it."""
     held_back: float = 0.3
     """Part of the window that the test fit does not see."""
-    may_be_zero: tuple[str, ...] = ()
-    """Parameters for which a lower bound of 0 counts as an answer and not as a bound hit. On the rig
-    conductance ends there in two of five three-parameter windows that the fit otherwise explains."""
     least_samples: int = 20
     """Samples wanted between the first excitation and the held-back part, and in that part."""
 
@@ -99,6 +94,7 @@ class Evidence:
     """What the gate looks at once a fit was made."""
 
     free: tuple[str, ...]
+    """Names of the fitted parameters but the kept one."""
     values: FloatArray
     standard_errors: FloatArray
     condition: float
@@ -111,6 +107,8 @@ class Evidence:
     """Mean squared weighed residual of the test fit on the held-back part."""
     incumbent_chi2: float
     """The same of the incumbent, or of the start values if there is none."""
+    kept: str = ""
+    """What was kept because the window does not determine it, with value and interval; or nothing."""
 
 
 def first_excited(window: Window, min_step: float) -> int | None:
@@ -138,11 +136,9 @@ def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
         return Status.PLANT_FAULT_SUSPECTED, fault
     if not evidence.converged:
         return Status.DID_NOT_CONVERGE, "least squares was still moving when its evaluations ran out"
-    named = dict(zip(evidence.free, evidence.values.tolist(), strict=True))
-    zeros = {name for name in evidence.bounds_hit if name in limits.may_be_zero and named[name] == 0.0}
-    if set(evidence.bounds_hit) - zeros:
+    if evidence.bounds_hit:
         return Status.BOUNDS_HIT, _bounds_sentence(evidence)
-    loose = _undetermined(evidence, limits, zeros)
+    loose = undetermined(evidence.free, evidence.values, evidence.standard_errors, evidence.condition, limits)
     if loose:
         return Status.NOT_IDENTIFIABLE, loose
     if not evidence.held_back_chi2 <= limits.slack * evidence.incumbent_chi2:
@@ -153,6 +149,7 @@ def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
     return Status.ACCEPTED, (
         f"explains the window down to {evidence.chi2:.3g} times the noise variance and predicts what was "
         f"held back ({evidence.held_back_chi2:.3g}, the parameters before: {evidence.incumbent_chi2:.3g})"
+        + (f"; not determined and kept: {evidence.kept}" if evidence.kept else "")
     )
 
 
@@ -175,21 +172,20 @@ def _unexplained(evidence: Evidence, limits: Limits) -> str | None:
 
 def _bounds_sentence(evidence: Evidence) -> str:
     named = dict(zip(evidence.free, evidence.values.tolist(), strict=True))
-    ends = ", ".join(f"{name} ended on its bound at {named[name]:.3g}" for name in evidence.bounds_hit)
-    if evidence.bounds_hit == ("conductance",) and named["conductance"] < SCALES["conductance"]:
-        return f"{ends}: this window does not tell conduction from the Seebeck effect"
-    return ends
+    return ", ".join(f"{name} ended on its bound at {named[name]:.3g}" for name in evidence.bounds_hit)
 
 
-def _undetermined(evidence: Evidence, limits: Limits, zeros: set[str]) -> str | None:
-    if not evidence.condition <= limits.condition:
+def undetermined(
+    free: Sequence[str], values: FloatArray, standard_errors: FloatArray, condition: float, limits: Limits
+) -> str | None:
+    """One sentence on a parameter or combination that is not determined; None if all are."""
+    if not condition <= limits.condition:
         return (
-            f"the condition number {evidence.condition:.3g} is above {limits.condition:g}: "
+            f"the condition number {condition:.3g} is above {limits.condition:g}: "
             "some combination of the free parameters hardly shows in this window"
         )
-    errors = evidence.standard_errors.tolist()
-    for name, value, error in zip(evidence.free, evidence.values.tolist(), errors, strict=True):
-        size = SCALES[name] if name in _WITHOUT_ZERO else abs(value)
-        if name not in zeros and not (math.isfinite(error) and error <= limits.relative_error * size):
+    for name, value, error in zip(free, values.tolist(), standard_errors.tolist(), strict=True):
+        size = SCALES[name] if name in WITHOUT_ZERO else abs(value)
+        if not (math.isfinite(error) and error <= limits.relative_error * size):
             return f"{name} is {value:.3g} ± {error:.1g}: this window does not determine it"
     return None

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,94 +14,27 @@ from twinmatch.matching.bounds import (
     checked_bounds,
     checked_free,
 )
-from twinmatch.matching.estimation import on_bounds, solve, starts_for, uncertainty
-from twinmatch.matching.gate import Evidence, Limits, Status, first_excited, judge, worst_stretch
+from twinmatch.matching.estimation import Uncertainty, on_bounds, solve, starts_for
+from twinmatch.matching.gate import (
+    Evidence,
+    Limits,
+    Status,
+    first_excited,
+    judge,
+    undetermined,
+    worst_stretch,
+)
 from twinmatch.matching.health import fault_in_signals
+from twinmatch.matching.identifiability import Identified, identify, unidentified
 from twinmatch.matching.problem import Noise, Problem
+from twinmatch.matching.result import Fit, Match, without_fit
 from twinmatch.plant import Driver, PidGains, RigParameters
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["FREE", "Fit", "Match", "match"]
+__all__ = ["FREE", "match"]
 
 FREE = ("seebeck", "conductance", "heat_capacity")
 """What the paper matches."""
-
-
-class Fit(NamedTuple):
-    """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean."""
-
-    y: float
-    """Of the temperature."""
-    u: float
-    """Of the PWM."""
-
-
-_NO_FIT = Fit(float("nan"), float("nan"))
-
-
-@dataclass(frozen=True, eq=False)
-class Match:
-    """Rig parameters matched to a window, how well they are known, and whether they may be used.
-
-    When no fit was made (the status says why) the parameters are the start values and all figures of
-    the fit are NaN.
-    """
-
-    parameters: RigParameters
-    free: tuple[str, ...]
-    """Names of the fitted parameters in canonical order; arrays below are in this order. For a sink
-    with mass the last is `sink_start`, the sink's temperature at the window's third sample."""
-    sink_start: float | None
-    """That temperature, K; None for a sink without mass."""
-    covariance: FloatArray
-    """Of the fitted parameters, shape (n, n), their own units."""
-    fisher: FloatArray
-    """Information JᵀJ of the weighed residuals, shape (n, n)."""
-    eigenvalues: FloatArray
-    """Of the information in units of the parameters' scales, ascending, shape (n,)."""
-    condition: float
-    """Condition number of the scaled Jacobian."""
-    bounds_hit: tuple[str, ...]
-    fit: Fit
-    """On the window."""
-    held_back: Fit
-    """Of a fit made without the window's last part, on that part."""
-    chi2: float
-    """Mean squared residual of both outputs in units of the noise variance."""
-    samples: tuple[int, int]
-    """Session indices of the window's first and last sample."""
-    status: Status
-    reason: str
-    """One sentence on the status."""
-    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
-    to `eigenvalues[j]`, so column 0 is the combination of parameters that the window shows least."""
-    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    """Profile-likelihood interval (95 %) of each parameter, its own unit, shape (n, 2); an end is
-    infinite where the interval is open and NaN where no fit was made."""
-    believed: tuple[str, ...] = ()
-    """Names of the parameters that this window determines."""
-    determined: str = ""
-    """One sentence: which combination of the parameters the window determines."""
-    suggestion: str = ""
-    """One sentence: which set-point step would determine what this window leaves open; or nothing."""
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the parameters may be used."""
-        return self.status is Status.ACCEPTED
-
-    @property
-    def standard_errors(self) -> FloatArray:
-        """Of the fitted parameters, shape (n,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def correlation(self) -> FloatArray:
-        """Of the fitted parameters, shape (n, n)."""
-        errors = self.standard_errors
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(self.covariance / np.outer(errors, errors), dtype=np.float64)
 
 
 def match(
@@ -150,10 +82,10 @@ def match(
     names, limited = checked_free(free, start), checked_bounds(bounds)
     fault = fault_in_signals(window, gains.limit)
     if fault:
-        return _without_fit(window, names, start, Status.PLANT_FAULT_SUSPECTED, fault)
+        return without_fit(window, names, start, Status.PLANT_FAULT_SUSPECTED, fault)
     split, missing = _split(window, min_step, limits)
     if missing:
-        return _without_fit(window, names, start, Status.NO_EXCITATION, missing)
+        return without_fit(window, names, start, Status.NO_EXCITATION, missing)
     problem = Problem(window, names, start, noise or Noise(), gains, driver or Driver(), limited)
     return _with_fit(problem, split, incumbent or start, limits)
 
@@ -177,24 +109,34 @@ def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits
     seen = replace(problem, window=window.part(window.first, window.first + split - 1))
     starts = starts_for(problem, problem.base)
     test = solve(seen, starts)
-    final = solve(problem, [test.values, starts[0]])
-    known = uncertainty(problem, final)
+    best = solve(problem, [test.values, *starts])
+    explained = best.converged and best.chi2 <= limits.chi2
+
+    def stands(known: Uncertainty, values: FloatArray) -> bool:
+        errors = np.sqrt(np.diag(known.covariance))
+        loose = undetermined(problem.free, values, errors, known.condition, limits)
+        return not loose and not on_bounds(problem, values)
+
+    found = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
     held = split - (len(window) - problem.temperature.size)
     tested = problem.residuals(test.values).reshape(2, -1)[:, held:]
     standing = _residuals_of(problem, seen, rival)[:, held:]
-    hit, fit = on_bounds(problem, final.values), _fit(problem, final.residuals)
+    final, known, fit = found.estimate, found.known, _fit(problem, found.estimate.residuals)
+    free = [i for i, name in enumerate(problem.free) if name != found.kept]
+    bounds_hit = tuple(n for n in on_bounds(problem, final.values) if n != found.kept)
     evidence = Evidence(
-        free=problem.free,
-        values=final.values,
-        standard_errors=np.sqrt(np.diag(known.covariance)),
-        condition=known.condition,
-        bounds_hit=hit,
+        free=tuple(problem.free[i] for i in free),
+        values=final.values[free],
+        standard_errors=np.sqrt(np.diag(found.others.covariance)),
+        condition=found.others.condition,
+        bounds_hit=bounds_hit,
         converged=final.converged,
         chi2=final.chi2,
         stretch_chi2=worst_stretch(final.residuals, limits.stretch),
         fit_y=fit.y,
         held_back_chi2=float(np.mean(np.square(tested))),
         incumbent_chi2=float(np.mean(np.square(standing))),
+        kept=_kept_words(problem, found),
     )
     status, reason = judge(evidence, limits)
     return Match(
@@ -205,13 +147,28 @@ def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits
         fisher=known.fisher,
         eigenvalues=known.eigenvalues,
         condition=known.condition,
-        bounds_hit=hit,
+        bounds_hit=bounds_hit,
         fit=fit,
         held_back=_fit(problem, tested),
         chi2=final.chi2,
         samples=(window.first, window.last),
         status=status,
         reason=reason,
+        directions=known.directions,
+        intervals=found.intervals,
+        believed=found.believed,
+        determined=found.determined,
+        suggestion=found.suggestion,
+    )
+
+
+def _kept_words(problem: Problem, found: Identified) -> str:
+    if not found.kept:
+        return ""
+    place = problem.free.index(found.kept)
+    low, high = found.intervals[place]
+    return (
+        f"{found.kept} at {found.estimate.values[place]:.3g} (anything from {low:.2g} to {high:.2g} will do)"
     )
 
 
@@ -234,26 +191,3 @@ def _fit(problem: Problem, residuals: FloatArray) -> Fit:
         spread = float(np.linalg.norm(values - np.mean(values)))
         figures.append(1.0 - scale * float(np.linalg.norm(left)) / spread if spread > 0 else float("nan"))
     return Fit(*figures)
-
-
-def _without_fit(
-    window: Window, free: tuple[str, ...], start: RigParameters, status: Status, reason: str
-) -> Match:
-    n = len(free)
-    unknown = np.full((n, n), np.nan)
-    return Match(
-        parameters=start,
-        free=free,
-        sink_start=start.ambient if SINK_START in free else None,
-        covariance=unknown,
-        fisher=unknown,
-        eigenvalues=np.full(n, np.nan),
-        condition=float("nan"),
-        bounds_hit=(),
-        fit=_NO_FIT,
-        held_back=_NO_FIT,
-        chi2=float("nan"),
-        samples=(window.first, window.last),
-        status=status,
-        reason=reason,
-    )

@@ -1,0 +1,118 @@
+"""What a match returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.matching.bounds import SINK_START
+from twinmatch.matching.gate import Status
+from twinmatch.plant import RigParameters
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Fit", "Match", "without_fit"]
+
+
+class Fit(NamedTuple):
+    """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean."""
+
+    y: float
+    """Of the temperature."""
+    u: float
+    """Of the PWM."""
+
+
+_NO_FIT = Fit(float("nan"), float("nan"))
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Rig parameters matched to a window, how well they are known, and whether they may be used.
+
+    When no fit was made (the status says why) the parameters are the start values and all figures of
+    the fit are NaN.
+    """
+
+    parameters: RigParameters
+    free: tuple[str, ...]
+    """Names of the fitted parameters in canonical order; arrays below are in this order. For a sink
+    with mass the last is `sink_start`, the sink's temperature at the window's third sample."""
+    sink_start: float | None
+    """That temperature, K; None for a sink without mass."""
+    covariance: FloatArray
+    """Of the fitted parameters, shape (n, n), their own units."""
+    fisher: FloatArray
+    """Information JᵀJ of the weighed residuals, shape (n, n)."""
+    eigenvalues: FloatArray
+    """Of the information in units of the parameters' scales, ascending, shape (n,)."""
+    condition: float
+    """Condition number of the scaled Jacobian."""
+    bounds_hit: tuple[str, ...]
+    fit: Fit
+    """On the window."""
+    held_back: Fit
+    """Of a fit made without the window's last part, on that part."""
+    chi2: float
+    """Mean squared residual of both outputs in units of the noise variance."""
+    samples: tuple[int, int]
+    """Session indices of the window's first and last sample."""
+    status: Status
+    reason: str
+    """One sentence on the status."""
+    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
+    to `eigenvalues[j]`, so column 0 is the combination of parameters that the window shows least."""
+    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Profile-likelihood interval (95 %) of each parameter, its own unit, shape (n, 2); an end is
+    infinite where the interval is open and NaN where no fit was made."""
+    believed: tuple[str, ...] = ()
+    """Names of the parameters that this window determines."""
+    determined: str = ""
+    """One sentence: which combination of the parameters the window determines."""
+    suggestion: str = ""
+    """One sentence: which set-point step would determine what this window leaves open; or nothing."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the parameters may be used."""
+        return self.status is Status.ACCEPTED
+
+    @property
+    def standard_errors(self) -> FloatArray:
+        """Of the fitted parameters, shape (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Of the fitted parameters, shape (n, n)."""
+        errors = self.standard_errors
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.covariance / np.outer(errors, errors), dtype=np.float64)
+
+
+def without_fit(
+    window: Window, free: tuple[str, ...], start: RigParameters, status: Status, reason: str
+) -> Match:
+    """A match whose status says why no fit was made."""
+    n = len(free)
+    unknown = np.full((n, n), np.nan)
+    return Match(
+        parameters=start,
+        free=free,
+        sink_start=start.ambient if SINK_START in free else None,
+        covariance=unknown,
+        fisher=unknown,
+        eigenvalues=np.full(n, np.nan),
+        condition=float("nan"),
+        bounds_hit=(),
+        fit=_NO_FIT,
+        held_back=_NO_FIT,
+        chi2=float("nan"),
+        samples=(window.first, window.last),
+        status=status,
+        reason=reason,
+        directions=unknown,
+        intervals=np.full((n, 2), np.nan),
+    )
