@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -47,7 +48,8 @@ def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
     pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
     finished = False
     try:
-        futures: list[Future[Outcome]] = [pool.submit(judge, job) for job in jobs]
+        with _interrupts_held():  # what is started here inherits it: Ctrl-C is for this process alone
+            futures: list[Future[Outcome]] = [pool.submit(judge, job) for job in jobs]
         for future in as_completed(futures):
             yield future.result()
         finished = True
@@ -58,10 +60,19 @@ def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Within this context an interrupt waits; processes begun here never see one."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _begin() -> None:
-    """Set up a process: the one that started it decides when it ends, and it ends with that one."""
+    """Set up a process; it ends with the one that started it."""
     prepare()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()

@@ -1,0 +1,55 @@
+"""Short sessions to make archives of."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twinmatch.plant import RigParameters, simulate_closed_loop
+from twinmatch.sessions import samples_of, write_session
+from twinmatch.signals import Window
+
+CAMERA = 0.1  # °C, noise of the temperature
+
+
+def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "twinmatch.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
+
+
+def _make(folder: Path, *, seed: int, seebeck: float) -> Path:
+    """Five minutes with two steps, so that one match is made."""
+    rig = RigParameters(seebeck=seebeck, conductance=0.5, heat_capacity=27.0)
+    reference = np.repeat([30.0, 50.0, 65.0], [40, 130, 130])
+    run = simulate_closed_loop(rig, reference, plate=296.0)
+    noise = np.random.default_rng(seed).normal(scale=CAMERA, size=reference.size)
+    return write_session(folder, samples_of(Window(reference, run.temperature + noise, run.pwm)))
+
+
+@pytest.fixture(scope="session")
+def run_twinmatch() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run the command line: `run_twinmatch("replay", folder)`."""
+    return _run
+
+
+@pytest.fixture(scope="session")
+def make_session() -> Callable[..., Path]:
+    """Write a session: `make_session(folder, seed=1, seebeck=0.06)`."""
+    return _make
+
+
+@pytest.fixture(scope="session")
+def archive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two good sessions (one deeper than the other), a bad one, and things that are none."""
+    folder = tmp_path_factory.mktemp("archive")
+    _make(folder / "first", seed=1, seebeck=0.06)
+    _make(folder / "deeper" / "second", seed=2, seebeck=0.055)
+    (folder / "bad.csv").write_text("time,reference\n0,30\n")
+    (folder / "notes.txt").write_text("no session\n")
+    (folder / ".hidden.csv").write_text("nobody means this\n")
+    return folder
