@@ -1,0 +1,230 @@
+"""Samples in, judgements out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+from twinmatch.health.balance import BLOCK, Balance
+from twinmatch.health.finding import Finding, drifting, frozen, impossible, late, leaping, lost
+from twinmatch.health.record import Alarm, Fault, Health, State
+from twinmatch.health.settings import HealthSettings
+from twinmatch.health.traces import Drift, Effect, Lag, Repeats
+from twinmatch.plant import RigParameters
+from twinmatch.signals import Sample
+
+__all__ = ["Monitor"]
+
+_COLDEST, _HOTTEST = -60.0, 250.0
+"""Readings that neither this plate nor its camera can have, °C."""
+_CONFIRM: Final = 3
+"""Samples in a row that have to show a drive without effect."""
+_MEND: Final = 15.0
+"""Time without any trace after which a sensor counts as mended, s."""
+_PROVE: Final = 10.0
+"""Time for which the plate has to follow the drive before that counts as mended, s."""
+_TACIT: Final = 120.0
+"""Time without any trace after which it counts as mended without proof, s."""
+_SUSPICION: Final = 0.6
+"""Share of the drift limit from which there is a suspicion, and nothing is learned any more."""
+_ACCEPT: Final = 600.0
+"""Time after which a drift that was told is learned as how the rig is now, s."""
+
+
+class Monitor:
+    """Watches one plant.
+
+    Feed it every sample once, in order, with the parameters of the nominal twin as it stands, or None as
+    long as there is none. A gap in the indices starts the traces anew and keeps what was learned.
+    """
+
+    def __init__(self, settings: HealthSettings | None = None) -> None:
+        """Begin with nothing seen."""
+        self.settings = settings or HealthSettings()
+        period = self.settings.period
+        self._balance = Balance(self.settings.reference, period)
+        self._effect = Effect(period)
+        self._repeats = Repeats(period, self.settings.frozen)
+        self._lag = Lag(period)
+        self._drift = Drift()
+        self._given: RigParameters | None = None
+        self._before: Sample | None = None
+        self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
+        self._contrary = 0  # samples in a row without the drive's effect
+        self._quiet = 0  # samples in a row without any trace but a drift's
+        self._proofs = 0  # of those, the ones in which the plate followed the drive
+        self._alarms: list[Alarm] = []
+        self._open = False  # whether the last alarm goes on
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Every alarm so far, oldest first; only the last can be going on."""
+        return tuple(self._alarms)
+
+    def fault_between(self, first: int, last: int) -> Alarm | None:
+        """The first alarm whose trace touches the samples `first` to `last`, both included.
+
+        Nothing should be learned from such a window. Drifts are left out: a slow change of the rig is what
+        matching is for.
+        """
+        faults = (alarm for alarm in self._alarms if alarm.fault is not Fault.DRIFT)
+        return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
+
+    def push(self, sample: Sample, parameters: RigParameters | None = None) -> Health:
+        """Take one sample; judge the plant as it is now."""
+        if sample.index != self._index + 1:
+            self._restart(sample.index)
+        self._index = sample.index
+        if parameters is not None and parameters != self._given and not self._open:
+            self._given = parameters
+            self._try(parameters)
+        if _possible(sample):
+            finding = self._look(sample)
+            starting = (sample.index - self._begin) * self.settings.period < self.settings.start
+            self._before = sample
+        else:
+            finding, starting = impossible(sample), False
+            self._before = None
+            self._restart_traces()
+        news = self._judge(sample.index, finding, starting)
+        return self._health(sample.index, finding, starting, news)
+
+    def _restart(self, index: int) -> None:
+        if index <= self._index:  # another session
+            self._alarms.clear()
+            self._open = False
+        self._begin, self._before = index, None
+        self._repeats = Repeats(self.settings.period, self.settings.frozen)
+        self._restart_traces()
+        self._balance.restart()
+
+    def _restart_traces(self) -> None:
+        self._effect.restart()
+        self._lag.restart()
+        self._contrary = 0
+
+    def _try(self, parameters: RigParameters) -> None:
+        found = self._balance.tried(parameters)
+        if found is not self._balance:
+            self._balance = found
+            self._drift.forget()
+
+    def _look(self, sample: Sample) -> Finding | None:
+        """What the sample adds to the traces, the worst of them."""
+        before = self._before
+        if before is None:
+            return None
+        movement = self._balance.step(before.temperature, before.pwm, sample.temperature)
+        stood = self._repeats.stands
+        self._repeats.push(sample.temperature - before.temperature, movement)
+        if stood and not self._repeats.stands:  # it moves again, from wherever the plate went meanwhile
+            self._restart_traces()
+            return None
+        self._lag.push(movement)
+        self._effect.push(movement, self._balance.roughness)
+        self._learn(sample.index)
+        if abs(movement.unexplained) > self.settings.jump * max(1.0, self.settings.period):
+            return leaping(before, sample, movement.unexplained)
+        return self._weigh(sample)
+
+    def _weigh(self, sample: Sample) -> Finding | None:
+        period = self.settings.period
+        if self._repeats.stands:
+            return frozen(sample, self._repeats, period)
+        if self._effect.share < self.settings.lost and not self._repeats.unusual:
+            self._contrary += 1
+            lag = self._lag.seconds(self._effect.length)
+            sure = self._contrary >= _CONFIRM
+            if lag is not None:
+                return late(sample.index, self._effect, lag, sure=sure)
+            return lost(sample.index, self._effect, period, sure=sure)
+        self._contrary = 0
+        if self._drifting:
+            sure = self._drift.size >= self.settings.drift
+            return drifting(sample.index, self._drift, period, sure=sure)
+        return None
+
+    def _learn(self, index: int) -> None:
+        """Take in a block once it is full, unless something was wrong in it."""
+        full = self._balance.block()
+        if full is None:
+            return
+        if self._quiet * self.settings.period < BLOCK:
+            self._drift.restart()
+            self._balance.learn(*full, healthy=False)
+            return
+        told = self._open and self._alarms[-1].fault is Fault.DRIFT
+        usual = told and (index - self._alarms[-1].flagged) * self.settings.period >= _ACCEPT
+        keep = usual or not self._drifting
+        self._drift.push(*full, BLOCK, self._balance, keep=keep)
+        self._balance.learn(*full, healthy=keep and (usual or not self._drifting))
+
+    @property
+    def _drifting(self) -> bool:
+        return self._drift.size >= _SUSPICION * self.settings.drift
+
+    def _judge(self, index: int, finding: Finding | None, starting: bool) -> Alarm | None:
+        """Open and close alarms; the one that changed."""
+        if finding is not None and finding.fault is not Fault.DRIFT:
+            self._quiet = self._proofs = 0
+        else:
+            self._quiet += 1
+            self._proofs += self._effect.follows
+        if finding is not None and finding.sure and not starting:
+            news = self._raise(index, finding)
+            if news is not None:
+                return news
+        if self._open and self._mended():
+            drifted = self._alarms[-1].fault is Fault.DRIFT
+            return self._close(index - (1 if drifted else self._quiet))
+        return None
+
+    def _raise(self, index: int, finding: Finding) -> Alarm | None:
+        earliest = self._begin
+        if self._open:
+            if self._alarms[-1].fault is not Fault.DRIFT or finding.fault is Fault.DRIFT:
+                return None
+            earliest = index
+            self._close(index - 1)
+        elif self._alarms and self._alarms[-1].last is not None:
+            earliest = max(self._begin, self._alarms[-1].last + 1)
+        self._alarms.append(Alarm(finding.fault, max(finding.first, earliest), index, None, finding.reason))
+        self._open = True
+        return self._alarms[-1]
+
+    def _mended(self) -> bool:
+        """Whether the fault that is on has gone."""
+        fault = self._alarms[-1].fault
+        quiet, proven = self._quiet * self.settings.period, self._proofs * self.settings.period
+        if fault is Fault.DRIFT:
+            return not self._drifting
+        if fault in (Fault.DRIVE_LOST, Fault.SENSOR_LATE):
+            return proven >= _PROVE or quiet >= _TACIT
+        return quiet >= _MEND
+
+    def _close(self, last: int) -> Alarm:
+        self._alarms[-1] = replace(self._alarms[-1], last=last)
+        self._open = False
+        return self._alarms[-1]
+
+    def _health(self, index: int, finding: Finding | None, starting: bool, news: Alarm | None) -> Health:
+        share, rate = self._effect.share, self._drift.rate
+        if self._open:
+            alarm = self._alarms[-1]
+            same = finding is not None and finding.fault is alarm.fault
+            reason = finding.reason if finding is not None and same else alarm.reason
+            return Health(index, State.FAULT, alarm.fault, alarm.first, reason, share, rate, news)
+        if finding is None:
+            return Health(index, State.HEALTHY, None, None, "", share, rate, news)
+        # At the start a camera that is late looks like a dead drive, and is far more common.
+        fault = None if starting and finding.fault is Fault.DRIVE_LOST else finding.fault
+        reason = f"only just begun: {finding.reason}" if starting else finding.reason
+        first = max(finding.first, self._begin)
+        return Health(index, State.SUSPECT, fault, first, reason, share, rate, news)
+
+
+def _possible(sample: Sample) -> bool:
+    """Whether the numbers are some that a rig can have."""
+    commanded = math.isfinite(sample.pwm) and math.isfinite(sample.reference)
+    return commanded and _COLDEST <= sample.temperature <= _HOTTEST

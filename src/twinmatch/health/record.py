@@ -1,0 +1,71 @@
+"""What the monitor says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+__all__ = ["Alarm", "Fault", "Health", "State"]
+
+
+class State(Enum):
+    """How the plant is at one sample."""
+
+    HEALTHY = "healthy"
+    SUSPECT = "suspect"
+    """Something looks wrong but has not lasted, or the session has only begun."""
+    FAULT = "fault"
+
+
+class Fault(Enum):
+    """What is wrong."""
+
+    DRIVE_LOST = "drive-lost"
+    """The PWM has no effect on the plate, or the contrary one."""
+    SENSOR_FROZEN = "sensor-frozen"
+    """The temperature repeats one reading."""
+    SENSOR_LATE = "sensor-late"
+    """The temperature follows the drive, but seconds too late."""
+    SENSOR_IMPLAUSIBLE = "sensor-implausible"
+    """A reading that no plate can have, or can have come to since the sample before."""
+    DRIFT = "drift"
+    """The plate slowly leaves what drive and surroundings did to it before: fan, room, ageing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One fault from its beginning to its end."""
+
+    fault: Fault
+    first: int
+    """Sample at which its trace begins."""
+    flagged: int
+    """Sample at which it was told."""
+    last: int | None
+    """Last sample of its trace; None while it goes on."""
+    reason: str
+    """One plain sentence with numbers."""
+
+    def overlaps(self, first: int, last: int) -> bool:
+        """Whether it touches the samples `first` to `last`."""
+        return self.first <= last and (self.last is None or self.last >= first)
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """The judgement at one sample."""
+
+    index: int
+    state: State
+    fault: Fault | None
+    """Name of the fault, or of what is suspected if that can be told; None when healthy."""
+    since: int | None
+    """Sample at which the trace of the fault or of the suspicion begins."""
+    reason: str
+    """One plain sentence; empty when healthy."""
+    share: float
+    """Share of the drive's expected effect that the plate shows; NaN while too little is expected."""
+    unexplained: float
+    """Slow heating (cooling, if negative) that nothing explains, °C/s."""
+    news: Alarm | None = None
+    """The alarm that began at this sample, or ended at it (then it has a `last`)."""

@@ -1,0 +1,215 @@
+"""The traces that faults leave, each looked for on its own."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from twinmatch.health.balance import PRIOR, Balance, Movement, uncertainty
+from twinmatch.signals import FloatArray
+
+__all__ = ["DRIFT_TIME", "Drift", "Effect", "Lag", "Repeats"]
+
+_SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
+"""Lengths of the stretches over which the drive's effect is asked for, s."""
+_LEAST_EFFECT: Final = 1.5
+"""Movement the drive must have been expected to make, °C: what a healthy camera jumps by …"""
+_LEAST_RATE: Final = 0.45
+"""… and this for every second, °C/s: twice what a twin is off by for minutes …"""
+_ROUGHNESS: Final = 2.0
+"""… or, with a twin that is off by more, so many times the roughness of the balance."""
+_STEP: Final = 0.8
+"""An unexplained step larger than this is the camera's own if none like it came before, °C."""
+_LIKE: Final = 0.4
+"""Unexplained movement in the same direction that makes a step belong to a movement, °C."""
+_FOLLOWS: Final = (0.6, 2.5)
+"""Shares of the expected effect that prove the drive to work."""
+
+_CHANCE: Final = 1e-9
+"""Probability below which repeated readings are no chance; a year has 3e7 seconds."""
+_LEAST_NOISE: Final = 0.01
+"""Mean change from reading to reading below which a sensor may stand still for good, °C."""
+_MOVED: Final = 3.0
+"""Movement of the plate that a standing sensor should have shown, °C."""
+
+_LONGEST_LAG: Final = 6.0
+"""Longest lag that is tried, s."""
+_LEAST_LAG: Final = 2.0
+"""A reading this late is late, s."""
+_LAG_SUM: Final = 4.0
+"""Movements are compared in sums over this time, so that noise does not count, s."""
+_FAR_BETTER: Final = 0.3
+"""Share of the squared error that is left by an explanation far better than another."""
+
+DRIFT_TIME: Final = 60.0
+"""Time over which slow movement is averaged, s."""
+_DRIFT_DELAY: Final = 20
+"""Blocks: what is expected now is what was known this long ago, so that a drift is not learned away."""
+_DRIFT_SETTLE: Final = 6
+_DRIFT_FLOOR: Final = 0.04
+"""What even a smooth balance may be off by for a minute, °C/s; its roughness comes on top."""
+
+
+class Effect:
+    """Whether the drive acts on the plate."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._spans = [max(2, round(s / period)) for s in _SPANS]
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was pushed."""
+        self._sums: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=self._spans[-1] + 1)
+        self._last = 0.0
+        self.share = math.nan
+        """Least share of the expected effect seen in a stretch that expects enough; NaN if none does."""
+        self.length = 0
+        """Samples of that stretch."""
+        self.expected = 0.0
+        """Movement expected in it of the drive alone, °C."""
+
+    @property
+    def follows(self) -> bool:
+        """Whether the newest stretches prove the drive to work."""
+        return _FOLLOWS[0] <= self.share <= _FOLLOWS[1]
+
+    def push(self, movement: Movement, roughness: float) -> None:
+        """Take the movement of one period, and the roughness (°C/s) of the balance it comes from."""
+        least = max(_LEAST_RATE, _ROUGHNESS * roughness) * self._period
+        left = movement.unexplained
+        lonely = abs(left) > _STEP and not (abs(self._last) > _LIKE and left * self._last > 0)
+        self._last = left
+        drive, rest = self._sums[-1]
+        self._sums.append((drive + movement.drive, rest + (0.0 if lonely else left)))
+        self.share = math.nan
+        newest, known = self._sums[-1], len(self._sums) - 1
+        for length in self._spans:
+            if length > known:
+                break
+            then = self._sums[known - length]
+            expected = newest[0] - then[0]
+            if abs(expected) < _LEAST_EFFECT + least * length:
+                continue
+            share = 1.0 + (newest[1] - then[1]) / expected
+            if not share >= self.share:
+                self.share, self.length, self.expected = share, length, expected
+
+
+class Repeats:
+    """Whether the sensor stands still."""
+
+    def __init__(self, period: float, longest: float) -> None:
+        """`longest` is the time that a reading may be repeated, s."""
+        self._most = max(3, round(longest / period))
+        self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
+        self._change = 0.0  # mean change from reading to reading, °C
+        self.count = 0
+        """How often the newest reading has been repeated."""
+        self.expected = 0.0
+        """Movement expected meanwhile, °C."""
+
+    def push(self, change: float, movement: Movement) -> None:
+        """Take the newest change of the reading and the movement it belongs to."""
+        if change == 0.0:
+            self.count += 1
+            self.expected += movement.drive + movement.passive
+            return
+        if not self.stands:
+            for repeats in (1.0,) * self.count + (0.0,):
+                self._often += (repeats - self._often) / 300
+                self._lately += (repeats - self._lately) / 30
+                self._change += ((0.0 if repeats else abs(change)) - self._change) / 30
+        self.count, self.expected = 0, 0.0
+
+    @property
+    def unusual(self) -> bool:
+        """Whether the newest reading has been repeated so often that nothing else can be judged by it."""
+        return self.count >= 3
+
+    @property
+    def stands(self) -> bool:
+        """Whether the sensor is frozen."""
+        if self.count + 1 < self._most:
+            return False
+        chance = max(self._often, self._lately, 0.02) ** self.count
+        return abs(self.expected) > _MOVED or (chance < _CHANCE and self._change >= _LEAST_NOISE)
+
+
+class Lag:
+    """How late the readings come."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._size = round((_SPANS[-1] + _LONGEST_LAG + _LAG_SUM) / period) + 2
+        self._sum = max(1, round(_LAG_SUM / period))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was pushed."""
+        self._past: deque[tuple[float, float]] = deque(maxlen=self._size)  # what drive did, what it should
+
+    def push(self, movement: Movement) -> None:
+        """Take the movement of one period."""
+        self._past.append((movement.unexplained + movement.drive, movement.drive))
+
+    def seconds(self, length: int) -> float | None:
+        """The lag that explains the newest `length` readings, if one does far better than none and than a
+        drive without effect."""
+        most = round(_LONGEST_LAG / self._period)
+        size = max(length, self._sum)
+        if len(self._past) < most + size + self._sum:
+            return None
+        seen, drive = np.array(self._past).T
+        kernel = np.ones(self._sum)
+        seen = np.convolve(seen, kernel, "valid")[-size:]
+        drive = np.convolve(drive, kernel, "valid")[-size - most :]
+        late = [float(np.sum((seen - drive[most - n : drive.size - n]) ** 2)) for n in range(most + 1)]
+        best = int(np.argmin(late))
+        dead = float(np.sum(seen**2))
+        if best * self._period < _LEAST_LAG or late[best] > _FAR_BETTER * min(late[0], dead):
+            return None
+        return best * self._period
+
+
+class Drift:
+    """Whether the plate slowly does something else than it used to."""
+
+    def __init__(self) -> None:
+        self._known: deque[tuple[FloatArray, FloatArray, float]] = deque(maxlen=_DRIFT_DELAY)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the mean, keep what was known."""
+        self.rate = 0.0
+        """Slow movement that nothing explains, °C/s."""
+        self.size = 0.0
+        """The same in units of its uncertainty."""
+        self._parts = np.zeros(4)
+        self._count = 0
+
+    def forget(self) -> None:
+        """Begin anew with another twin."""
+        self._known.clear()
+        self.restart()
+
+    def push(self, parts: FloatArray, surplus: float, span: float, balance: Balance, *, keep: bool) -> None:
+        """Take a block of `span` seconds, before the balance learns from it.
+
+        Unless `keep`, what is expected stays what it was at the block before.
+        """
+        full = len(self._known) == _DRIFT_DELAY
+        values, covariance, rough = self._known[0] if full else (np.zeros(4), np.diag(PRIOR), 0.0)
+        if keep:
+            self._known.append((*balance.knowledge, balance.roughness))
+        self._count += 1
+        weight = min(span / DRIFT_TIME, 1.0)
+        if self._count <= _DRIFT_SETTLE:
+            self._parts = parts
+            return
+        self.rate += (surplus - float(parts @ values) - self.rate) * weight
+        self._parts = self._parts + (parts - self._parts) * weight
+        self.size = abs(self.rate) / uncertainty(self._parts, covariance, math.hypot(_DRIFT_FLOOR, rough))
