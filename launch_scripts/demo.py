@@ -2,6 +2,7 @@
 
     python launch_scripts/demo.py                 # the live graph on a virtual rig, faster than real time
     python launch_scripts/demo.py SESSION         # a recorded session through the ROS graph
+    python launch_scripts/demo.py --dashboard     # with the live page, which stays until Ctrl-C
 
 The first records what happens and judges the recording again. Both end with a report on what was found.
 """
@@ -14,6 +15,7 @@ import time
 from pathlib import Path
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.launching.page import add_page_options, page_of
 
 PROJECT = Path(__file__).resolve().parents[1]
 SPEED = 10.0
@@ -79,9 +81,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="See twinmatch work.")
     parser.add_argument("session", type=Path, nargs="?", help="a session or recording to play instead")
     parser.add_argument("--speed", type=float, default=SPEED, help="of the virtual rig, times real time")
+    add_page_options(parser)
     options = parser.parse_args()
     try:
-        return live(options.speed) if options.session is None else recorded(options.session)
+        with page_of(options, parser) as page:
+            code = live(options.speed) if options.session is None else recorded(options.session)
+            if code == 0:
+                page.stay()
+            return code
     except TwinmatchError as error:
         print(f"demo: {error}", file=sys.stderr)
         return EXIT_USER_ERROR

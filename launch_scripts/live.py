@@ -1,7 +1,7 @@
 """Run the twin beside a rig: bridges, controller, twin and recorder, until Ctrl-C or the profile's end.
 
     python launch_scripts/live.py --config config/rig.yaml [--session FOLDER]
-    python launch_scripts/live.py --virtual [--speed 20] [--fault drive-lost@300]
+    python launch_scripts/live.py --virtual [--speed 20] [--fault drive-lost@300] [--dashboard [--control]]
 
 Exit code: 0 ended as asked, 2 something given cannot be used, 3 the rig's process was lost (the output is
 off then).
@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.launching.page import add_page_options, page_of
 
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -34,6 +35,7 @@ def main() -> int:
     parser.add_argument("--fault", action="append", default=[], help="of the virtual rig: KIND@SECONDS")
     parser.add_argument("--board", default="auto", help="of the virtual rig: simavr, python or auto")
     parser.add_argument("--seed", type=int, default=0, help="of the virtual rig's camera noise")
+    add_page_options(parser, control=True)
     options = parser.parse_args()
     if not options.virtual and (options.speed != 1.0 or options.fault or options.board != "auto"):
         parser.error("--speed, --fault and --board are for a rig that is --virtual")
@@ -51,7 +53,8 @@ def main() -> int:
             virtual=virtual if options.virtual else None,
             candidates=options.candidates,
         )
-        return run_live(Live(plan))
+        with page_of(options, parser):
+            return run_live(Live(plan))
     except TwinmatchError as error:
         print(f"live: {error}", file=sys.stderr)
         return EXIT_USER_ERROR

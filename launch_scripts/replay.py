@@ -1,8 +1,9 @@
 """Play a recorded session through the ROS graph and show the verdicts as they come.
 
-    python launch_scripts/replay.py SESSION [--rate 50] [--candidates FILE] [--config FILE]
+    python launch_scripts/replay.py SESSION [--rate 50] [--candidates FILE] [--config FILE] [--dashboard]
 
-Ctrl-C ends it. Exit code: 0 all verdicts came, 2 something given cannot be used, 130 interrupted.
+Ctrl-C ends it; with --dashboard the live page stays open until then. Exit code: 0 all verdicts came,
+2 something given cannot be used, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import sys
 from pathlib import Path
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.launching.page import add_page_options, page_of
 
 
 def main() -> int:
@@ -23,13 +25,18 @@ def main() -> int:
     )
     parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="parameter file of the twin's nodes")
+    add_page_options(parser)
     options = parser.parse_args()
     if not 0.0 <= options.rate <= 1000.0:
         parser.error(f"--rate is {options.rate:g}; it must be within 0 and 1000")
     try:
         from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
 
-        return play(Replay(options.session, options.rate, options.candidates, options.config))
+        with page_of(options, parser) as page:
+            code = play(Replay(options.session, options.rate, options.candidates, options.config))
+            if code == 0:
+                page.stay()
+            return code
     except TwinmatchError as error:
         print(f"replay: {error}", file=sys.stderr)
         return EXIT_USER_ERROR

@@ -1,0 +1,81 @@
+"""The live page beside a launch script: started with it, ended with it, never in its way."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+from twinmatch.launching.processes import Processes
+
+__all__ = ["PORT", "Page", "add_page_options", "page_of"]
+
+PORT = 5006
+POLL = 0.2
+
+
+class Page:
+    """The page's process; without a port there is none. If it is lost, nothing else is."""
+
+    def __init__(
+        self, port: int | None, *, control: bool = False, show: Callable[[str], None] = print
+    ) -> None:
+        """Serve on this port of this machine; its lines, the address among them, go to `show`."""
+        self._port, self._control, self._show = port, control, show
+        self._processes = Processes(show)
+
+    def __enter__(self) -> Page:
+        if self._port is not None:
+            options = ["--port", str(self._port), *(["--control"] if self._control else [])]
+            self._processes.start_module("dashboard", "twinmatch.dashboard", *options)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._processes.stop()
+
+    def stay(self) -> None:
+        """Leave the page open until Ctrl-C, so that what happened can be looked at."""
+        if self._port is None or self._processes.ended:
+            return
+
+        def stop(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        for number in (signal.SIGINT, signal.SIGTERM):  # the nodes' runner leaves them ignored
+            signal.signal(number, stop)
+        self._show("the page stays until Ctrl-C")
+        try:
+            while not self._processes.ended:
+                time.sleep(POLL)
+        except KeyboardInterrupt:
+            return
+
+
+def add_page_options(parser: argparse.ArgumentParser, *, control: bool = False) -> None:
+    """Declare `--dashboard`, and `--control` where there is something to control."""
+    parser.add_argument(
+        "--dashboard",
+        type=int,
+        nargs="?",
+        const=PORT,
+        metavar="PORT",
+        help=f"serve the live page on this machine ({PORT}; 0: any port that is free)",
+    )
+    if control:
+        parser.add_argument(
+            "--control", action="store_true", help="the page may set the set-point, clear faults and stop"
+        )
+
+
+def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser) -> Page:
+    """The page that was asked for on the command line; leaves with a usage error if that makes no sense."""
+    control = bool(getattr(options, "control", False))
+    if control and options.dashboard is None:
+        parser.error("--control is for a page: give --dashboard too")
+    if options.dashboard is not None and not 0 <= options.dashboard <= 65535:
+        parser.error(f"--dashboard is {options.dashboard}; a port is within 0 and 65535")
+    return Page(options.dashboard, control=control)
