@@ -111,6 +111,8 @@ class Discriminator:
     def _watch(self, sample: Sample) -> list[Verdict]:
         """Judge the plant's health; return a verdict if a fault has just begun or gone."""
         if self._recent and sample.index != self._recent[-1].index + 1:
+            if sample.index <= self._recent[-1].index:  # another session: old alarms are not in its count
+                self.monitor = Monitor(self.monitor.settings)
             self._recent.clear()
         self._recent.append(sample)
         nominal = self.nominal
@@ -231,7 +233,12 @@ class Discriminator:
     def _residuals(self, nominal: str | None, window: Window) -> Residuals:
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
-        newest = window.part(max(window.first, window.last - self.settings.schedule.stride + 1), window.last)
+        alarms = self.monitor.alarms
+        over = alarms[-1].last if alarms else None  # what a past fault left is not the twin's
+        first = max(
+            window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
+        )
+        newest = window.part(min(first, window.last), window.last)
         return residuals(self._members.candidate(nominal).parameters, newest, self.settings.gains)
 
 
