@@ -56,6 +56,7 @@ PARAMETERS = st.builds(
     sink_convection=POSITIVE,
     sensor_lag=POSITIVE,
     seebeck_slope=st.floats(-1e6, 1e6),
+    drive_ripple=st.floats(0.0, 1.0),
 )
 CRITERIA = st.builds(Criteria, COUNTS, COUNTS, COUNTS, ANY, ANY, ANY, ANY, ANY)
 ORDERS = st.builds(OrderScore, TEXTS, CRITERIA, CRITERIA, CRITERIA, ANY, ANY)

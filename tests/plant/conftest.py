@@ -34,7 +34,10 @@ def integrated() -> Integrator:
         def rates(_t: float, state: np.ndarray, regime: int) -> list[float]:
             plate, sink, sensor = state
             current = regime * LIMIT if regime else free_current(rig, pwm, plate, sink)
-            joule = current**2 * rig.resistance / 2
+            # Mean square of a current that is +V/R_loop higher for a share `duty` of the time.
+            duty = abs(pwm) / 255.0
+            swing = duty * (1 - duty) * (SUPPLY / (rig.resistance + BRIDGE)) ** 2
+            joule = (current**2 + rig.drive_ripple * swing) * rig.resistance / 2
             # Thomson heat: the integral of T·dα/dT from plate to sink, half of it taken from either side.
             thomson = rig.seebeck_slope * (sink**2 - plate**2) / 2 * current / 2
             conducted = rig.conductance * (plate - sink)

@@ -41,6 +41,11 @@ def test_zero_is_refused_where_it_means_nothing(name: str) -> None:
         RigParameters(**{name: 0.0})
 
 
+def test_a_share_is_at_most_one() -> None:
+    with pytest.raises(PlantError, match=r"drive_ripple is 1\.5; it is a share between 0 and 1"):
+        RigParameters(drive_ripple=1.5)
+
+
 def test_celsius_is_noticed() -> None:
     with pytest.raises(PlantError, match=r"ambient is 23\.0 K; give kelvin between 150 and 600, not °C"):
         RigParameters(ambient=23.0)

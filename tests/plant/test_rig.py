@@ -42,18 +42,20 @@ rigs = st.builds(
     sink_convection=st.floats(0.0, 100.0),
     sensor_lag=st.one_of(st.just(0.0), st.floats(1e-3, 1e3)),
     seebeck_slope=st.one_of(st.just(0.0), st.floats(-5e-5, 5e-4)),
+    drive_ripple=st.one_of(st.just(0.0), st.floats(0.0, 1.0)),
 )
 temperatures = st.floats(260.0, 400.0)
 pwms = st.floats(-255.0, 255.0)
 
 STEPS = np.repeat([40.0, 75.0, 25.0], 120)
 WITH_SINK = RigParameters(sink_heat_capacity=300.0, sink_convection=3.0)
-RICHEST = WITH_SINK.replace(sensor_lag=1.5, seebeck_slope=1e-4)
+RICHEST = WITH_SINK.replace(sensor_lag=1.5, seebeck_slope=1e-4, drive_ripple=1.0)
 STRUCTURES = [
     RigParameters(),
     WITH_SINK,
     RigParameters(sensor_lag=1.5),
     RigParameters(seebeck_slope=1e-4),
+    RigParameters(drive_ripple=1.0),
     RICHEST,
 ]
 
@@ -62,7 +64,8 @@ STRUCTURES = [
 def test_energy_balances(rig: RigParameters, plate: float, sink: float, pwm: float) -> None:
     flows = heat_flows(rig, PlantState(plate, sink), pwm)
     largest = max(abs(flows.plate), abs(flows.sink), abs(flows.voltage * flows.current))
-    assert abs(flows.plate + flows.sink + flows.voltage * flows.current) <= 1e-13 * (largest + 1000.0)
+    power = flows.voltage * flows.current + flows.ripple
+    assert abs(flows.plate + flows.sink + power) <= 1e-13 * (largest + 1000.0)
     assert abs(flows.current) <= Driver().current_limit
 
 
@@ -75,6 +78,17 @@ def test_heat_flows_of_a_hand_calculation() -> None:
     assert (flows.current, flows.voltage) == pytest.approx((0.5, 0.95))
     assert flows.plate == pytest.approx(0.05 * 300.0 * 0.5 - 0.5 * 0.25 * 1.9)
     assert flows.sink == pytest.approx(-0.05 * 300.0 * 0.5 - 0.5 * 0.25 * 1.9)
+
+
+def test_a_switched_drive_heats_as_its_pulses_do() -> None:
+    # 2 Ω in the loop, 12 V for a quarter of the time, shorted otherwise: 6 A and 0 A.
+    rig = RigParameters(seebeck=0.0, resistance=1.9, conductance=0.0, drive_ripple=1.0)
+    driver = Driver(current_limit=100.0)
+    flows = heat_flows(rig, PlantState(300.0, 300.0), 255.0 / 4, driver)
+    assert flows.plate + flows.sink == pytest.approx(-0.25 * 6.0**2 * 1.9)
+    assert flows.current == pytest.approx(-1.5)
+    always = heat_flows(rig, PlantState(300.0, 300.0), 255.0, driver)
+    assert always.ripple == 0.0
 
 
 @given(
@@ -109,8 +123,9 @@ def test_a_sink_with_mass_is_integrated_closely(
 )
 @example(rig=RigParameters(sensor_lag=2.0), plate=296.0, sensor=296.0, pwm=255.0)
 @example(rig=RigParameters(resistance=1.0, sensor_lag=0.5), plate=296.0, sensor=290.0, pwm=255.0)
+@example(rig=RigParameters(resistance=1.0, drive_ripple=0.7), plate=296.0, sensor=290.0, pwm=120.0)
 @example(rig=RigParameters(seebeck_slope=2e-4, sensor_lag=2.0), plate=350.0, sensor=350.0, pwm=-255.0)
-def test_lag_and_slope_on_a_held_sink_agree_with_a_general_integrator(
+def test_lag_slope_and_ripple_on_a_held_sink_agree_with_a_general_integrator(
     integrated: Integrator, rig: RigParameters, plate: float, sensor: float, pwm: float
 ) -> None:
     start = PlantState(plate, rig.ambient, sensor)

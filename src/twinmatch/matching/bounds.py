@@ -43,6 +43,7 @@ BOUNDS: Final[Bounds] = MappingProxyType(
         "sink_convection": (0.1, 100.0),
         "sensor_lag": (0.0, 20.0),
         "seebeck_slope": (-5e-4, 5e-4),
+        "drive_ripple": (0.0, 1.0),
         SINK_START: (253.0, 393.0),
     }
 )
@@ -64,6 +65,7 @@ SCALES: Final[Mapping[str, float]] = MappingProxyType(
         "sink_convection": 3.0,
         "sensor_lag": 2.0,
         "seebeck_slope": 1e-4,
+        "drive_ripple": 1.0,
         SINK_START: 10.0,
     }
 )

@@ -59,6 +59,14 @@ TWIN_PARAMETERS: tuple[Parameter, ...] = (
         "start.sensor_lag", _R.sensor_lag, "Lag with which the camera follows the plate.", "s", 0.0, 1e3
     ),
     Parameter("start.seebeck_slope", _R.seebeck_slope, "Change of α with temperature.", "V/K²", -1e-2, 1e-2),
+    Parameter(
+        "start.drive_ripple",
+        _R.drive_ripple,
+        "Share of the bridge's switching that the module feels.",
+        "",
+        0.0,
+        1.0,
+    ),
     Parameter("noise.temperature", _N.temperature, "Noise of the temperature (1 σ).", "°C", 1e-4, 10.0),
     Parameter("noise.pwm", _N.pwm, "Noise of the control (1 σ).", "PWM", 1e-3, 255.0),
     Parameter(

@@ -5,8 +5,9 @@ and PID over a reference, `simulate_driven` runs the plate under a given PWM, an
 tick; all three share the same compiled arithmetic, so that a twin stepped live and a simulation of the
 whole run agree to the last bit. On a sink held at constant temperature a tick is exact, with the current
 limiter's switching found in closed form; a sink with mass and a Seebeck coefficient that depends on
-temperature are integrated by Runge–Kutta. The camera may see the plate through a lag. `Pid` is the rig's
-controller and `controller_state` recovers its memory from a window that starts in mid-session.
+temperature are integrated by Runge–Kutta. The camera may see the plate through a lag, and the module may
+feel the switching of its bridge. `Pid` is the rig's controller and `controller_state` recovers its memory
+from a window that starts in mid-session.
 Signals are in °C, the temperatures of the plant in kelvin; positive PWM heats the plate.
 """
 

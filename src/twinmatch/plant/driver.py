@@ -13,7 +13,9 @@ __all__ = ["Driver"]
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """Averaged bridge: the mean voltage is ±supply·|u|/255, behind a resistance, with a current limit.
+    """Bridge: its mean voltage is ±supply·|u|/255, behind a resistance, with a limit of the mean current.
+
+    How much of its switching the module feels is `RigParameters.drive_ripple`.
 
     Raises:
         PlantError: a value is not finite or has an impossible sign.

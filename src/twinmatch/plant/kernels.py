@@ -18,6 +18,10 @@ it: the Seebeck voltage is ∫α dT = α(T̄)·(T_B − T_A) with T̄ the mean o
 α(T_A)·T_A·I and −α(T_B)·T_B·I, and half of the Thomson heat I·∫T dα goes to either side. Together
 that is α(T̄)·T·I ± ¼·β·(T_B − T_A)²·I, and energy balances.
 
+Where nothing smooths the bridge's output, the current at duty cycle D swings by V/(R + R_bridge) about its
+mean, the module being shorted between two pulses. That leaves the mean as it is and adds a Joule heat of
+R·D(1 − D)·(V/(R + R_bridge))², a constant of the tick, half of it to either side.
+
 What the camera sees follows the plate with a time constant τ. Between two points of the solution the
 plate is taken as the cubic through both temperatures and both rates, and the lag of that is exact.
 """
@@ -50,6 +54,7 @@ __all__ = [
     "reading",
     "riccati_arrival",
     "riccati_flow",
+    "ripple_heat",
     "seebeck_between",
     "tick",
 ]
@@ -75,6 +80,8 @@ class Constants(NamedTuple):
     sink_convection: float
     sensor_lag: float
     seebeck_slope: float
+    drive_ripple: float
+    supply: float
     volts_per_count: float
     current_limit: float
     period: float
@@ -149,13 +156,22 @@ def _regime(rig: Constants, current: float) -> int:
 
 
 @_compiled
-def heat_flows(rig: Constants, current: float, plate: float, sink: float) -> tuple[float, float]:
-    """Heat Q_A and Q_B that the module draws from plate and sink, W.
+def ripple_heat(rig: Constants, volts: float) -> float:
+    """Joule heat of the current's swing about its mean that goes to each side, W."""
+    swing = abs(volts) * max(rig.supply - abs(volts), 0.0) / (rig.loop_resistance * rig.loop_resistance)
+    return 0.5 * rig.resistance * rig.drive_ripple * swing
+
+
+@_compiled
+def heat_flows(
+    rig: Constants, current: float, ripple: float, plate: float, sink: float
+) -> tuple[float, float]:
+    """Heat Q_A and Q_B that the module draws from plate and sink, W; `ripple` as `ripple_heat` says.
 
     The paper prints its equation 2 with +α·T_B·I; energy balances only with the minus sign used here.
     """
     seebeck = seebeck_between(rig, plate, sink)
-    half_joule = 0.5 * current * current * rig.resistance
+    half_joule = 0.5 * current * current * rig.resistance + ripple
     conducted = rig.conductance * (plate - sink)
     uneven = 0.25 * rig.seebeck_slope * (sink - plate) * (sink - plate) * current
     return (
@@ -196,7 +212,7 @@ def lagged(
 
 @_compiled
 def _held_sink_step(
-    rig: Constants, plate: float, sink: float, sensor: float, volts: float, time: float
+    rig: Constants, plate: float, sink: float, sensor: float, volts: float, ripple: float, time: float
 ) -> tuple[float, float]:
     a, r, limit = rig.seebeck, rig.resistance, rig.current_limit
     gain = a / rig.loop_resistance
@@ -207,7 +223,7 @@ def _held_sink_step(
         -(a * offset * (1.0 - r / rig.loop_resistance) + a * sink * gain + rig.conductance)
         / rig.heat_capacity
     )
-    zeroth = offset * (0.5 * r * offset - a * sink) / rig.heat_capacity
+    zeroth = (offset * (0.5 * r * offset - a * sink) + ripple) / rig.heat_capacity
     x = plate - sink
     regime = _regime(rig, gain * x + offset)
     left = time
@@ -220,7 +236,7 @@ def _held_sink_step(
             current = regime * limit
             quadratic = 0.0
             slope = -(a * current + rig.conductance) / rig.heat_capacity
-            speed = slope * x + current * (0.5 * r * current - a * sink) / rig.heat_capacity
+            speed = slope * x + (current * (0.5 * r * current - a * sink) + ripple) / rig.heat_capacity
         before, spent, direction = x, left, 0
         if speed != 0.0:
             direction = 1 if speed > 0.0 else -1
@@ -245,21 +261,23 @@ def _held_sink_step(
 
 
 @_compiled
-def _rates(rig: Constants, volts: float, regime: int, plate: float, sink: float) -> tuple[float, float]:
+def _rates(
+    rig: Constants, volts: float, ripple: float, regime: int, plate: float, sink: float
+) -> tuple[float, float]:
     current = regime * rig.current_limit if regime != 0 else module_current(rig, volts, plate, sink)
-    from_plate, from_sink = heat_flows(rig, current, plate, sink)
+    from_plate, from_sink = heat_flows(rig, current, ripple, plate, sink)
     convected = rig.sink_convection * (sink - rig.ambient)
     return -from_plate / rig.heat_capacity, -(from_sink + convected) / rig.sink_heat_capacity
 
 
 @_compiled
 def _runge_kutta(
-    rig: Constants, volts: float, regime: int, plate: float, sink: float, h: float
+    rig: Constants, volts: float, ripple: float, regime: int, plate: float, sink: float, h: float
 ) -> tuple[float, float]:
-    a1, b1 = _rates(rig, volts, regime, plate, sink)
-    a2, b2 = _rates(rig, volts, regime, plate + 0.5 * h * a1, sink + 0.5 * h * b1)
-    a3, b3 = _rates(rig, volts, regime, plate + 0.5 * h * a2, sink + 0.5 * h * b2)
-    a4, b4 = _rates(rig, volts, regime, plate + h * a3, sink + h * b3)
+    a1, b1 = _rates(rig, volts, ripple, regime, plate, sink)
+    a2, b2 = _rates(rig, volts, ripple, regime, plate + 0.5 * h * a1, sink + 0.5 * h * b1)
+    a3, b3 = _rates(rig, volts, ripple, regime, plate + 0.5 * h * a2, sink + 0.5 * h * b2)
+    a4, b4 = _rates(rig, volts, ripple, regime, plate + h * a3, sink + h * b3)
     return (
         plate + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
         sink + h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4),
@@ -268,7 +286,7 @@ def _runge_kutta(
 
 @_compiled
 def _integrated_step(
-    rig: Constants, plate: float, sink: float, sensor: float, volts: float, time: float
+    rig: Constants, plate: float, sink: float, sensor: float, volts: float, ripple: float, time: float
 ) -> tuple[float, float, float]:
     """Plate, sink and sensor: Runge–Kutta of order 4, never stepping across a limiter threshold.
 
@@ -278,21 +296,21 @@ def _integrated_step(
     left = time
     for _ in range(4):
         spent, last = left, True
-        p, s = _runge_kutta(rig, volts, regime, plate, sink, left)
+        p, s = _runge_kutta(rig, volts, ripple, regime, plate, sink, left)
         if _regime(rig, module_current(rig, volts, p, s)) != regime:
             before, after = 0.0, left
             for _ in range(48):
                 middle = 0.5 * (before + after)
-                p, s = _runge_kutta(rig, volts, regime, plate, sink, middle)
+                p, s = _runge_kutta(rig, volts, ripple, regime, plate, sink, middle)
                 if _regime(rig, module_current(rig, volts, p, s)) == regime:
                     before = middle
                 else:
                     after = middle
-            p, s = _runge_kutta(rig, volts, regime, plate, sink, after)
+            p, s = _runge_kutta(rig, volts, ripple, regime, plate, sink, after)
             spent, last = after, False
         if rig.sensor_lag > 0.0:
-            rate, _ = _rates(rig, volts, regime, plate, sink)
-            rate_after, _ = _rates(rig, volts, regime, p, s)
+            rate, _ = _rates(rig, volts, ripple, regime, plate, sink)
+            rate_after, _ = _rates(rig, volts, ripple, regime, p, s)
             sensor = lagged(rig.sensor_lag, sensor, plate, rate, p, rate_after, spent)
         plate, sink = p, s
         if last:
@@ -306,13 +324,14 @@ def _integrated_step(
 def tick(rig: Constants, plate: float, sink: float, sensor: float, pwm: float) -> tuple[float, float, float]:
     """Temperature (K) of plate, sink and sensor one period later, the PWM held constant."""
     volts = pwm * rig.volts_per_count
+    ripple = ripple_heat(rig, volts)
     closed = rig.sink_heat_capacity == math.inf and rig.seebeck_slope == 0.0
     time = rig.period / rig.substeps
     for _ in range(rig.substeps):
         if closed:
-            plate, sensor = _held_sink_step(rig, plate, sink, sensor, volts, time)
+            plate, sensor = _held_sink_step(rig, plate, sink, sensor, volts, ripple, time)
         else:
-            plate, sink, sensor = _integrated_step(rig, plate, sink, sensor, volts, time)
+            plate, sink, sensor = _integrated_step(rig, plate, sink, sensor, volts, ripple, time)
     return plate, sink, sensor if rig.sensor_lag > 0.0 else plate
 
 

@@ -25,13 +25,14 @@ PARAMETER_NAMES: Final = (
     "sink_convection",
     "sensor_lag",
     "seebeck_slope",
+    "drive_ripple",
 )
 """Names of the rig parameters in their canonical order; each may be matched to a window."""
 
 SEEBECK_REFERENCE: Final = 298.15
 """Temperature at which a module has its nominal Seebeck coefficient, K; data sheets use it too."""
 
-_MAY_BE_ZERO = frozenset({"seebeck", "conductance", "sink_convection", "sensor_lag"})
+_MAY_BE_ZERO = frozenset({"seebeck", "conductance", "sink_convection", "sensor_lag", "drive_ripple"})
 _MAY_BE_NEGATIVE = frozenset({"seebeck_slope"})
 _COLDEST, _HOTTEST = 150.0, 600.0
 
@@ -74,6 +75,10 @@ class RigParameters:
     """Time constant τ with which what the camera sees follows the plate, s; 0: it sees the plate itself."""
     seebeck_slope: float = 0.0
     """Change of the Seebeck coefficient with temperature, α(T) = α + slope·(T − 298.15 K), V/K²."""
+    drive_ripple: float = 0.0
+    """Share of the bridge's switching that reaches the module, 0 to 1. At 1 the current follows every pulse
+    of the PWM, and the Joule heat goes with the duty cycle; at 0 it is smoothed, and the heat goes with
+    the square."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -88,6 +93,9 @@ class RigParameters:
                 msg = f"rig parameters: {name} is {value}; it must be finite{least}"
                 raise PlantError(msg)
         require_kelvin("rig parameters: ambient", self.ambient)
+        if self.drive_ripple > 1.0:
+            msg = f"rig parameters: drive_ripple is {self.drive_ripple}; it is a share between 0 and 1"
+            raise PlantError(msg)
 
     @property
     def sink_has_mass(self) -> bool:

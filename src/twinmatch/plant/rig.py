@@ -55,7 +55,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class HeatFlows:
-    """The Peltier module at one instant; `plate + sink + voltage·current = 0`."""
+    """The Peltier module at one instant; `plate + sink + voltage·current + ripple = 0`."""
 
     current: float
     """Current I after the limiter, A; positive cools the plate."""
@@ -65,6 +65,8 @@ class HeatFlows:
     """Heat Q_A drawn from the plate, W."""
     sink: float
     """Heat Q_B drawn from the sink, W."""
+    ripple: float = 0.0
+    """Electrical power of the current's swing about its mean, W."""
 
 
 def heat_flows(
@@ -77,7 +79,9 @@ def heat_flows(
     current = min(max(free, -rig.current_limit), rig.current_limit)
     seebeck = kernels.seebeck_between(rig, state.plate, state.sink)
     voltage = seebeck * (state.sink - state.plate) + current * rig.resistance
-    return HeatFlows(current, voltage, *kernels.heat_flows(rig, current, state.plate, state.sink))
+    ripple = kernels.ripple_heat(rig, volts)
+    plate, sink = kernels.heat_flows(rig, current, ripple, state.plate, state.sink)
+    return HeatFlows(current, voltage, plate, sink, 2.0 * ripple)
 
 
 def simulate_closed_loop(
@@ -256,6 +260,8 @@ def _constants(parameters: RigParameters, driver: Driver, period: float) -> kern
         sink_convection=parameters.sink_convection,
         sensor_lag=parameters.sensor_lag,
         seebeck_slope=parameters.seebeck_slope,
+        drive_ripple=parameters.drive_ripple,
+        supply=float(driver.supply),
         volts_per_count=driver.volts_per_count,
         current_limit=float(driver.current_limit),
         period=float(period),

@@ -6,8 +6,8 @@ candidates:
     seebeck: 0.0825          # V/K
     conductance: 0.35        # W/K
     heat_capacity: 31.93     # J/K
-    # resistance, ambient, sink_heat_capacity, sink_convection, sensor_lag, seebeck_slope:
-    # as in RigParameters unless given
+    # resistance, ambient, sink_heat_capacity, sink_convection, sensor_lag, seebeck_slope,
+    # drive_ripple: as in RigParameters unless given
 """
 
 from __future__ import annotations
