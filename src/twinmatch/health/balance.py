@@ -20,7 +20,7 @@ import numpy as np
 from twinmatch.plant import Driver, PlantState, RigParameters, advance
 from twinmatch.signals import KELVIN, FloatArray
 
-__all__ = ["BLOCK", "PRIOR", "Balance", "Movement", "uncertainty"]
+__all__ = ["BLOCK", "PRIOR", "TRIAL", "Balance", "Movement", "uncertainty"]
 
 BLOCK: Final = 10.0
 """Learning goes by means over this many seconds."""
@@ -36,8 +36,10 @@ _LARGEST_SURPRISE: Final = 0.3
 """A block teaches no more than this, °C/s."""
 _WARY: Final = 3
 """Blocks that have to pass in health before one is learned from."""
-_TRIAL: Final = 30
+TRIAL: Final = 30
 """Newest blocks on which new parameters are tried."""
+_ROUGH: Final = 0.15
+"""Roughness up to which there is no reason to try others, °C/s: a healthy rig reaches it."""
 _BETTER: Final = 0.25
 """Share of the mean square left so far that they have to get below: half the error."""
 
@@ -88,8 +90,8 @@ class Balance:
         self._sink = parameters.ambient
         self._warmth = 0.0
         self._waiting: deque[tuple[FloatArray, float]] = deque()
-        self._past: deque[tuple[float, float]] = deque(maxlen=_TRIAL * self._block)  # temperature, pwm
-        self._errors: deque[float] = deque(maxlen=_TRIAL)
+        self._past: deque[tuple[float, float]] = deque(maxlen=TRIAL * self._block)  # temperature, pwm
+        self._errors: deque[float] = deque(maxlen=TRIAL)
         self.roughness = 0.0
         """RMS over the newest minutes of what blocks left unexplained, °C/s."""
         self._clear()
@@ -147,11 +149,14 @@ class Balance:
             self._correction.learn(*self._waiting.popleft())
             self._values = self._correction.values.tolist()
 
+    @property
+    def rough(self) -> bool:
+        """Whether there is reason to try other parameters."""
+        return len(self._errors) >= TRIAL // 3 and self.roughness > _ROUGH
+
     def tried(self, parameters: RigParameters) -> Balance:
         """The balance to go on with: one of these parameters if, as they are, they explain the newest
         minutes better than this one with all it learned; else this one."""
-        if len(self._errors) < _TRIAL // 3:
-            return self
         trial = Balance(parameters, self._period)
         errors = []
         past = list(self._past)

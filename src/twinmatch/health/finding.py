@@ -60,8 +60,8 @@ def lost(index: int, effect: Effect, period: float, *, sure: bool) -> Finding:
     """A drive without effect."""
     word, expected = "heated" if effect.expected > 0 else "cooled", abs(effect.expected)
     reason = (
-        f"the drive should have {word} the plate by {expected:.1f} °C in {effect.length * period:g} s, and "
-        f"{effect.share * expected:.1f} °C of that can be seen: look at drive, wires and supply"
+        f"the drive should have {word} the plate by {expected:.1f} °C in {effect.length * period:g} s, "
+        f"but what it did shows {effect.share * expected:.1f} °C of that: look at drive, wires and supply"
     )
     return Finding(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 

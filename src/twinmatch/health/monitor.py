@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from twinmatch.health.balance import BLOCK, Balance
+from twinmatch.health.balance import BLOCK, TRIAL, Balance
 from twinmatch.health.finding import Finding, drifting, frozen, impossible, late, leaping, lost
 from twinmatch.health.record import Alarm, Fault, Health, State
 from twinmatch.health.settings import HealthSettings
@@ -49,6 +49,7 @@ class Monitor:
         self._lag = Lag(period)
         self._drift = Drift()
         self._given: RigParameters | None = None
+        self._untried = 0  # blocks until the parameters given are tried again
         self._before: Sample | None = None
         self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
         self._contrary = 0  # samples in a row without the drive's effect
@@ -76,9 +77,8 @@ class Monitor:
         if sample.index != self._index + 1:
             self._restart(sample.index)
         self._index = sample.index
-        if parameters is not None and parameters != self._given and not self._open:
-            self._given = parameters
-            self._try(parameters)
+        if parameters is not self._given:
+            self._given, self._untried = parameters, 0
         if _possible(sample):
             finding = self._look(sample)
             starting = (sample.index - self._begin) * self.settings.period < self.settings.start
@@ -104,8 +104,13 @@ class Monitor:
         self._lag.restart()
         self._contrary = 0
 
-    def _try(self, parameters: RigParameters) -> None:
-        found = self._balance.tried(parameters)
+    def _try(self) -> None:
+        """Go over to the parameters given if the balance is rough and theirs is smoother."""
+        self._untried -= 1
+        if self._given is None or self._untried >= 0 or not self._balance.rough:
+            return
+        self._untried = TRIAL
+        found = self._balance.tried(self._given)
         if found is not self._balance:
             self._balance = found
             self._drift.forget()
@@ -159,6 +164,7 @@ class Monitor:
         keep = usual or not self._drifting
         self._drift.push(*full, BLOCK, self._balance, keep=keep)
         self._balance.learn(*full, healthy=keep and (usual or not self._drifting))
+        self._try()
 
     @property
     def _drifting(self) -> bool:
