@@ -23,7 +23,7 @@ from twinmatch.views.figures import (
     save,
     svg,
 )
-from twinmatch.views.judged import last_verdict
+from twinmatch.views.standing import last_verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

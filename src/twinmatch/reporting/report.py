@@ -16,7 +16,7 @@ from twinmatch.reporting.provenance import Provenance, provenance
 from twinmatch.reporting.words import plain_words, session_facts
 from twinmatch.views import sentence
 from twinmatch.views.family import Member, family
-from twinmatch.views.judged import last_verdict
+from twinmatch.views.standing import last_verdict
 from twinmatch.views.style import LEVEL_WORDS, LEVELS
 
 __all__ = ["Report", "build_report", "make_report"]

@@ -10,8 +10,8 @@ from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 from twinmatch.views.comparison import compare, root_mean_square
 from twinmatch.views.events import level_stretches
-from twinmatch.views.judged import last_verdict, nominal_score
 from twinmatch.views.quantities import number
+from twinmatch.views.standing import last_verdict, nominal_score
 
 __all__ = ["as_sentence", "duration", "plain_words", "session_facts"]
 
@@ -124,10 +124,12 @@ def _fit(judgement: Judgement, nominal: CandidateScore) -> str:
     parts = compare(judgement.samples, nominal.parameters, judgement.settings.gains)
     y = root_mean_square([p.residual_y for p in parts])
     u = root_mean_square([p.residual_u for p in parts])
+    faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
         "Given only the set-points, the nominal twin follows the measured temperature over the whole session "
         f"to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; {number(y)} °C "
-        f"RMS) and the control to {number(100 * s.fit_u, 1)} % ({number(u, 1)} counts RMS)."
+        f"RMS) and the control to {number(100 * s.fit_u, 1)} % ({number(u, 1)} counts RMS)"
+        f"{'; the time in which the plant was faulty is part of that' if faulty else ''}."
     )
 
 

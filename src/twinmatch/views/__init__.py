@@ -1,27 +1,66 @@
-"""What a person sees of verdicts: tables, sentences, figures, and JSON for other programs."""
+"""What a person sees of verdicts: tables, sentences, figures, and JSON for other programs.
+
+Terminal, live page, report and notebook all take their figures from here, so that they show the same ones:
+`sentence` and `row` for a line of text, `events` and `level_stretches` for a time line, `criterion_rows` for
+the criterion table, `family` for the candidates with their models, `compare` for plant and twins side by
+side, `twinmatch.views.style` for colours and `twinmatch.views.figures` for pictures.
+"""
 
 from __future__ import annotations
 
+from twinmatch.views.comparison import Comparison, compare, rolling_rms, root_mean_square
+from twinmatch.views.criteria import CRITERIA, OUTPUTS, Criterion, CriterionRow, criterion_rows
 from twinmatch.views.document import document, verdict_entry
+from twinmatch.views.events import STATUS_WORDS, Event, EventKind, Stretch, events, level_stretches
+from twinmatch.views.family import Member, family
+from twinmatch.views.intervals import Interval, interval, value_of
 from twinmatch.views.line import print_header, print_line
 from twinmatch.views.news import News, news
+from twinmatch.views.quantities import QUANTITIES, Quantity, number, quantity
+from twinmatch.views.standing import last_verdict, nominal_score
 from twinmatch.views.summary import Summary, sentence, summarise
 from twinmatch.views.table import COLUMNS, STYLES, row
 from twinmatch.views.trust_range import TrustRange, trust_range
 
 __all__ = [
     "COLUMNS",
+    "CRITERIA",
+    "OUTPUTS",
+    "QUANTITIES",
+    "STATUS_WORDS",
     "STYLES",
+    "Comparison",
+    "Criterion",
+    "CriterionRow",
+    "Event",
+    "EventKind",
+    "Interval",
+    "Member",
     "News",
+    "Quantity",
+    "Stretch",
     "Summary",
     "TrustRange",
+    "compare",
+    "criterion_rows",
     "document",
+    "events",
+    "family",
+    "interval",
+    "last_verdict",
+    "level_stretches",
     "news",
+    "nominal_score",
+    "number",
     "print_header",
     "print_line",
+    "quantity",
+    "rolling_rms",
+    "root_mean_square",
     "row",
     "sentence",
     "summarise",
     "trust_range",
+    "value_of",
     "verdict_entry",
 ]

@@ -73,7 +73,7 @@ def _draw_residual(
             axes.axhline(limit, color=LEVELS[level], lw=1.2, ls="--")
             axes.annotate(
                 f"{level.value} from {limit:g}",
-                (0.0, limit),
+                (0.0 if level is TrustLevel.FAULT else 0.14, limit),
                 (4, 2),
                 xycoords=axes.get_yaxis_transform(),
                 textcoords="offset points",

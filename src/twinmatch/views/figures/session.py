@@ -12,7 +12,7 @@ from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import TwinSettings
 from twinmatch.views.comparison import Comparison, compare, rolling_rms
 from twinmatch.views.figures.drawing import new_figure, stack, styled, time_axis
-from twinmatch.views.judged import last_verdict, nominal_score
+from twinmatch.views.standing import last_verdict, nominal_score
 from twinmatch.views.style import CLOSED, DRIVEN, PLANT, SET_POINT
 
 if TYPE_CHECKING:

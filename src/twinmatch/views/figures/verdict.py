@@ -13,7 +13,7 @@ from twinmatch.twin import TwinSettings
 from twinmatch.views.figures.discrimination import draw_gains, fill_matrix
 from twinmatch.views.figures.drawing import new_figure, save, styled, time_axis
 from twinmatch.views.figures.health import draw_levels
-from twinmatch.views.judged import last_verdict, nominal_score
+from twinmatch.views.standing import last_verdict, nominal_score
 from twinmatch.views.style import CLOSED, PLANT, SET_POINT
 
 if TYPE_CHECKING:

@@ -1,0 +1,100 @@
+"""Reports on sessions that hold verdicts of their own: these are computed anew, and compared."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+from rclpy.serialization import serialize_message
+
+from twinmatch.nodes.conversions import match_message, score_message
+from twinmatch.nodes.parameters import check
+from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, settings_from
+from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.reporting import judge, make_report
+from twinmatch.sessions import Qos, SessionWriter, Topic, samples_of
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.installed import schema_of
+from twinmatch.sessions.settings import parameters_record
+from twinmatch.sessions.topics import SAMPLE
+from twinmatch.signals import Window
+from twinmatch.twin import Twin
+
+pytestmark = pytest.mark.ros
+
+
+def topic_of(name: str, kind: str) -> Topic:
+    return Topic(name, kind, schema_of(kind), "", Qos("reliable", "volatile", 100))
+
+
+SCORE = topic_of("/twin/model_score", "twinmatch_msgs/msg/ModelScore")
+MATCH = topic_of("/twin/match", "twinmatch_msgs/msg/Match")
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Callable[..., Path]:
+    """A session as the recorder makes one, with parameters that are not the defaults."""
+
+    def write(spoil: Callable[[Any], None] = lambda _score: None, *, parameters: bool = True) -> Path:
+        reference = np.repeat([30.0, 60.0, 40.0], [60, 250, 120])
+        camera = Camera().realise(reference.size, 1.0, 3)
+        rig = RigParameters(seebeck=0.07, conductance=0.5, heat_capacity=27.0)
+        run = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
+        samples = samples_of(Window(reference, run.temperature, run.pwm))
+        values = check("twin", TWIN_PARAMETERS, {"decimals": 1})
+        twin = Twin(settings_from(values))
+        outcomes = [twin.push(sample) for sample in samples]
+        stamps = {s.index: s.stamp for s in samples}
+        messages = [(MATCH, match_message(o.match, stamps[o.match.sample])) for o in outcomes if o.match]
+        scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
+        for score in scores:
+            spoil(score)
+        messages += [(SCORE, score) for score in scores]
+        with SessionWriter(tmp_path / "run") as writer:
+            for node in ("/matcher", "/discriminator") if parameters else ():
+                entries = {name: json.dumps(value) for name, value in values.items()}
+                writer.add_record(parameters_record(node), entries)
+            for topic in (SAMPLE, SCORE, MATCH):
+                writer.add_topic(topic)
+            for sample in samples:
+                writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
+            for topic, message in messages:
+                writer.write(topic.name, serialize_message(message), samples[-1].stamp)
+        return tmp_path / "run"
+
+    return write
+
+
+def test_the_recorded_parameters_are_used_and_the_verdicts_agree(record: Callable[..., Path]) -> None:
+    report = make_report(record())
+    assert report.judged.judgement.settings.decimals == 1
+    assert report.judged.identical is True
+    text = report.html()
+    assert "the same, bit for bit" in text
+    assert "those that were recorded with the session" in text
+
+
+def test_verdicts_that_differ_are_told_with_the_first_difference(record: Callable[..., Path]) -> None:
+    def spoil(score: Any) -> None:
+        score.reason = "invented"
+
+    judged = judge(record(spoil))
+    assert judged.identical is False
+    assert "differ from the recorded ones" in judged.recorded
+    assert "reason was recorded as 'invented'" in judged.recorded
+
+
+def test_verdicts_that_cannot_be_compared_are_told_too(record: Callable[..., Path]) -> None:
+    judged = judge(record(parameters=False))
+    assert judged.identical is None
+    assert "could not be compared" in judged.recorded
+    assert "were not recorded" in judged.recorded
+    assert judged.parameters == "the defaults of this version"

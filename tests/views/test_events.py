@@ -1,0 +1,100 @@
+"""What happened, as a time line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
+from twinmatch.matching import Match, Status
+from twinmatch.plant import RigParameters
+from twinmatch.twin import MatchReport
+from twinmatch.views import Event, EventKind, events, level_stretches
+
+CANDIDATE = CandidateScore("50 °C", 50.0, RigParameters(), 0, 99, (), "22221", 0.0, None, None)
+
+
+def verdict(sample: int, level: TrustLevel, *, nominal: str | None = "50 °C", fault: str = "") -> Verdict:
+    candidates = (replace(CANDIDATE, name=nominal),) if nominal else ()
+    return Verdict(
+        sample=sample,
+        first=0,
+        last=sample,
+        level=level,
+        stands=True,
+        nominal=nominal,
+        reason="why it is so",
+        decimals=2,
+        candidates=candidates,
+        order="22221",
+        nu_gap=((0.0,),),
+        residual_y=8.0,
+        residual_u=60.0,
+        fault=fault,
+        fault_since=sample - 5 if fault else None,
+    )
+
+
+def report(sample: int, status: Status) -> MatchReport:
+    unknown = np.full((1, 1), np.nan)
+    match = Match(
+        parameters=RigParameters(),
+        free=("seebeck",),
+        sink_start=None,
+        covariance=unknown,
+        fisher=unknown,
+        eigenvalues=unknown[0],
+        condition=1.0,
+        bounds_hit=(),
+        fit=(0.9, 0.9),  # type: ignore[arg-type]
+        held_back=(0.9, 0.9),  # type: ignore[arg-type]
+        chi2=1.0,
+        samples=(0, sample),
+        status=status,
+        reason="so it is",
+    )
+    return MatchReport(sample, 50.0, match)
+
+
+def test_events_come_in_order_with_their_kind_and_reason() -> None:
+    story = [
+        verdict(60, TrustLevel.UNKNOWN, nominal=None),
+        verdict(120, TrustLevel.TRUSTED),
+        verdict(180, TrustLevel.TRUSTED),
+        verdict(240, TrustLevel.DOUBTFUL, nominal="70 °C"),
+        verdict(260, TrustLevel.FAULT, nominal="70 °C", fault="drive-lost"),
+        verdict(300, TrustLevel.FAULT, nominal="70 °C", fault="drive-lost"),
+    ]
+    found = events([report(200, Status.BOUNDS_HIT), report(119, Status.ACCEPTED)], story)
+    assert [(e.sample, e.kind) for e in found] == [
+        (119, EventKind.ACCEPTED),
+        (120, EventKind.NOMINAL),
+        (120, EventKind.LEVEL),
+        (200, EventKind.REFUSED),
+        (240, EventKind.NOMINAL),
+        (240, EventKind.LEVEL),
+        (260, EventKind.FAULT),
+    ]
+    assert found[0].why == "so it is"
+    assert "bound" in found[3].title
+    assert "8.00 °C and 60.0 counts" in found[5].why
+    assert found[6] == Event(
+        260, EventKind.FAULT, "fault: drive-lost", "why it is so (it shows since sample 255)"
+    )
+
+
+def test_a_level_is_that_of_the_samples_since_the_verdict_before() -> None:
+    story = [
+        verdict(59, TrustLevel.UNKNOWN, nominal=None),
+        verdict(119, TrustLevel.TRUSTED),
+        verdict(179, TrustLevel.TRUSTED),
+        verdict(239, TrustLevel.FAULT),
+    ]
+    found = level_stretches(story, first=10)
+    assert [(s.first, s.last, s.level) for s in found] == [
+        (10, 59, TrustLevel.UNKNOWN),
+        (60, 179, TrustLevel.TRUSTED),
+        (180, 239, TrustLevel.FAULT),
+    ]
+    assert level_stretches([]) == []

@@ -1,0 +1,127 @@
+"""The small parts that tables and figures are made of."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.discrimination import CandidateScore, Criteria, OrderScore
+from twinmatch.plant import PARAMETER_NAMES, PidGains, RigParameters, simulate_closed_loop
+from twinmatch.signals import KELVIN, Sample
+from twinmatch.views import compare, criterion_rows, number, quantity, rolling_rms
+from twinmatch.views.style import CLOSED, DRIVEN, LEVELS, ORDERS, PLANT, SET_POINT, TEXT
+
+
+def test_every_rig_parameter_has_a_symbol_and_a_unit() -> None:
+    for name in PARAMETER_NAMES:
+        shown = quantity(name)
+        assert shown.name == name
+        assert shown.symbol != name, f"{name} has no entry in QUANTITIES"
+    assert quantity("seebeck").text(0.06) == "60.0"
+    assert quantity("ambient").text(KELVIN + 22.5) == "22.5"
+    assert quantity("new_thing").text(1.0) == "1.0000"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1.005, "1.00"), (-2.5, "−2.50"), (-0.001, "0.00"), (math.nan, "–"), (None, "–"), (math.inf, "∞")],
+)
+def test_numbers_read_well(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+def criteria(gain: int, loss: float) -> Criteria:
+    return Criteria(1000, 1000 - gain, gain, gain / 1000, math.log(loss), 100 * math.log(loss), loss)
+
+
+def test_the_best_is_the_largest_gain_and_the_smallest_of_the_others() -> None:
+    scores = [("22221", 500, 1.0), ("33331", 600, 2.0), ("44441", 600, 0.5)]
+    orders = tuple(
+        OrderScore(name, criteria(gain, loss), criteria(gain, loss), criteria(gain, loss))
+        for name, gain, loss in scores
+    )
+    candidate = CandidateScore("c", 50.0, RigParameters(), 0, 99, orders, "33331", 0.0, None, None)
+    rows = criterion_rows(candidate)
+    assert [(r.output, r.order) for r in rows[:3]] == [("y", "22221"), ("y", "33331"), ("y", "44441")]
+    assert [r.chosen for r in rows[:3]] == [False, True, False]
+    best = {k: [row.cells[k].best for row in rows[:3]] for k in range(7)}
+    assert best[0] == best[1] == [False] * 3
+    assert best[2] == best[3] == [False, True, True]
+    assert best[4] == best[5] == best[6] == [False, False, True]
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.integers(1, 12))
+def test_the_rolling_rms_is_that_of_the_newest_values(values: list[float], count: int) -> None:
+    table = np.array(values)
+    expected = [math.sqrt(np.mean(table[max(0, k + 1 - count) : k + 1] ** 2)) for k in range(table.size)]
+    np.testing.assert_allclose(rolling_rms(table, count), expected, rtol=1e-6, atol=1e-4)
+
+
+def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
+    rig = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0)
+    reference = np.repeat([30.0, 60.0], 150)
+    run = simulate_closed_loop(rig, reference, plate=rig.ambient)
+    table = enumerate(zip(reference, run.temperature, run.pwm, strict=True))
+    samples = [Sample(k, k * 10**9, float(r), float(y), float(u)) for k, (r, y, u) in table]
+    parts = compare(samples[:100] + samples[101:103] + samples[110:], rig, PidGains())
+    assert [len(p.window) for p in parts] == [100, 190]
+    for part in parts:
+        np.testing.assert_allclose(part.residual_y, 0, atol=1e-6)
+        np.testing.assert_allclose(part.residual_u, 0, atol=1e-3)
+        np.testing.assert_allclose(part.residual_driven, 0, atol=1e-6)
+
+
+# Machado et al. (2009), severity 1: how linear RGB looks to somebody without one kind of cone
+DEFICIENCIES = {
+    "protan": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deutan": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritan": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+
+
+def linear(colour: str) -> np.ndarray:
+    value = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def lab(rgb: np.ndarray) -> np.ndarray:
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ rgb
+    t = xyz / np.array([0.9505, 1.0, 1.089])
+    f = np.where(t > (6 / 29) ** 3, np.cbrt(np.maximum(t, 0)), t / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("deficiency", ["none", *DEFICIENCIES])
+@pytest.mark.parametrize(
+    "colours",
+    [(PLANT, CLOSED, DRIVEN, SET_POINT), tuple(LEVELS.values()), ORDERS],
+    ids=["signals", "levels", "orders"],
+)
+def test_colours_that_stand_side_by_side_are_told_apart(colours: tuple[str, ...], deficiency: str) -> None:
+    """A difference of 10 in CIELAB is plain to see; 2 is just noticeable."""
+    change = np.array(DEFICIENCIES.get(deficiency, np.eye(3)))
+    seen = [lab(np.clip(change @ linear(c), 0, 1)) for c in colours]
+    for k, one in enumerate(seen):
+        for other in seen[k + 1 :]:
+            assert np.linalg.norm(one - other) > 10
+
+
+def test_text_is_dark_on_white() -> None:
+    contrast = 1.05 / (float(linear(TEXT) @ [0.2126, 0.7152, 0.0722]) + 0.05)
+    assert contrast > 7
