@@ -18,40 +18,44 @@ import numpy as np
 
 from twinmatch.signals import FloatArray
 
-__all__ = ["LEAST_DAMPING", "Descended", "Point", "box_step", "compiled", "descend", "normal_equations"]
+__all__ = ["LEAST_DAMPING", "Descended", "Point", "box_step", "compiled", "descend"]
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 _TOLERANCE = 1e-9
 """Promised decrease, in units of the sum of squares, below which the search ends."""
-_NOTHING = 1e-13
-"""The same in units of the noise variance of all residuals: exact data leave no sum to compare with."""
+_NOTHING = 1e-10
+"""The same in units of the noise variance: exact data leave no sum to compare with."""
 _SMALL = 1e-10
 """Step, in units of the scales, below which a search between kinks ends."""
 _FIRST_DAMPING = 1e-3
+_NEAR, _ALIKE = 0.5, 0.5
+"""Largest rise above a minimum found before, and largest error of its quadratic model, within its valley."""
 LEAST_DAMPING: Final = 1e-12
 
 
 class Point(Protocol):
-    """Residuals at some values of the parameters."""
-
-    residuals: FloatArray
-    """Shape (m,)."""
+    """A problem at some values of its parameters."""
 
     @property
-    def jacobian(self) -> FloatArray:
-        """Shape (m, n)."""
+    def cost(self) -> float:
+        """Sum of the squared residuals."""
+
+    @property
+    def normal(self) -> tuple[float, FloatArray, FloatArray]:
+        """That sum, the gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n)."""
 
 
 class Descended(NamedTuple):
     """Where a search ended."""
 
     values: FloatArray
-    point: Point
     cost: float
     """Sum of the squared residuals."""
     converged: bool
     evaluations: int
+    hessian: FloatArray
+    """JᵀJ there, shape (n, n)."""
 
 
 def descend(
@@ -61,46 +65,46 @@ def descend(
     upper: FloatArray,
     scales: FloatArray,
     most_evaluations: int,
+    found: Descended | None = None,
 ) -> Descended:
-    """Minimise the sum of squared residuals from one start (shape (n,), inside the bounds)."""
-    values = start
-    point = evaluate(values)
-    cost = _cost(point)
-    damping, growth, evaluations = _FIRST_DAMPING, 2.0, 1
-    gradient, hessian = normal_equations(point)
+    """Minimise the sum of squared residuals from one start (shape (n,), inside the bounds).
+
+    Where the search comes into the valley of a minimum found before, it ends with that one.
+    """
+    values, evaluations = start, 1
+    cost, gradient, hessian = evaluate(values).normal
+    damping, growth = _FIRST_DAMPING, 2.0
     while True:
+        if found is not None and _in_valley(found, values, cost):
+            return found
         _, promised = box_step(hessian, gradient, values, lower, upper, LEAST_DAMPING)
-        if promised <= _TOLERANCE * cost + _NOTHING * point.residuals.size:
-            return Descended(values, point, cost, True, evaluations)
+        if promised <= _TOLERANCE * cost + _NOTHING:
+            return Descended(values, cost, True, evaluations, hessian)
         while True:
             if evaluations >= most_evaluations:
-                return Descended(values, point, cost, False, evaluations)
+                return Descended(values, cost, False, evaluations, hessian)
             step, expected = box_step(hessian, gradient, values, lower, upper, damping)
             if not np.max(np.abs(step) / scales) > _SMALL:
-                return Descended(values, point, cost, bool(np.isfinite(cost)), evaluations)
+                return Descended(values, cost, bool(np.isfinite(cost)), evaluations, hessian)
             tried = np.minimum(np.maximum(values + step, lower), upper)
             there = evaluate(tried)
             evaluations += 1
-            ahead = _cost(there)
-            if ahead < cost:
+            if there.cost < cost:
                 break
             damping, growth = damping * growth, 2.0 * growth
         # How far the quadratic model was right decides how far the next one is followed.
-        trusted = (cost - ahead) / expected if expected > 0.0 else 0.0
+        trusted = (cost - there.cost) / expected if expected > 0.0 else 0.0
         damping = max(damping * max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3), LEAST_DAMPING)
         growth = 2.0
-        values, point, cost = tried, there, ahead
-        gradient, hessian = normal_equations(point)
+        values = tried
+        cost, gradient, hessian = there.normal
 
 
-def _cost(point: Point) -> float:
-    return float(point.residuals @ point.residuals)
-
-
-def normal_equations(point: Point) -> tuple[FloatArray, FloatArray]:
-    """Jᵀr, shape (n,), and JᵀJ, shape (n, n)."""
-    jacobian = point.jacobian
-    return jacobian.T @ point.residuals, jacobian.T @ jacobian
+def _in_valley(found: Descended, values: FloatArray, cost: float) -> bool:
+    """Whether the quadratic model around a minimum found before accounts for the sum at these values."""
+    way = values - found.values
+    rise = float(way @ found.hessian @ way)
+    return found.converged and rise <= _NEAR * found.cost and abs(cost - found.cost - rise) <= _ALIKE * rise
 
 
 def compiled(function: _Function) -> _Function:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.matching.descent import descend
+from twinmatch.matching.descent import Descended, descend
 from twinmatch.matching.problem import Problem
 from twinmatch.plant import RigParameters
 from twinmatch.signals import FloatArray
@@ -55,18 +55,18 @@ def starts_for(problem: Problem, start: RigParameters) -> list[FloatArray]:
 
 def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
     """The best of the fits from several starts; the first of equals."""
-    best: Estimate | None = None
+    best: Descended | None = None
     for start in starts:
         found = descend(
-            problem.evaluate, start, problem.lower, problem.upper, problem.scales, _MOST_EVALUATIONS
+            problem.evaluate, start, problem.lower, problem.upper, problem.scales, _MOST_EVALUATIONS, best
         )
-        estimate = Estimate(found.values, found.point.residuals.reshape(2, -1), found.converged)
-        if best is None or estimate.chi2 < best.chi2:
-            best = estimate
+        if best is None or found.cost < best.cost:
+            best = found
     if best is None:
         msg = "solve: no start was given"
         raise ValueError(msg)
-    return best
+    residuals = problem.evaluate(best.values).residuals
+    return Estimate(best.values, residuals.reshape(2, -1), best.converged)
 
 
 def on_bounds(problem: Problem, values: FloatArray) -> tuple[str, ...]:
@@ -111,11 +111,11 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     the residuals actually found.
     """
     evaluation = problem.evaluate(estimate.values)
-    jacobian = evaluation.jacobian
+    _, _, fisher = evaluation.normal
     sums, expected = problem.noise_scores(evaluation)
     free_samples = 1.0 - len(problem.free) / estimate.residuals.size
     scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
-    return _known(jacobian.T @ jacobian, scores, problem.scales)
+    return _known(fisher, scores, problem.scales)
 
 
 def _known(fisher: FloatArray, scores: FloatArray, scales: FloatArray) -> Uncertainty:

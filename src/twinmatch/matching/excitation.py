@@ -70,8 +70,7 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
     response = next_one.simulate(problem.parameters_at(values), problem.sink_start_at(values))
     if not abs(response.temperature[-1] - level) <= _REACHED:
         return None
-    jacobian = next_one.jacobian(values)
-    return _scaled_inverse(problem, jacobian.T @ jacobian)
+    return _scaled_inverse(problem, next_one.evaluate(values).normal[2])
 
 
 def _scaled_inverse(problem: Problem, fisher: FloatArray) -> FloatArray | None:

@@ -95,6 +95,11 @@ class Problem:
         return np.array([[1.0 / self.noise.temperature], [1.0 / self.noise.pwm]])
 
     @cached_property
+    def _measured(self) -> FloatArray:
+        """Temperature and PWM, shape (2, N − 2)."""
+        return np.stack([self.temperature, self.pwm])
+
+    @cached_property
     def _rig(self) -> tuple[FloatArray, list[int]]:
         """Values of all `DIFFERENTIABLE` parameters, and which of them are free."""
         fixed = np.array([getattr(self.base, name) for name in DIFFERENTIABLE], dtype=np.float64)
@@ -175,13 +180,26 @@ class Problem:
         """Weighed residuals of both outputs in a row, shape (2(N − 2),)."""
         return self.weigh(self.simulate(self.parameters_at(values), self.sink_start_at(values))).ravel()
 
+    @property
+    def differentiable(self) -> bool:
+        """Whether the loop comes with its derivatives; otherwise they are finite differences."""
+        return self._loop is not None
+
     def tangents(self, values: FloatArray) -> Tangents | None:
         """The loop and its derivatives in one pass, where this rig is of the kind that has them."""
+        return None if self._loop is None else self._loop(self._rig_at(values))
+
+    def normal_equations(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray] | None:
+        """Sum of squares, gradient and JᵀJ in one pass, where this rig is of the kind that has them."""
         if self._loop is None:
             return None
+        weights = 1.0 / self.noise.temperature, 1.0 / self.noise.pwm
+        return self._loop.normal_equations(self._rig_at(values), self._measured, weights)
+
+    def _rig_at(self, values: FloatArray) -> FloatArray:
         rig, places = self._rig[0].copy(), self._rig[1]
         rig[places] = values
-        return self._loop(rig)
+        return rig
 
     def jacobian(self, values: FloatArray) -> FloatArray:
         """Derivatives of the residuals, shape (2(N − 2), n)."""
@@ -234,16 +252,38 @@ class Problem:
 
 
 class Evaluation:
-    """Residuals of a problem at some values, and their Jacobian when it is asked for."""
+    """A problem at some values: its normal equations, its residuals and Jacobian when they are asked for."""
 
     def __init__(self, problem: Problem, values: FloatArray) -> None:
         self.problem, self.values = problem, values
-        self.tangents = problem.tangents(values)
+
+    @cached_property
+    def normal(self) -> tuple[float, FloatArray, FloatArray]:
+        """Sum of squares S, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n)."""
+        found = self.problem.normal_equations(self.values)
+        if found is None:
+            return self.cost, self.jacobian.T @ self.residuals, self.jacobian.T @ self.jacobian
+        return found
+
+    @cached_property
+    def cost(self) -> float:
+        """Sum of the squared residuals."""
+        if self.problem.differentiable:
+            return self.normal[0]
+        return float(self.residuals @ self.residuals)
+
+    @cached_property
+    def tangents(self) -> Tangents | None:
+        """The loop with its derivatives, where this rig is of the kind that has them."""
+        return self.problem.tangents(self.values)
+
+    @cached_property
+    def residuals(self) -> FloatArray:
+        """Shape (2(N − 2),)."""
         if self.tangents is None:
-            self.residuals = problem.residuals(values)
-        else:
-            response = Response(self.tangents.temperature, self.tangents.pwm)
-            self.residuals = problem.weigh(response).ravel()
+            return self.problem.residuals(self.values)
+        response = Response(self.tangents.temperature, self.tangents.pwm)
+        return self.problem.weigh(response).ravel()
 
     @cached_property
     def jacobian(self) -> FloatArray:

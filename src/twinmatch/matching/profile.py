@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.matching.descent import box_step, compiled, descend, normal_equations
+from twinmatch.matching.descent import box_step, compiled, descend
 from twinmatch.matching.problem import Evaluation, Problem
 from twinmatch.signals import FloatArray
 
@@ -35,7 +35,7 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
     Where the Jacobian costs a simulation for each parameter, the ends are those of the variance alone.
     """
     here = problem.evaluate(values)
-    if here.tangents is None:
+    if not problem.differentiable:
         return _from_variance(problem, values, covariance)
     rises = QUANTILE * np.diag(covariance) / _white_variance(problem, here)
     intervals = np.empty((values.size, 2))
@@ -59,7 +59,7 @@ def _from_variance(problem: Problem, values: FloatArray, covariance: FloatArray)
 
 def _white_variance(problem: Problem, here: Evaluation) -> FloatArray:
     """Variance of each parameter, were the residuals white noise of variance 1, shape (n,)."""
-    _, hessian = normal_equations(here)
+    _, _, hessian = here.normal
     scales = problem.scales
     try:
         inverse = np.linalg.inv(hessian * np.outer(scales, scales))
@@ -77,14 +77,13 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
     the valley folds back, so that no small step leads on, the end is bracketed instead.
     """
     point = start
-    limit = _sum(start) + rise
+    limit = start.cost + rise
     bound = float(problem.upper[i] if sign > 0 else problem.lower[i])
     inside = start
     for _ in range(_MOST_STEPS):
         values = point.values
-        gradient, hessian = normal_equations(point)
+        cost, gradient, hessian = point.normal
         box = hessian, gradient, values, problem.lower, problem.upper, i
-        cost = _sum(point)
         gain = cost - model_profile(*box, 0.0, cost)[1]
         excess = cost - gain - limit
         if cost <= limit:
@@ -96,7 +95,7 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
         way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
         for _ in range(_MOST_CUTS):
             there = _moved(problem, values + model_profile(*box, way, cost)[0])
-            if _sum(there) <= max(limit + _FAR * rise, cost):
+            if there.cost <= max(limit + _FAR * rise, cost):
                 break
             way *= _CUT
         else:
@@ -110,7 +109,7 @@ def _bracketed(
 ) -> FloatArray | None:
     """The same end between a value inside and one outside, the others fitted anew at each."""
     near, far, beyond, ahead = inside, bound, math.inf, 1.0
-    below = _sum(inside) - limit
+    below = inside.cost - limit
     span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(inside.values[i]))
     for _ in range(_MOST_FITS):
         here = float(near.values[i])
@@ -135,10 +134,6 @@ def _bracketed(
             near, below = problem.evaluate(found.values), excess
             beyond, ahead = (0.5 * beyond, ahead) if ahead > 0.0 else (beyond, 1.0)
     return near.values
-
-
-def _sum(point: Evaluation) -> float:
-    return float(point.residuals @ point.residuals)
 
 
 def _moved(problem: Problem, values: FloatArray) -> Evaluation:

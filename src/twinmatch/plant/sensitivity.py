@@ -10,7 +10,7 @@ numba's disk cache looks only at the file of the function that is called from Py
 file has a tick of its own. A test holds it against that of `kernels`.
 """
 
-# ruff: noqa: PLR0917, PLR0915 (kernels take scalars in a row and are long)
+# ruff: noqa: PLR0912, PLR0915, PLR0917 (kernels take scalars in a row and are long)
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ __all__ = ["DIFFERENTIABLE", "LoopSensitivity", "Tangents", "noise_scores"]
 
 DIFFERENTIABLE = ("seebeck", "resistance", "conductance", "heat_capacity", "ambient")
 """Names of the parameters by which `LoopSensitivity` differentiates."""
+
+_NOTHING, _NO_WEIGHTS = np.zeros((2, 0)), np.zeros(2)
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -94,20 +96,38 @@ class LoopSensitivity:
 
     def __call__(self, values: FloatArray) -> Tangents:
         """Run the loop with these values of all `DIFFERENTIABLE` parameters, shape (5,)."""
+        return Tangents(*self._run(values, _NOTHING, _NO_WEIGHTS, stored=True)[:4])
+
+    def normal_equations(
+        self, values: FloatArray, measured: FloatArray, weights: tuple[float, float]
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """Sum of squares, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), without any array over time.
+
+        `measured` holds temperature and PWM, shape (2, N); a residual of each is multiplied by its weight.
+        """
+        squares = np.square(np.array(weights))
+        normal = self._run(values, measured, squares, stored=False)[4]
+        n = self._which.size
+        return float(normal[n, n]), normal[:n, n].copy(), normal[:n, :n].copy()
+
+    def _run(
+        self, values: FloatArray, measured: FloatArray, weights: FloatArray, *, stored: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         driver = self._driver
-        return Tangents(
-            *_loop_with_tangents(
-                values,
-                driver.bridge_resistance,
-                driver.volts_per_count,
-                float(driver.current_limit),
-                self._gains,
-                self._which,
-                self._reference,
-                self._plate,
-                float(self._controller.integral),
-                float(self._controller.previous_error),
-            )
+        return _loop_with_tangents(
+            values,
+            driver.bridge_resistance,
+            driver.volts_per_count,
+            float(driver.current_limit),
+            self._gains,
+            self._which,
+            self._reference,
+            self._plate,
+            float(self._controller.integral),
+            float(self._controller.previous_error),
+            measured,
+            weights,
+            stored,
         )
 
 
@@ -141,11 +161,15 @@ def _flow(quadratic: float, slope: float, speed: float, time: float) -> tuple[fl
     half = 0.5 * time
     square = discriminant * half * half
     if abs(square) < 0.025:
-        sigma = half * (1 + square / 6 * (1 + square / 20 * (1 + square / 42 * (1 + square / 72))))
-        kappa = 1 + square / 2 * (1 + square / 12 * (1 + square / 30 * (1 + square / 56 * (1 + square / 90))))
+        sigma = half * (
+            1.0 + square * (1 / 6 + square * (1 / 120 + square * (1 / 5040 + square * (1 / 362880))))
+        )
+        kappa = 1.0 + square * (
+            1 / 2 + square * (1 / 24 + square * (1 / 720 + square * (1 / 40320 + square * (1 / 3628800))))
+        )
         below = kappa - slope * sigma
-        rho = 1 + square / 5 * (1 + square * (2 / 21) * (1 + square / 18 * (1 + square * (2 / 55))))
-        rho *= -half * half * half / 3.0
+        rho = 1 / 3 + square * (1 / 15 + square * (2 / 315 + square * (1 / 2835 + square * (2 / 155925))))
+        rho *= -half * half * half
     elif discriminant > 0.0:
         s = math.sqrt(discriminant)
         fading = math.exp(-s * time)
@@ -160,12 +184,13 @@ def _flow(quadratic: float, slope: float, speed: float, time: float) -> tuple[fl
         kappa = math.cos(s * half)
         below = kappa - slope * sigma
         rho = (half - sigma * kappa) / (2.0 * discriminant)
-    common = 2.0 * speed / (below * below)
+    inverse = 1.0 / below
+    common = 2.0 * speed * inverse * inverse
     return (
-        2.0 * speed * sigma / below,
+        2.0 * speed * sigma * inverse,
         common * rho * -4.0 * speed,
         common * (rho * 2.0 * slope + sigma * sigma),
-        2.0 * sigma / below + common * rho * -4.0 * quadratic,
+        2.0 * sigma * inverse + common * rho * -4.0 * quadratic,
     )
 
 
@@ -223,12 +248,22 @@ def _loop_with_tangents(
     plate: float,
     integral: float,
     previous_error: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    measured: FloatArray,
+    weights: FloatArray,
+    stored: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The loop; either its arrays are stored, or the normal equations are summed up on the way.
+
+    The last array is [J r]ᵀ[J r] of the weighed residuals r = weights·(measured − simulated).
+    """
     size, n = reference.size, which.size
-    temperature, pwm = np.empty(size), np.empty(size)
-    derivative, slopes = np.empty((2, size, n)), np.empty((size, 3))
+    kept = size if stored else 0
+    temperature, pwm = np.empty(kept), np.empty(kept)
+    derivative, slopes = np.empty((2, kept, n)), np.empty((kept, 3))
+    normal, row = np.zeros((n + 1, n + 1)), np.empty((2, n + 1))
     total = values[1] + bridge
     gain = values[0] / total
+    per_gain = 1.0 / gain if gain > 0.0 else 0.0
     sink = values[4]
     resting = _coefficients(values, bridge, which, limited=False)
     limiting = _coefficients(values, bridge, which, limited=True)
@@ -249,7 +284,6 @@ def _loop_with_tangents(
         free = 1.0 if abs(wanted) < gains.limit else 0.0
         integral += gains.period * (gains.integral * error + gains.back_calculation * (u - wanted))
         previous_error = error
-        temperature[k], pwm[k] = celsius, u
         for p in range(n):
             d_reading = dx[p] + by_sink[p]
             d_wanted = d_integral[p] - gains.proportional * d_reading - per_second * (d_reading + d_error[p])
@@ -258,10 +292,22 @@ def _loop_with_tangents(
                 gains.back_calculation * (du[p] - d_wanted) - gains.integral * d_reading
             )
             d_error[p] = -d_reading
-            derivative[0, k, p] = d_reading
-            derivative[1, k, p] = du[p]
+            row[0, p] = d_reading
+            row[1, p] = du[p]
+        if stored:
+            temperature[k], pwm[k] = celsius, u
+            for p in range(n):
+                derivative[0, k, p] = row[0, p]
+                derivative[1, k, p] = row[1, p]
+        else:
+            row[0, n] = celsius - measured[0, k]
+            row[1, n] = u - measured[1, k]
+            for p in range(n + 1):
+                of_y, of_u = weights[0] * row[0, p], weights[1] * row[1, p]
+                for q in range(p + 1):
+                    normal[p, q] += of_y * row[0, q] + of_u * row[1, q]
         # One tick of the plate. Segments between which the limiter switches; mostly there is one.
-        offset = -u * volts_per_count / total
+        offset = u * offset_slope
         current = gain * x + offset
         regime = 1 if current > limit else (-1 if current < -limit else 0)
         by_plate, by_pwm = 1.0, 0.0
@@ -279,7 +325,7 @@ def _loop_with_tangents(
             if speed != 0.0 and gain > 0.0:
                 toward = 1 if speed > 0.0 else -1
                 threshold = limit if 2 * regime + toward > 0 else -limit
-                edge = (threshold - offset) / gain
+                edge = (threshold - offset) * per_gain
                 # x is monotone over the tick: it meets the threshold only if it ends beyond.
                 if regime != toward and (way - (edge - x)) * toward > 0.0:
                     direction = toward
@@ -309,8 +355,12 @@ def _loop_with_tangents(
             x = edge
             left -= time
             regime += direction
-        slopes[k, 0], slopes[k, 1], slopes[k, 2] = by_plate, by_pwm, free
-    return temperature, pwm, derivative, slopes
+        if stored:
+            slopes[k, 0], slopes[k, 1], slopes[k, 2] = by_plate, by_pwm, free
+    for p in range(n + 1):
+        for q in range(p):
+            normal[q, p] = normal[p, q]
+    return temperature, pwm, derivative, slopes, normal
 
 
 @_compiled
