@@ -134,7 +134,7 @@ def test_an_error_on_diagnostics_is_told_once_however_its_figures_grow() -> None
         state.push_health("matcher: health", 2, f"no sample for {k}.5 s", {}, float(k))
     state.push_health("matcher: health", 0, "working", {}, 6.0)
     titles = [e.title for e in reversed(state.events.newest_first())]
-    assert titles == ["matcher: health reports an error", "matcher: health is well again"]
+    assert titles == ["matcher reports an error", "matcher is well again"]
 
 
 def test_the_player_is_known_by_what_it_reports_and_goes_when_it_falls_silent() -> None:

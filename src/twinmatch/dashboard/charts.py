@@ -115,22 +115,22 @@ class TimeCharts:
         return chart
 
     def _residual(self) -> Any:
-        chart = self._figure("residual", 180, "residual / K")
+        chart = self._figure("residual", 180, "plant − twin / K")
         band = chart.varea(
             "t", "driven_low", "driven_high", source=self._twin, fill_color=DRIVEN, fill_alpha=0.18
         )
         driven = chart.line("t", "residual_driven", source=self._twin, color=DRIVEN, line_width=1.4)
         closed = chart.line("t", "residual_closed", source=self._twin, color=CLOSED, line_width=1.1)
-        names = {"plant − driven twin": driven, f"± {BAND:g} RMS": band, "plant − closed-loop twin": closed}
+        names = {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed}
         _legend(chart, names)
         _hover(chart, driven, [("time", "@t{0.0} s"), ("plant − driven twin", "@residual_driven{0.00} K")])
         return chart
 
     def _control_residual(self) -> Any:
-        chart = self._figure("control_residual", 180, "residual / PWM")
+        chart = self._figure("control_residual", 180, "plant − twin / PWM")
         band = chart.varea("t", "pwm_low", "pwm_high", source=self._twin, fill_color=CLOSED, fill_alpha=0.15)
         line = chart.line("t", "residual_pwm", source=self._twin, color=CLOSED, line_width=1.2)
-        _legend(chart, {"plant − closed-loop twin": line, f"± {BAND:g} RMS": band})
+        _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
         _hover(chart, line, [("time", "@t{0.0} s"), ("residual", "@residual_pwm{0.0} PWM")])
         return chart
 

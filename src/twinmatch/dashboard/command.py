@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import re
 
 from twinmatch.dashboard.errors import DashboardError
 
@@ -48,5 +49,8 @@ def run(options: argparse.Namespace) -> int:
         value = getattr(options, name)
         words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
     if options.namespace:
-        words += ["-r", f"__ns:={options.namespace}"]
+        if re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
+            msg = f"dashboard: {options.namespace!r} is no namespace; give one such as /rig_a"
+            raise DashboardError(msg)
+        words += ["-r", f"__ns:=/{options.namespace.removeprefix('/')}"]
     return run_nodes([Dashboard], words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from twinmatch.dashboard.events import Event
@@ -9,7 +10,6 @@ from twinmatch.dashboard.look import MARKS, SIGNS, text
 from twinmatch.dashboard.roster import Roster
 from twinmatch.dashboard.state import DashboardState
 from twinmatch.discrimination import TrustLevel, Verdict
-from twinmatch.plant import RigParameters
 from twinmatch.views import COLUMNS, row
 from twinmatch.views.criteria import computed, criterion_rows
 from twinmatch.views.quantities import number, quantity
@@ -50,10 +50,11 @@ NODE_WORDS = ("well", "warning", "error", "silent")
 def headline(verdict: Verdict | None, period: float) -> str:
     """Level and nominal in large, the figures of the verdict as the terminal has them, and why."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
-    name, why, figures = "none yet", "no verdict has come yet", ""
+    name, why, figures, more = "none yet", "no verdict has come yet", "", ""
     if verdict is not None:
         name, why = verdict.nominal or name, verdict.reason
         told = dict(zip(COLUMNS, row(verdict, period), strict=True))
+        more = "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
         figures = _tiles([(CALLED.get(n, n), cell) for n, cell in told.items() if n not in IN_WORDS])
     dark = " dark" if level in LIGHT else ""
     return (
@@ -62,7 +63,8 @@ def headline(verdict: Verdict | None, period: float) -> str:
         f'<div class="meaning">{text(LEVEL_WORDS[level])}</div></div></div>'
         f'<div class="nominal"><div class="label">nominal twin, matched at</div>'
         f'<div class="name">{text(name)}</div></div>'
-        f'<div class="why">{figures}<p><span class="label">newest verdict:</span> {text(why)}</p></div></div>'
+        f'<div class="why">{figures}<p><span class="label">newest verdict:</span> {text(why)}</p>{more}'
+        "</div></div>"
     )
 
 
@@ -127,18 +129,20 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
     if verdict is None or not verdict.candidates:
         return NO_CANDIDATE
     criteria = computed(verdict.candidates)
-    head = ["candidate", "order"]
-    head += [f"{c.name} / {c.unit}" if c.unit else c.name for c in criteria]
-    quantities = [quantity(name) for name in MATCHED]
-    head += ["Σ ν-gap", "ν-gap now", *(q.label for q in quantities)]
+    head = [("candidate", ""), ("order", ""), *((c.name, c.unit) for c in criteria)]
+    head += [("Σ ν-gap", ""), ("90 % of Σ", ""), ("P(nominal)", ""), ("ν-gap now", ""), ("margin", "b(P, C)")]
+    head += [(q.symbol, q.unit) for q in map(quantity, MATCHED)]
     lines = []
     for candidate in verdict.candidates:
         nominal = candidate.name == verdict.nominal
         tag = '<span class="tag">nominal</span>' if nominal else ""
         rest = [
             number(candidate.nu_gap_sum, 3),
+            _span(candidate.nu_gap_sum_low, candidate.nu_gap_sum_high),
+            number(candidate.nominal_probability, 2),
             number(candidate.nu_gap_to_plant, 3),
-            *_parameters(candidate.parameters),
+            number(candidate.margin, 3),
+            *(quantity(name).text(getattr(candidate.parameters, name)) for name in MATCHED),
         ]
         for line in criterion_rows(candidate, criteria):
             if line.output != "total" or not (every or line.chosen):
@@ -168,7 +172,7 @@ def events_table(events: Sequence[Event], session: int, period: float) -> str:
             f'<span class="mark" style="background:{MARKS[event.mark]}"></span><b>{text(event.title)}</b>'
             f'<div class="quiet">{text(event.text)}</div></td></tr>'
         )
-    return _table(["t / s", "what and why"], lines, "events")
+    return _table([("t", "s"), ("what and why", "")], lines, "events")
 
 
 def nodes(roster: Roster, now: float) -> str:
@@ -195,8 +199,21 @@ def notice(state: DashboardState) -> str:
     return f'<p class="{kind}">{text(state.notice.text)}</p>'
 
 
-def _parameters(parameters: RigParameters) -> list[str]:
-    return [quantity(name).text(getattr(parameters, name)) for name in MATCHED]
+def _more(verdict: Verdict) -> list[str]:
+    """What else a verdict says in words: a fault by name, how sure it is, which plant it thinks it sees."""
+    told = []
+    if verdict.fault:
+        since = "" if verdict.fault_since is None else f" since sample {verdict.fault_since}"
+        told.append(f"the plant shows {verdict.fault}{since}")
+    if verdict.certainty:
+        told.append(verdict.certainty)
+    if verdict.structure:
+        told.append(f"structure of the plant in the twins: {verdict.structure}")
+    return told
+
+
+def _span(low: float, high: float) -> str:
+    return DASH if math.isnan(low) or math.isnan(high) else f"{number(low, 2)} to {number(high, 2)}"
 
 
 def _tiles(entries: Sequence[tuple[str, str]]) -> str:
@@ -217,8 +234,11 @@ def _digits(period: float) -> int:
     return 0 if period >= 1 else 1
 
 
-def _table(head: Sequence[str], lines: Sequence[str], kind: str = "") -> str:
-    names = "".join(f"<th{' class=left' if k == 1 else ''}>{text(name)}</th>" for k, name in enumerate(head))
+def _table(head: Sequence[tuple[str, str]], lines: Sequence[str], kind: str = "") -> str:
+    names = "".join(
+        f"<th{' class=left' if k == 1 else ''}>{text(name)}<small>{text(unit)}</small></th>"
+        for k, (name, unit) in enumerate(head)
+    )
     body = "".join(lines)
     return (
         f'<div class="scroll"><table class="{kind}"><thead><tr>{names}</tr></thead>'

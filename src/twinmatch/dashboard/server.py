@@ -15,7 +15,6 @@ from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
-from bokeh.server.util import bind_sockets
 from bokeh.settings import settings
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
@@ -50,14 +49,14 @@ class PageServer:
             DashboardError: the address or port cannot be used.
         """
         try:
-            self._sockets, self._port = bind_sockets(address, port)
+            self._socket = _bind(address, port)
         except OSError as error:
             msg = (
                 f"dashboard: {address}:{port} cannot be used: {error.strerror or error}; "
                 "give another with --port (0: any that is free) or --address"
             )
             raise DashboardError(msg) from error
-        self._address, self._fill = address, fill
+        self._address, self._port, self._fill = address, self._socket.getsockname()[1], fill
         self._server: BaseServer | None = None
         self._ready = threading.Event()
         self.failure: Exception | None = None
@@ -114,7 +113,7 @@ class PageServer:
             websocket_max_message_size_bytes=LARGEST_MESSAGE,
         )
         http = HTTPServer(tornado)
-        http.add_sockets(self._sockets)
+        http.add_socket(self._socket)
         self._server = BaseServer(loop, tornado, http)
         self._server.start()
         self._ready.set()
@@ -128,6 +127,20 @@ class PageServer:
         with suppress(OSError):
             hosts |= {_host(str(info[4][0])) for info in socket.getaddrinfo(socket.gethostname(), None)}
         return sorted(hosts)
+
+
+def _bind(address: str, port: int) -> socket.socket:
+    family, kind, number, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+    bound = socket.socket(family, kind, number)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.setblocking(False)
+        bound.bind(place)
+        bound.listen(128)
+    except OSError:
+        bound.close()
+        raise
+    return bound
 
 
 def _host(address: str) -> str:

@@ -165,11 +165,11 @@ class DashboardState:
     def push_health(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
         """Take a report from /diagnostics: name, level of REP 107, and what it says."""
         with self.lock:
-            change = self.roster.push(name, level, message, values, now)
+            change, plain = self.roster.push(name, level, message, values, now), name.removesuffix(": health")
             if change == "error":
-                self._note(Lane.NODES, Mark.BAD, f"{name} reports an error", message)
+                self._note(Lane.NODES, Mark.BAD, f"{plain} reports an error", message)
             elif change == "well":
-                self._note(Lane.NODES, Mark.GOOD, f"{name} is well again", message)
+                self._note(Lane.NODES, Mark.GOOD, f"{plain} is well again", message)
 
     def push_image(self, image: NDArray[np.float32]) -> None:
         """Take a thermal image in °C, shape (rows, columns); one without any value is passed over."""

@@ -48,6 +48,6 @@ class Thermal:
         chart.grid.grid_line_color = None
         chart.x_range.range_padding = chart.y_range.range_padding = 0
         chart.image("image", "x", "y", "dw", "dh", source=self._source, color_mapper=self._colours)
-        bar = ColorBar(color_mapper=self._colours, title="°C", width=10, padding=6)
+        bar = ColorBar(color_mapper=self._colours, width=10, padding=6)
         chart.add_layout(bar, "right")
         return chart

@@ -1,0 +1,166 @@
+"""The documents of the tabs, without a browser: what they are sent, and that they do not grow."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+
+from bokeh.document import Document
+from bokeh.models import ColumnDataSource
+
+from twinmatch.dashboard import DashboardState, TwinRow
+from twinmatch.dashboard.feed import POINTS, Feed, stride_for
+from twinmatch.dashboard.history import History
+from twinmatch.dashboard.page import Page
+from twinmatch.replay import Judgement
+from twinmatch.signals import Sample
+
+
+class Nothing:
+    """A page that can ask for nothing."""
+
+    control = False
+
+    def pause(self, paused: bool) -> None:
+        raise AssertionError(paused)
+
+    def rate(self, rate: float) -> None:
+        raise AssertionError(rate)
+
+    def set_point(self, celsius: float) -> None:
+        raise AssertionError(celsius)
+
+    def clear_fault(self) -> None:
+        raise AssertionError
+
+    def stop(self) -> None:
+        raise AssertionError
+
+
+def fill(state: DashboardState, first: int, number: int, period: float = 0.1) -> None:
+    for k in range(first, first + number):
+        temperature = 40.0 + np.sin(k / 100)
+        state.push_sample(Sample(k, round(k * period * 1e9), 50.0, temperature, k % 7), k * period)
+        state.push_twin(k, TwinRow(*[float(k % 13)] * len(TwinRow._fields)))
+
+
+def opened(state: DashboardState, now: float = 0.0) -> tuple[Page, Document]:
+    page, document = Page(state, Nothing(), clock=lambda: now), Document()
+    page.build(document)
+    return page, document
+
+
+def source(document: Document, chart: str, renderer: int = 0) -> ColumnDataSource:
+    found: ColumnDataSource = document.get_model_by_name(chart).renderers[renderer].data_source
+    return found
+
+
+@pytest.mark.parametrize("samples", [1, 300, POINTS, POINTS + 1, 12_000, 36_000])
+def test_no_line_has_more_points_than_a_screen(samples: int) -> None:
+    history = History(("value",), 36_000)
+    feed = Feed(history)
+    for k in range(2 * samples):
+        history.push(k, (float(k),))
+        if k % max(1, samples // 5) == 0:
+            feed.update(0.1, samples)
+    feed.update(0.1, samples)
+    drawn = feed.source.data["t"]
+    assert len(drawn) <= POINTS + 2
+    stride = stride_for(samples)
+    newest, oldest = drawn[-1] / 0.1, drawn[0] / 0.1
+    assert 2 * samples - 1 - stride <= newest <= 2 * samples - 1
+    assert samples - 2 * stride <= newest - oldest + 1 <= samples + stride
+    assert np.all(np.diff(drawn) > 0)
+
+
+def test_only_what_is_new_is_sent() -> None:
+    history = History(("value",), 1000)
+    feed, sent = Feed(history), []
+    document = Document()
+    document.add_root(feed.source)
+    document.on_change(sent.append)
+    for k in range(100):
+        history.push(k, (float(k),))
+    feed.update(1.0, 500)
+    history.push(100, (100.0,))
+    feed.update(1.0, 500)
+    feed.update(1.0, 500)
+    assert [type(event).__name__ for event in sent] == ["ColumnDataChangedEvent", "ColumnsStreamedEvent"]
+    assert sent[1].data["value"].tolist() == [100.0]
+
+
+def test_a_new_session_or_period_is_drawn_anew() -> None:
+    history = History(("value",), 1000)
+    feed = Feed(history)
+    for k in range(50):
+        history.push(k, (1.0,))
+    feed.update(1.0, 500)
+    feed.update(0.5, 500)
+    assert feed.source.data["t"][-1] == 24.5
+    history.clear()
+    for k in range(60):
+        history.push(k, (2.0,))
+    feed.update(0.5, 500)
+    assert set(feed.source.data["value"]) == {2.0}
+    assert len(feed.source.data["t"]) == 60
+
+
+def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
+    state = DashboardState()
+    early, first = opened(state)
+    for k, sample in enumerate(judged.samples):
+        state.push_sample(sample, 0.0)
+        if k % 37 == 0:
+            early.update()
+    for match in judged.matches:
+        state.push_match(match)
+    for verdict in judged.verdicts:
+        state.push_verdict(verdict)
+        early.update()
+    _, second = opened(state)
+    for chart, renderer in (
+        ("temperature", 0),
+        ("matrix", 0),
+        ("matrix", 1),
+        ("happened", 0),
+        ("happened", 1),
+    ):
+        one, other = source(first, chart, renderer).data, source(second, chart, renderer).data
+        assert {k: list(v) for k, v in one.items()} == {k: list(v) for k, v in other.items()}, chart
+    for name in ("headline", "family", "events", "tiles", "status"):
+        assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
+
+
+def test_without_control_the_document_has_no_button_for_it() -> None:
+    _, document = opened(DashboardState())
+    assert document.get_model_by_name("rig") is None
+    assert document.template_variables["control"] is False
+
+
+def test_an_open_page_takes_no_more_room_however_long(judged: Judgement) -> None:
+    state = DashboardState(capacity=6_000)
+    pages = [opened(state)[0], opened(state)[0]]
+    state.push_verdict(judged.verdicts[-1])
+
+    def run(first: int, number: int) -> None:
+        for k in range(first, first + number, 100):
+            fill(state, k, 100)
+            for page in pages:
+                page.update()
+
+    run(0, 8_000)
+    gc.collect()
+    tracemalloc.start()
+    run(8_000, 4_000)
+    gc.collect()
+    settled = tracemalloc.get_traced_memory()[0]
+    run(12_000, 12_000)
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - settled
+    tracemalloc.stop()
+    assert grown < 200_000, f"{grown} bytes more"

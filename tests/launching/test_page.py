@@ -1,0 +1,64 @@
+"""The live page beside the launch scripts."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+
+from twinmatch.launching.page import Page, add_page_options, page_of
+
+PROJECT = Path(__file__).resolve().parents[2]
+
+
+def children() -> int:
+    found = subprocess.run(["ps", "-eo", "args="], capture_output=True, text=True, check=True).stdout
+    return sum("-m twinmatch.dashboard --port 0 --control" in line for line in found.splitlines())
+
+
+def test_it_is_there_within_and_gone_after() -> None:
+    told: list[str] = []
+    with Page(0, control=True, show=told.append):
+        deadline = time.monotonic() + 40
+        while not any(re.search(r"page: http://127.0.0.1:\d+/$", line) for line in told):
+            assert time.monotonic() < deadline, told
+            time.sleep(0.05)
+        assert children() == 1
+    assert children() == 0
+
+
+def test_without_the_option_there_is_none() -> None:
+    with Page(None) as page:
+        page.stay()  # returns at once
+
+
+def parsed(*words: str) -> Page:
+    parser = argparse.ArgumentParser()
+    add_page_options(parser, control=True)
+    return page_of(parser.parse_args(words), parser)
+
+
+@pytest.mark.parametrize(
+    "words", [("--control",), ("--dashboard", "70000"), ("--dashboard", "-1"), ("--dashboard", "x")]
+)
+def test_options_that_make_no_sense_are_refused(words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as left:
+        parsed(*words)
+    assert left.value.code == 2
+
+
+@pytest.mark.parametrize("script", ["live.py", "replay.py", "demo.py"])
+def test_every_launch_script_has_it(script: str) -> None:
+    command = [sys.executable, str(PROJECT / "launch_scripts" / script), "--help"]
+    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
+    assert "--dashboard" in told
+    assert ("--control" in told) == (script == "live.py")
