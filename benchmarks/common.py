@@ -131,11 +131,14 @@ def measure_side_by_side(
         if spent[name] >= patience / 2:
             times[name] += timing.seconds  # there is no time for a second call
         else:
-            again = _attempt(cases[name], 1).median  # the first call may have compiled
-            loops[name] = max(1, math.ceil(least / max(again, 1e-9)))
-    for _ in range(repeats):
+            again = _attempt(cases[name], 1)  # the first call may have compiled
+            spent[name] += sum(again.seconds)
+            loops[name] = max(1, math.ceil(least / max(sum(again.seconds), 1e-9)))
+            if loops[name] == 1:
+                times[name] += again.seconds  # it was the first round
+    for turn in range(repeats):
         for name, number in loops.items():
-            if spent[name] < patience:
+            if spent[name] < patience and len(times[name]) == turn:
                 took = _attempt(cases[name], number).median
                 times[name].append(took)
                 spent[name] += took * number

@@ -1,0 +1,114 @@
+"""Replay: recordings against real time, growth with their length, and a full verdict.
+
+One core, in a process that has already loaded everything; `start_up` measures what comes before. The
+recording is simulated; `python -m benchmarks.replay --recording FILE` takes one of yours instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.common import Row, Timing, measure_side_by_side, print_rows, rows_of
+from benchmarks.rig import recorded
+from twinmatch.discrimination import Candidate, Verdict
+from twinmatch.plant import RigParameters
+from twinmatch.replay import Judgement, judge_samples
+from twinmatch.sessions import open_any
+from twinmatch.signals import Sample
+from twinmatch.twin import Discriminator, Matcher, MatchReport, TwinSettings
+
+HOUR = 3600
+HOUR_TARGET = 2.0
+"""s; with a second for import and start-up, an hour is judged in three."""
+VERDICT_TARGET = 1.0
+"""s"""
+POINTS = (30, 40, 50, 60, 70, 80, 90, 100)
+"""Operating points of eight candidates, °C."""
+
+
+def run(quick: bool) -> list[Row]:
+    return run_on(recorded(620 if quick else HOUR), quick) + _growth(quick) + _full_verdict(quick)
+
+
+def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
+    """One recording against the time it took to record."""
+    settings = TwinSettings()
+    calls = {"twinmatch": lambda: judge_samples("hour", samples, settings)}
+    timings = measure_side_by_side(calls, 1 if quick else 5, patience=120.0)
+    took = len(samples) * settings.period
+    timings["real time"] = Timing((took,) * len(timings["twinmatch"].seconds))
+    found: Judgement = timings["twinmatch"].result
+    note = f"{len(found.verdicts)} verdicts, {len(found.matches)} matches"
+    target = {"twinmatch": HOUR_TARGET * took / HOUR}
+    return rows_of("replay", f"{took / 60:.0f} minutes", timings, targets=target, notes={"twinmatch": note})
+
+
+def _growth(quick: bool) -> list[Row]:
+    """What an hour of a recording costs when the recording is short and when it is long."""
+    lengths = (600, 620) if quick else (600, HOUR, 10 * HOUR)
+    settings = TwinSettings()
+    calls = {}
+    for length in lengths:
+        samples = recorded(length)
+        calls[length] = lambda samples=samples: judge_samples("run", samples, settings)
+    timings = measure_side_by_side({str(n): c for n, c in calls.items()}, 1 if quick else 3, patience=240.0)
+    rows = []
+    for name, timing in timings.items():
+        note = f"{timing.median / int(name) * HOUR:.2f} s per hour"
+        rows.append(
+            Row(
+                "replay", f"{name} samples", "twinmatch", timing.median, None, len(timing.seconds), None, note
+            )
+        )
+    return rows
+
+
+def _full_verdict(quick: bool) -> list[Row]:
+    """Everything anew: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
+    ready, report = _before_a_verdict()
+
+    def judge() -> list[Verdict]:
+        return copy.deepcopy(ready).push_match(report)
+
+    timings = measure_side_by_side({"twinmatch": judge}, 1 if quick else 5, patience=120.0)
+    verdict = timings["twinmatch"].result[-1]
+    case = f"{len(verdict.candidates)} candidates × {len(verdict.candidates[0].orders)} orders × 2 outputs"
+    note = f"on {verdict.last - verdict.first + 1} samples"
+    return rows_of("replay", case, timings, targets={"twinmatch": VERDICT_TARGET}, notes={"twinmatch": note})
+
+
+def _before_a_verdict() -> tuple[Discriminator, MatchReport]:
+    """A discriminator with eight candidates that has all samples of a window, and the match it waits for."""
+    settings = TwinSettings()
+    given = [
+        Candidate(
+            f"given {at} °C", float(at), RigParameters(0.055 + at / 6000, 3.3, 0.5, 25.0 + at / 10), None
+        )
+        for at in POINTS
+    ]
+    discriminator, matcher = Discriminator(settings, given), Matcher(settings)
+    for sample in recorded(HOUR):
+        discriminator.push_sample(sample)
+        report = matcher.push(sample)
+        if report is not None:
+            return discriminator, report
+    raise RuntimeError("the recording sets off no match")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small cases and few rounds: does it run?")
+    parser.add_argument("--recording", type=Path, metavar="FILE", help="judge this session or recording only")
+    options = parser.parse_args()
+    if options.recording is None:
+        rows = run(options.quick)
+    else:
+        rows = run_on(open_any(options.recording).samples, options.quick)
+    print_rows(__doc__.splitlines()[0], rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""A rig to record from: richer than the twin, seen through its camera, on a staircase of set-points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.sessions import samples_of
+from twinmatch.signals import Sample, Window
+
+__all__ = ["REGIME", "SINK", "recorded"]
+
+SINK = RigParameters(
+    seebeck=0.06,
+    conductance=0.5,
+    heat_capacity=27.0,
+    sink_heat_capacity=280.0,
+    sink_convection=4.0,
+)
+"""A sink that warms up, which the twin's three parameters do not know."""
+
+REGIME = 300
+"""Samples between two steps of the set-point."""
+
+
+def recorded(samples: int, seed: int = 5) -> list[Sample]:
+    """That many samples at 1 Hz; every five minutes another set-point between 30 and 90 °C."""
+    rng = np.random.default_rng(seed)
+    count = -(-samples // REGIME)
+    levels = np.resize([30.0, 60.0, 45.0, 80.0, 50.0, 90.0, 35.0, 70.0], count) + rng.integers(-3, 4, count)
+    reference = np.repeat(levels, REGIME)[:samples]
+    camera = Camera().realise(samples, 1.0, seed)
+    run = simulate_closed_loop(SINK, reference, plate=296.0, camera=camera)
+    return list(samples_of(Window(reference, run.temperature, run.pwm)))

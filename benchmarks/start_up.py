@@ -1,0 +1,70 @@
+"""Start-up: from the shell to the first sample judged, and a whole hour from the shell.
+
+Everything runs in new processes, so the operating system's start of Python counts too; `python -c pass` is
+measured beside. Kernels are compiled beforehand, as `make setup` leaves them.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+from benchmarks.common import Row, main, measure_side_by_side
+from benchmarks.rig import recorded
+from twinmatch.sessions import write_session
+
+START_TARGET = 1.0
+"""s, for import and start-up."""
+HOUR_TARGET = 3.0
+"""s, for all of an hour, start-up included."""
+
+
+def run(quick: bool) -> list[Row]:
+    with tempfile.TemporaryDirectory() as folder:
+        quiet = write_session(Path(folder) / "quiet", recorded(250))
+        short = write_session(Path(folder) / "short", recorded(700))
+        hour = write_session(Path(folder) / "hour", recorded(700 if quick else 3600))
+        cases: dict[str, Callable[[], None]] = {
+            "python -c pass": _python("-c", "pass"),
+            "import twinmatch.replay": _python("-c", "import twinmatch.replay"),
+            "replay, no match": _python("-m", "twinmatch.cli", "replay", quiet),
+            "replay, two matches": _python("-m", "twinmatch.cli", "replay", short),
+            f"replay, {12 if quick else 60} min": _python("-m", "twinmatch.cli", "replay", hour),
+        }
+        timings = measure_side_by_side(cases, 1 if quick else 7, patience=120.0)
+        loading = _loading(short, 1 if quick else 7)
+    targets = {"replay, no match": START_TARGET, "replay, 60 min": HOUR_TARGET}
+    rows = [
+        Row("start_up", case, "twinmatch", t.median, None, len(t.seconds), targets.get(case), t.error)
+        for case, t in timings.items()
+    ]
+    return [*rows, loading]
+
+
+def _python(*arguments: object) -> Callable[[], None]:
+    command = [sys.executable, *map(str, arguments)]
+    return lambda: subprocess.run(command, check=True, capture_output=True) and None
+
+
+def _loading(session: Path, repeats: int) -> Row:
+    """What a new process computes before it judges: a first replay less a second one."""
+    code = (
+        "import sys, time; from pathlib import Path; from twinmatch.replay import judge_session\n"
+        "judge_session(Path(sys.argv[1])); first = time.process_time()\n"
+        "judge_session(Path(sys.argv[1])); print(2 * first - time.process_time())"
+    )
+    command = [sys.executable, "-c", code, str(session)]
+    took = [
+        float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        for _ in range(repeats)
+    ]
+    note = "CPU time of Python, imports and loading all kernels"
+    return Row("start_up", "before judging", "twinmatch", median(took), None, repeats, START_TARGET, note)
+
+
+if __name__ == "__main__":
+    main(run, __doc__)
