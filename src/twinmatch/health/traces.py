@@ -35,8 +35,8 @@ _LEAST_NOISE: Final = 0.01
 _MOVED: Final = 3.0
 """Movement of the plate that a standing sensor should have shown, °C."""
 
-_LONGEST_LAG: Final = 6.0
-"""Longest lag that is tried, s."""
+_LONGEST_LAG: Final = 7.0
+"""Longest lag that is tried, s; a shorter one has to be best, or it could be a dead drive as well."""
 _LEAST_LAG: Final = 2.0
 """A reading this late is late, s."""
 _LAG_SUM: Final = 4.0
@@ -170,7 +170,7 @@ class Lag:
         late = [float(np.sum((seen - drive[most - n : drive.size - n]) ** 2)) for n in range(most + 1)]
         best = int(np.argmin(late))
         dead = float(np.sum(seen**2))
-        if best * self._period < _LEAST_LAG or late[best] > _FAR_BETTER * min(late[0], dead):
+        if not _LEAST_LAG / self._period <= best < most or late[best] > _FAR_BETTER * min(late[0], dead):
             return None
         return best * self._period
 

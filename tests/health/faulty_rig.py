@@ -1,0 +1,172 @@
+"""A rig in closed loop that can be broken, and the measurements of docs/health.md.
+
+The plate stands on a sink with mass, seen through a camera whose readings jump and settle at a flat-field
+correction, as the real one's do. Run as a program it prints the tables: `python tests/health/faulty_rig.py`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinmatch.emulation.virtual_rig_plant import RICH_RIG
+from twinmatch.health import Health, HealthSettings, Monitor, State
+from twinmatch.plant import Camera, Driver, Pid, PidGains, PlantState, RigParameters, advance
+from twinmatch.signals import KELVIN, FloatArray, Sample
+
+OPEN = Driver(current_limit=1e-9)
+CAMERA = Camera(noise=0.06)
+FLAT_FIELD_JUMP, FLAT_FIELD_KEEPS = 0.8, 0.93
+"""Standard deviation of the jump, °C, and what is left of it after a second."""
+
+
+@dataclass(frozen=True)
+class Break:
+    kind: str
+    start: int
+    length: int = 1_000_000
+
+    def on(self, k: int) -> bool:
+        return self.start <= k < self.start + self.length
+
+
+def profile(seed: int, samples: int) -> FloatArray:
+    """Set-points like those of the rig's recordings, °C."""
+    random = np.random.default_rng(seed)
+    levels: list[float] = []
+    while len(levels) < samples:
+        levels += [float(random.choice(np.arange(20, 100, 0.5)))] * int(random.integers(100, 400))
+    return np.array(levels[:samples])
+
+
+def some_rig(seed: int) -> RigParameters:
+    """A rig within 15 % of the virtual one, in some room."""
+    a, b, c = np.random.default_rng(seed).uniform(0.85, 1.15, 3)
+    return RICH_RIG.replace(
+        seebeck=0.06 * a,
+        conductance=0.5 * b,
+        heat_capacity=27.0 * c,
+        ambient=np.random.default_rng(seed + 1).uniform(289, 299),
+    )
+
+
+def run(
+    reference: FloatArray,
+    broken: Break | None = None,
+    *,
+    rig: RigParameters = RICH_RIG,
+    seed: int = 0,
+    period: float = 1.0,
+) -> tuple[list[Sample], FloatArray]:
+    """Samples, and the plate's true temperature, °C."""
+    camera = CAMERA.realise(len(reference), period, seed)
+    random = np.random.default_rng(seed)
+    state, pid = (
+        PlantState(rig.ambient, rig.ambient),
+        Pid(PidGains(period=period, back_calculation=1 / period)),
+    )
+    samples: list[Sample] = []
+    truth = np.empty(len(reference))
+    jump, last = 0.0, None
+    for k, wanted in enumerate(reference):
+        what = broken.kind if broken is not None and broken.on(k) else ""
+        truth[k] = state.plate - KELVIN
+        if k and camera.frozen[k] and not camera.frozen[k - 1]:
+            jump = FLAT_FIELD_JUMP * random.standard_normal()
+        jump *= FLAT_FIELD_KEEPS**period
+        seen = rig.ambient - KELVIN if what == "sensor-off" else truth[k] + jump
+        seen += 12.0 if what == "reading-offset" else 0.0
+        seen = round(seen + float(camera.noise[k]), 2)
+        if last is not None and (camera.frozen[k] or what == "sensor-frozen"):
+            seen = last
+        last = seen
+        pwm = pid.step(float(wanted), seen)
+        samples.append(Sample(k, k, float(wanted), seen, pwm))
+        state = advance(_now(rig, what), state, pwm, period, OPEN if what == "drive-lost" else None)
+    return samples, truth
+
+
+def _now(rig: RigParameters, what: str) -> RigParameters:
+    if what.startswith("room+"):
+        return rig.replace(ambient=rig.ambient + float(what[5:]))
+    if what == "fan-failed":
+        return rig.replace(sink_convection=0.1 * rig.sink_convection)
+    return rig
+
+
+def watch(
+    samples: list[Sample], parameters: RigParameters | None = None, settings: HealthSettings | None = None
+) -> tuple[Monitor, list[Health]]:
+    monitor = Monitor(settings)
+    return monitor, [monitor.push(s, parameters) for s in samples]
+
+
+def visible_after(
+    start: int, samples: list[Sample], whole: list[Sample], truth: FloatArray, other: FloatArray
+) -> int | None:
+    """Samples from the break until plate or reading are 1 °C (15 times the noise) from what they would be."""
+    away = np.abs(truth - other)
+    away = np.maximum(away, [abs(a.temperature - b.temperature) for a, b in zip(samples, whole, strict=True)])
+    found = np.flatnonzero(away[start:] > 1.0)
+    return int(found[0]) if found.size else None
+
+
+def measure(kind: str, length: int, runs: int) -> str:
+    names: Counter[str] = Counter()
+    onset, seen, cleared, early = [], [], 0, 0
+    for seed in range(runs):
+        start = int(np.random.default_rng(seed).integers(500, 900))
+        reference, rig = (
+            profile(seed + 1000, 1500 if kind[:4] in ("driv", "sens", "read") else 2700),
+            some_rig(seed),
+        )
+        samples, truth = run(reference, Break(kind, start, length), rig=rig, seed=seed)
+        whole, other = run(reference, rig=rig, seed=seed)
+        monitor, healths = watch(samples)
+        alarms = [a for a in monitor.alarms if a.flagged >= start]
+        early += len(monitor.alarms) - len(alarms)
+        after = visible_after(start, samples, whole, truth, other)
+        if alarms:
+            names[alarms[0].fault.value] += 1
+            onset.append(alarms[0].flagged - start)
+            if after is not None:
+                seen.append(onset[-1] - after)
+            cleared += alarms[-1].last is not None
+        elif any(h.state is State.SUSPECT and h.index > start for h in healths):
+            names["only suspected"] += 1
+        else:
+            names["not seen" if after is not None else "never visible"] += 1
+    delays = f"{np.median(onset):4.0f} {max(onset):4d}" if onset else "   –    –"
+    since = f"{np.median(seen):4.0f} {max(seen):4d}" if seen else "   –    –"
+    told = ", ".join(f"{n} {name}" for name, n in names.most_common())
+    lasts = str(length) if length < 10_000 else "stays"
+    return f"{kind:15s} {lasts:>6s} | {delays} | {since} | {cleared:3d} | {early} | {told}"
+
+
+def false_alarms(hours: int) -> str:
+    alarms, suspects = 0, 0
+    for seed in range(hours):
+        samples, _ = run(profile(seed + 5000, 3600), rig=some_rig(seed + 5000), seed=seed)
+        monitor, healths = watch(samples)
+        alarms += len(monitor.alarms)
+        suspects += sum(h.state is State.SUSPECT for h in healths)
+    return f"{hours} healthy hours: {alarms} alarms, {suspects} samples suspect"
+
+
+def main() -> None:
+    runs, hours = (int(a) for a in (*sys.argv[1:], "40", "100")[:2])
+    print("broken          length | onset med max | visible med max | cleared | before | told")
+    cases = [("drive-lost", n) for n in (10, 20, 60, 1_000_000)]
+    cases += [("sensor-frozen", n) for n in (12, 30, 1_000_000)]
+    cases += [(kind, n) for kind in ("sensor-off", "reading-offset") for n in (20, 1_000_000)]
+    cases += [(kind, 1_000_000) for kind in ("room+10", "room+20", "fan-failed")]
+    for case in cases:
+        print(measure(*case, runs), flush=True)
+    print(false_alarms(hours))
+
+
+if __name__ == "__main__":
+    main()
