@@ -53,6 +53,7 @@ QUANTITIES: tuple[Quantity, ...] = (
     Quantity("sink_convection", "h_sink", "W/K", "heat the sink gives to the air", decimals=2),
     Quantity("sensor_lag", "τ", "s", "time constant with which the camera follows the plate", decimals=2),
     Quantity("seebeck_slope", "dα/dT", "µV/K²", "change of α with temperature, about 25 °C", 1e6, decimals=1),
+    Quantity("drive_ripple", "ρ", "1", "share of the bridge's switching that reaches the module"),
     Quantity(
         SINK_START, "T_sink(0)", "°C", "temperature of the sink at the start", offset=-KELVIN, decimals=1
     ),

@@ -7,7 +7,7 @@ this package does not import matplotlib, which is slow: that happens when the fi
 from __future__ import annotations
 
 from twinmatch.views.figures.discrimination import draw_criteria, draw_matrix
-from twinmatch.views.figures.drawing import save, svg
+from twinmatch.views.figures.drawing import png, save, svg
 from twinmatch.views.figures.health import draw_health
 from twinmatch.views.figures.parameters import draw_parameters
 from twinmatch.views.figures.responses import draw_responses, draw_uncertainty
@@ -23,6 +23,7 @@ __all__ = [
     "draw_session",
     "draw_uncertainty",
     "draw_verdict",
+    "png",
     "save",
     "svg",
 ]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["empty", "new_figure", "save", "stack", "styled", "svg", "time_axis"]
+__all__ = ["empty", "new_figure", "png", "save", "stack", "styled", "svg", "time_axis"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -67,6 +67,14 @@ def save(figure: Figure, path: Path) -> None:
     except (OSError, ValueError) as error:
         msg = f"{path}: the figure cannot be written: {error}"
         raise TwinmatchError(msg) from error
+
+
+@styled
+def png(figure: Figure, dpi: int = 100) -> bytes:
+    """The figure as a PNG, for notebooks and the like."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi)
+    return stream.getvalue()
 
 
 @styled
