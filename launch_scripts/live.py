@@ -53,7 +53,7 @@ def main() -> int:
             virtual=virtual if options.virtual else None,
             candidates=options.candidates,
         )
-        with page_of(options, parser):
+        with page_of(options, parser, options.twin_config):
             return run_live(Live(plan))
     except TwinmatchError as error:
         print(f"live: {error}", file=sys.stderr)

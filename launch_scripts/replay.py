@@ -32,7 +32,7 @@ def main() -> int:
     try:
         from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
 
-        with page_of(options, parser) as page:
+        with page_of(options, parser, options.config) as page:
             code = play(Replay(options.session, options.rate, options.candidates, options.config))
             if code == 0:
                 page.stay()

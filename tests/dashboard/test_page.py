@@ -143,23 +143,22 @@ def test_without_control_the_document_has_no_button_for_it() -> None:
 
 
 def test_an_open_page_takes_no_more_room_however_long(judged: Judgement) -> None:
-    state = DashboardState(capacity=6_000)
-    pages = [opened(state)[0], opened(state)[0]]
+    state = DashboardState(capacity=1_000)
+    page, _ = opened(state)
     state.push_verdict(judged.verdicts[-1])
 
     def run(first: int, number: int) -> None:
-        for k in range(first, first + number, 100):
-            fill(state, k, 100)
-            for page in pages:
-                page.update()
+        for k in range(first, first + number, 25):
+            fill(state, k, 25)
+            page.update()
 
-    run(0, 8_000)
+    run(0, 1_500)
     gc.collect()
     tracemalloc.start()
-    run(8_000, 4_000)
+    run(1_500, 500)
     gc.collect()
     settled = tracemalloc.get_traced_memory()[0]
-    run(12_000, 12_000)
+    run(2_000, 3_000)
     gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - settled
     tracemalloc.stop()

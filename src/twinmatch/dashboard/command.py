@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import re
+from pathlib import Path
 
 from twinmatch.dashboard.errors import DashboardError
 
@@ -19,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="serve on this address; others than 127.0.0.1 are open to others",
     )
     parser.add_argument("--port", type=int, default=5006, help="TCP port (5006); 0: any that is free")
+    parser.add_argument("--config", default="", metavar="FILE", help="parameters (.yaml) of the twin's nodes")
     parser.add_argument(
         "--control", action="store_true", help="the page may set the set-point, clear faults and stop"
     )
@@ -48,6 +50,8 @@ def run(options: argparse.Namespace) -> int:
     for name in ("address", "port", "control"):
         value = getattr(options, name)
         words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+    if options.config:
+        words += ["-p", f"config:={Path(options.config).absolute()}"]
     if options.namespace:
         if re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
             msg = f"dashboard: {options.namespace!r} is no namespace; give one such as /rig_a"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -15,6 +16,7 @@ from sensor_msgs.msg import Image
 
 from twinmatch.dashboard.page import Page
 from twinmatch.dashboard.requests import Requests
+from twinmatch.dashboard.sentence import say
 from twinmatch.dashboard.server import PageServer, is_loopback
 from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
 from twinmatch.errors import TwinmatchError
@@ -22,12 +24,15 @@ from twinmatch.nodes.conversions import match_from, sample_from, verdict_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch_msgs.msg import LoopSample, Match, ModelScore, PwmApplied, TwinState
 
 __all__ = ["Dashboard"]
 
 ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 """Enough for two seconds of a recording that is played a thousand times as fast."""
+SUM_UP = 1.0
+"""Seconds between two looks at whether there is a new verdict to sum the session up with."""
 POLL = 0.05
 """Seconds between two looks at what was asked for on the page."""
 
@@ -41,11 +46,21 @@ class Dashboard(TwinmatchNode):
             "address", "127.0.0.1", "Address to serve on; any but this machine's own is open to others."
         ),
         Parameter("port", 5006, "TCP port; 0: any that is free.", "", 0, 65535),
+        Parameter("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
         Parameter("control", False, "Whether the page may set the set-point, clear faults and stop."),
     )
     CLOSING = 4
 
     _server: PageServer | None = None
+
+    def read_parameters(self) -> None:
+        """Read what the twin's nodes were given.
+
+        Raises:
+            ParameterError: the file cannot be used.
+        """
+        path = self.values["config"]
+        self._settings = read_settings(Path(path) if path else None)
 
     def open(self) -> None:
         """Listen to the graph and serve the page.
@@ -63,6 +78,8 @@ class Dashboard(TwinmatchNode):
         self._hear(PwmApplied, "plant/pwm_applied", self._on_applied, ALL)
         self._hear(DiagnosticArray, "/diagnostics", self._on_health, ALL)
         self._hear(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
+        self._summed_up = 0
+        self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._do_what_was_asked, clock=Clock(clock_type=ClockType.STEADY_TIME))
         address = self.values["address"]
         self._server = PageServer(address, self.values["port"], self._fill)
@@ -145,6 +162,11 @@ class Dashboard(TwinmatchNode):
         pixels = np.frombuffer(bytes(message.data), dtype=kind)
         if pixels.size == message.height * message.width:
             self.state.push_image(pixels.astype(np.float32).reshape(message.height, message.width))
+
+    def _sum_up(self) -> None:
+        if self._summed_up != self.state.verdicts:
+            self._summed_up = self.state.verdicts
+            say(self.state, self._settings.gains, self._settings.limits)
 
     def _do_what_was_asked(self) -> None:
         while True:

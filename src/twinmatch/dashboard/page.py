@@ -73,8 +73,9 @@ class Page:
         ]
         if self._rig is not None:
             roots.append(self._rig.root)
-        for root in roots:
-            document.add_root(root)
+        with document.models.freeze():  # else every root has the whole document gone through again
+            for root in roots:
+                document.add_root(root)
         document.title = "twinmatch"
         document.theme = THEME
         document.template = _TEMPLATE.read_text(encoding="utf-8")
@@ -119,7 +120,7 @@ class Page:
         state = self._state
         self._say("status", panels.status(state, now))
         self._say("alarm", panels.alarm(state))
-        self._say("headline", panels.headline(state.verdict, state.period))
+        self._say("headline", panels.headline(state.verdict, state.period, state.sentence))
         self._say("tiles", panels.tiles(state))
         self._say("nodes", panels.nodes(state.roster, now))
         none_yet = state.image is None

@@ -47,14 +47,15 @@ NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustL
 NODE_WORDS = ("well", "warning", "error", "silent")
 
 
-def headline(verdict: Verdict | None, period: float) -> str:
-    """Level and nominal in large, the figures of the verdict as the terminal has them, and why."""
+def headline(verdict: Verdict | None, period: float, sentence: str = "") -> str:
+    """Level and nominal in large, the verdict's figures and a sentence as the terminal has them, and why."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
     name, why, figures, more = "none yet", "no verdict has come yet", "", ""
     if verdict is not None:
         name, why = verdict.nominal or name, verdict.reason
         told = dict(zip(COLUMNS, row(verdict, period), strict=True))
-        more = "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
+        more = f"<p><b>{text(sentence)}</b></p>" if sentence else ""
+        more += "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
         figures = _tiles([(CALLED.get(n, n), cell) for n, cell in told.items() if n not in IN_WORDS])
     dark = " dark" if level in LIGHT else ""
     return (

@@ -89,6 +89,8 @@ class DashboardState:
         self.trust: deque[Stretch] = deque(maxlen=STRETCHES)
         self.verdicts = 0
         """Counts up with every change of the two above."""
+        self.sentence = ""
+        """What the session comes down to so far; empty: no nominal yet."""
         self.drive: Drive | None = None
         self.events = EventLog(EVENTS)
         self.roster = Roster()
@@ -191,7 +193,7 @@ class DashboardState:
         self.plant.clear()
         if self.twin.last is not None and self.twin.last > first:
             self.twin.clear()
-        self.verdict, self.verdicts = None, self.verdicts + 1
+        self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
         self.trust.clear()
         self._intervals.clear()
         self._note(Lane.NODES, Mark.NOTE, "a new session began", f"the one before had {duration:g} s")

@@ -6,6 +6,7 @@ import argparse
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 
 from twinmatch.launching.processes import Processes
@@ -20,15 +21,25 @@ class Page:
     """The page's process; without a port there is none. If it is lost, nothing else is."""
 
     def __init__(
-        self, port: int | None, *, control: bool = False, show: Callable[[str], None] = print
+        self,
+        port: int | None,
+        *,
+        control: bool = False,
+        config: Path | None = None,
+        show: Callable[[str], None] = print,
     ) -> None:
-        """Serve on this port of this machine; its lines, the address among them, go to `show`."""
-        self._port, self._control, self._show = port, control, show
+        """Serve on this port of this machine; its lines, the address among them, go to `show`.
+
+        `config` is the parameter file of the twin's nodes.
+        """
+        self._port, self._show = port, show
+        self._options = ["--control"] if control else []
+        self._options += ["--config", str(config)] if config is not None else []
         self._processes = Processes(show)
 
     def __enter__(self) -> Page:
         if self._port is not None:
-            options = ["--port", str(self._port), *(["--control"] if self._control else [])]
+            options = ["--port", str(self._port), *self._options]
             self._processes.start_module("dashboard", "twinmatch.dashboard", *options)
         return self
 
@@ -71,11 +82,11 @@ def add_page_options(parser: argparse.ArgumentParser, *, control: bool = False) 
         )
 
 
-def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser) -> Page:
+def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config: Path | None = None) -> Page:
     """The page that was asked for on the command line; leaves with a usage error if that makes no sense."""
     control = bool(getattr(options, "control", False))
     if control and options.dashboard is None:
         parser.error("--control is for a page: give --dashboard too")
     if options.dashboard is not None and not 0 <= options.dashboard <= 65535:
         parser.error(f"--dashboard is {options.dashboard}; a port is within 0 and 65535")
-    return Page(options.dashboard, control=control)
+    return Page(options.dashboard, control=control, config=config)
