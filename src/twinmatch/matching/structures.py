@@ -99,8 +99,11 @@ STRUCTURES: Final = (
         _MOVING.replace(drive_ripple=1.0),
     ),
 )
-"""What is tried, simpler ones first. A rig that stands in a room whose temperature nobody wrote down, seen by a
-camera that is off by a few degrees, has its ambient free. Switched or smoothed is a choice and not a number."""
+"""What is tried, simpler ones first.
+
+The ambient is free where nobody wrote down the temperature of the room and the camera may be off by a few
+degrees. Whether the drive is switched or smoothed is a choice and costs no parameter.
+"""
 
 _VALLEY: Final = (
     {},

@@ -1,0 +1,218 @@
+"""Which structure of the plant the data pay for.
+
+Every structure is fitted to the same windows and judged by the criteria that also choose the order of the
+Box–Jenkins models: information gain, nAIC, BIC and MDL, for temperature and PWM and in total.
+
+What a twin leaves unexplained is far from white: noise of the camera goes round the loop, and a slow error of
+the twin stays for minutes. Counted as if each sample were news, a thousand samples would buy any structure.
+So a noise model of fixed order, the same for all, is put behind the twin, as C/D stands behind B/F in a
+Box–Jenkins model, and the loss is that of its prediction errors: only what the past did not foretell counts.
+Errors of more than three robust standard deviations are cut off there, since the camera's flat-field
+corrections are larger than everything that tells structures apart. The information gain is that of the bare
+simulation, as for the models, less the characters that the parameters cost.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from twinmatch.discrimination import information_gain
+from twinmatch.discrimination.code_length import two_part_length
+from twinmatch.discrimination.criteria import bic, mdl, naic
+from twinmatch.discrimination.score import Criteria
+from twinmatch.matching import Noise
+from twinmatch.matching.structures import STRUCTURES, Structure, StructureFit, fit_structure
+from twinmatch.plant import Driver, PidGains, RigParameters
+from twinmatch.signals import KELVIN, FloatArray, Window
+
+__all__ = ["StructureChoice", "StructureScore", "choose_structure", "prediction_errors", "score_structure"]
+
+NOISE_ORDER: Final = 12
+"""Order of the noise model: past the loop's own time constants, and few beside the samples of a window."""
+CUT: Final = 3.0
+"""Robust standard deviations beyond which a prediction error counts no more."""
+_NORMAL: Final = 1.4826
+"""Standard deviation of normal noise in units of its median absolute value."""
+
+
+@dataclass(frozen=True, eq=False)
+class StructureScore:
+    """One structure on the windows of a choice."""
+
+    fitted: StructureFit
+    y: Criteria
+    u: Criteria
+    total: Criteria
+    loss: tuple[float, float]
+    """Mean square of the prediction errors of temperature and PWM, °C² and counts²."""
+
+    @property
+    def name(self) -> str:
+        """Of the structure."""
+        return self.fitted.structure.name
+
+    @property
+    def parameters(self) -> RigParameters:
+        """The rig as this structure has it."""
+        return self.fitted.parameters
+
+    @property
+    def fit(self) -> tuple[float, float]:
+        """NRMSE of temperature and PWM in closed loop on the windows of the choice."""
+        return self.fitted.fit
+
+
+@dataclass(frozen=True, eq=False)
+class StructureChoice:
+    """Structures side by side and the one that the criteria prefer."""
+
+    scores: tuple[StructureScore, ...]
+    chosen: str
+    votes: Mapping[str, str]
+    """The structure each criterion prefers in total."""
+    samples: tuple[int, int]
+    """Session indices of the first and last sample of the windows."""
+
+    @property
+    def score(self) -> StructureScore:
+        """Of the chosen structure."""
+        return self.of(self.chosen)
+
+    @property
+    def parameters(self) -> RigParameters:
+        """The rig as the chosen structure has it."""
+        return self.score.parameters
+
+    def of(self, name: str) -> StructureScore:
+        """The score of one structure.
+
+        Raises:
+            KeyError: it was not tried.
+        """
+        found = next((s for s in self.scores if s.name == name), None)
+        if found is None:
+            raise KeyError(name)
+        return found
+
+    @property
+    def sentence(self) -> str:
+        """Who was chosen and by what, in plain words."""
+        count = sum(name == self.chosen for name in self.votes.values())
+        best = self.score
+        text = f"{count} of {len(self.votes)} criteria choose: {self.chosen}"
+        y, u = best.fit
+        text += f" ({best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y, {100 * u:.1f} % of u)"
+        others = [s for s in self.scores if s.name != self.chosen]
+        if others:
+            second = min(others, key=lambda s: s.total.bic)
+            lead = second.total.bic - best.total.bic
+            word = "below" if lead >= 0 else "above"
+            text += f"; its BIC is {abs(lead):.0f} {word} that of: {second.name}"
+        return text
+
+
+def choose_structure(
+    windows: Window | Sequence[Window],
+    structures: Sequence[Structure] = STRUCTURES,
+    *,
+    previous: StructureChoice | None = None,
+    noise: Noise | None = None,
+    gains: PidGains | None = None,
+    driver: Driver | None = None,
+    decimals: int = 2,
+) -> StructureChoice:
+    """Fit every structure to the windows and choose the one that most criteria prefer.
+
+    Of equals the one with fewer parameters is chosen, then the one named first.
+
+    Args:
+        windows: what was recorded of one rig, one window or several.
+        structures: what to try.
+        previous: a choice before, from whose parameters the searches begin.
+        noise: what the residuals of the fits are measured in.
+        gains: of the running controller.
+        driver: bridge between PWM and module.
+        decimals: places the tables of the information gain are written with.
+
+    Raises:
+        MatchingError: no window, one too short, or no structure.
+    """
+    held = [windows] if isinstance(windows, Window) else list(windows)
+    before = {s.name: s.fitted for s in previous.scores} if previous else {}
+    scores = [
+        score_structure(
+            fit_structure(held, s, start=before.get(s.name), noise=noise, gains=gains, driver=driver),
+            decimals,
+        )
+        for s in structures
+    ]
+    votes = _votes(scores)
+    count = Counter(votes.values())
+    chosen = min(scores, key=lambda s: (-count[s.name], s.fitted.n_parameters))
+    samples = (min(w.first for w in held), max(w.last for w in held))
+    return StructureChoice(tuple(scores), chosen.name, votes, samples)
+
+
+def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
+    """Judge a fit on the windows it was made on."""
+    scores, losses = [], []
+    for row, offset in ((0, KELVIN), (1, 0.0)):
+        measured = [window[row] for window in fitted.measured]
+        simulated = [window[row] for window in fitted.simulated]
+        errors = prediction_errors([m - s for m, s in zip(measured, simulated, strict=True)])
+        # An exact twin leaves nothing to predict; the smallest number keeps its logarithm finite.
+        loss = max(float(np.mean(np.square(errors))), np.finfo(np.float64).tiny)
+        gain = information_gain(
+            np.concatenate(measured) + offset, np.concatenate(simulated) + offset, decimals=decimals
+        )
+        n, count = fitted.n_parameters, errors.size
+        losses.append(loss)
+        scores.append(
+            Criteria(
+                trivial_length=gain.trivial_length,
+                model_length=gain.model_length,
+                gain=gain.gain,
+                explanation=gain.explanation,
+                naic=naic(loss, n, count),
+                bic=bic(loss, n, count),
+                mdl=mdl(loss, n, count),
+                two_part_length=two_part_length(gain.model_length, n, count),
+            )
+        )
+    y, u = scores
+    return StructureScore(fitted, y, u, y + u, (losses[0], losses[1]))
+
+
+def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER) -> FloatArray:
+    """What an autoregression of the residuals leaves of them, large errors cut off; one common model.
+
+    Args:
+        residuals: one array per window.
+        order: of the autoregression; windows of no more samples than this add nothing.
+    """
+    past, now = [], []
+    for window in residuals:
+        if window.size > order:
+            past.append(np.lib.stride_tricks.sliding_window_view(window[:-1], order))
+            now.append(window[order:])
+    rows, target = np.concatenate(past), np.concatenate(now)
+    errors = target - rows @ np.linalg.lstsq(rows, target, rcond=None)[0]
+    limit = CUT * _NORMAL * float(np.median(np.abs(errors)))
+    return np.clip(errors, -limit, limit)
+
+
+def _votes(scores: Sequence[StructureScore]) -> dict[str, str]:
+    def best(name: str) -> str:
+        return min(scores, key=lambda s: (getattr(s.total, name), s.fitted.n_parameters)).name
+
+    return {
+        "information gain": best("two_part_length"),
+        "nAIC": best("naic"),
+        "BIC": best("bic"),
+        "MDL": best("mdl"),
+    }
