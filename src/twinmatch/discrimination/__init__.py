@@ -7,9 +7,11 @@ for a given controller, and `rig_margin` says it of the running PID.
 
 On these rests the judgement of a `Family` of candidates: `twin_response` runs a candidate's twin on its
 window, `identify` finds Box–Jenkins models of it, `score` holds them against the measured window, and
-`nominal_of` names the candidate nearest to all others. A `Verdict` carries all of it.
+`nominal_of` names the candidate nearest to all others. `judge_uncertainty` says how sure all that is. A
+`Verdict` carries it.
 """
 
+from twinmatch.discrimination.certainty import Certainty, judge_uncertainty
 from twinmatch.discrimination.code_length import (
     InformationGain,
     code_length,
@@ -25,6 +27,7 @@ from twinmatch.discrimination.models import SimoModel, identify, twin_response
 from twinmatch.discrimination.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
 from twinmatch.discrimination.rig_loop import Scales, rig_controller, rig_margin, rig_plant
 from twinmatch.discrimination.score import Criteria, OrderScore, choose_order, common_order, score
+from twinmatch.discrimination.uncertainty import FamilyUncertainty, family_uncertainty
 from twinmatch.discrimination.verdict import CandidateScore, TrustLevel, Verdict, nominal_of
 from twinmatch.discrimination.weights import AkaikeWeights, akaike_weights, score_orders
 
@@ -32,9 +35,11 @@ __all__ = [
     "AkaikeWeights",
     "Candidate",
     "CandidateScore",
+    "Certainty",
     "Criteria",
     "DiscriminationError",
     "Family",
+    "FamilyUncertainty",
     "GraphSymbol",
     "InformationGain",
     "OrderScore",
@@ -49,9 +54,11 @@ __all__ = [
     "chordal_distance",
     "code_length",
     "common_order",
+    "family_uncertainty",
     "graph_symbol",
     "identify",
     "information_gain",
+    "judge_uncertainty",
     "loss",
     "mdl",
     "mdl_as_printed",

@@ -1,0 +1,156 @@
+"""Kernels: how the chordal distance of two models moves when their frequency responses are disturbed.
+
+At one frequency the distance is the length of a complex vector, v = minors of [1 P1; 1 P2] over both lengths.
+A disturbance moves it to v + e. If the truth were t·v, an estimate would be the largest |t·v + e| over the
+frequencies, and |t·v + e|² = a t² + b t + c with a = |v|², b = 2 Re v*e, c = |e|². These three are all that
+has to be kept of a pair to see what estimates any truth t·v would give.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.discrimination.kernels import kernel
+from twinmatch.signals import FloatArray
+
+__all__ = ["directions", "disturbed_pair", "estimates", "failing_draws", "fitting_scales"]
+
+Complex = NDArray[np.complex128]
+
+HALVINGS = 8
+"""Of the interval that holds a scale: finer than a hundred draws make it."""
+
+
+@kernel
+def directions(responses: Complex) -> Complex:
+    """Columns [1; P] of length 1, (n, frequencies, 1 + outputs), for P of shape (n, frequencies, outputs)."""
+    n, points, outputs = responses.shape
+    columns = np.empty((n, points, outputs + 1), dtype=np.complex128)
+    for i in range(n):
+        for w in range(points):
+            square = 1.0
+            for m in range(outputs):
+                square += responses[i, w, m].real ** 2 + responses[i, w, m].imag ** 2
+            scale = 1 / math.sqrt(square)
+            columns[i, w, 0] = scale
+            for m in range(outputs):
+                columns[i, w, m + 1] = responses[i, w, m] * scale
+    return columns
+
+
+@kernel
+def disturbed_pair(
+    still1: Complex, still2: Complex, moved1: Complex, moved2: Complex
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The coefficients a, b and c of one pair.
+
+    Args:
+        still1: direction of the one model, shape (frequencies, 1 + outputs).
+        still2: of the other.
+        moved1: of the one in every draw, shape (draws, frequencies, 1 + outputs).
+        moved2: of the other.
+
+    Returns:
+        Shapes (frequencies,), (draws, frequencies) and (draws, frequencies).
+    """
+    draws, points, rows = moved1.shape
+    a = np.zeros(points)
+    b = np.zeros((draws, points))
+    c = np.zeros((draws, points))
+    for m in range(rows):
+        for k in range(m + 1, rows):
+            v = still1[:, m] * still2[:, k] - still1[:, k] * still2[:, m]
+            for w in range(points):
+                a[w] += v[w].real * v[w].real + v[w].imag * v[w].imag
+            for s in range(draws):
+                for w in range(points):
+                    e = moved1[s, w, m] * moved2[s, w, k] - moved1[s, w, k] * moved2[s, w, m] - v[w]
+                    b[s, w] += 2 * (v[w].real * e.real + v[w].imag * e.imag)
+                    c[s, w] += e.real * e.real + e.imag * e.imag
+    return a, b, c
+
+
+@kernel
+def winding_fails(direction1: Complex, direction2: Complex) -> bool:
+    """Whether the inner product of two stable models' directions turns around zero over the frequencies."""
+    turn, before = 0.0, 0j
+    for w in range(direction1.shape[0]):
+        inner = 0j
+        for m in range(direction1.shape[1]):
+            inner += direction1[w, m] * direction2[w, m].conjugate()
+        if w > 0:
+            ratio = inner * before.conjugate()
+            turn += math.atan2(ratio.imag, ratio.real)
+        before = inner
+    return abs(turn) > 0.5 * math.pi
+
+
+@kernel
+def failing_draws(
+    a: FloatArray, c: FloatArray, moved1: Complex, moved2: Complex, failed: bool
+) -> NDArray[np.bool_]:
+    """In which draws the winding condition fails, shape (draws,), given whether it failed without them.
+
+    It cannot change while the distance stays below 1 on the way.
+    """
+    fails = np.full(c.shape[0], failed)
+    top = math.sqrt(a.max())
+    for s in range(c.shape[0]):
+        if failed or top + math.sqrt(c[s].max()) >= 1:
+            fails[s] = winding_fails(moved1[s], moved2[s])
+    return fails
+
+
+@kernel
+def estimates(
+    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float
+) -> FloatArray:
+    """Sum over the pairs `which` of the largest |scale·v + e|, one per draw, shape (draws,)."""
+    draws, points = b.shape[1:]
+    total = np.zeros(draws)
+    for s in range(draws):
+        for p in which:
+            top = 0.0
+            for w in range(points):
+                top = max(top, (a[p, w] * scale + b[p, s, w]) * scale + c[p, s, w])
+            total[s] += min(1.0, math.sqrt(top))
+    return total
+
+
+@kernel
+def fitting_scales(
+    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, tail: float
+) -> tuple[float, float]:
+    """Least and largest t such that what was estimated is no rare estimate of t·v: tail to 1 − tail.
+
+    What was estimated is the sum over the pairs of the largest |v|.
+    """
+    seen, most = 0.0, 0.0
+    for p in which:
+        seen += math.sqrt(a[p].max())
+        most += math.sqrt(c[p].max())
+    draws = b.shape[1]
+    rank = int(tail * draws)
+    # beyond these no draw could bring the estimate to what was seen
+    widest = 2 * most / max(seen, 1e-300)
+    low, high = max(0.0, 1.0 - widest), 1.0
+    if low == 0.0 and np.sort(estimates(which, a, b, c, 0.0))[draws - 1 - rank] >= seen:
+        high = 0.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if np.sort(estimates(which, a, b, c, middle))[draws - 1 - rank] >= seen:
+            high = middle
+        else:
+            low = middle
+    least = low
+    low, high = 1.0, 1.0 + widest
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if np.sort(estimates(which, a, b, c, middle))[rank] <= seen:
+            low = middle
+        else:
+            high = middle
+    return least, high
