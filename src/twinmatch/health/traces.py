@@ -32,6 +32,8 @@ _CHANCE: Final = 1e-9
 """Probability below which repeated readings are no chance; a year has 3e7 seconds."""
 _LEAST_NOISE: Final = 0.01
 """Mean change from reading to reading below which a sensor may stand still for good, °C."""
+_LEAST_MOVES: Final = 30
+"""Changes of the reading from which it is known how often it repeats itself."""
 _MOVED: Final = 3.0
 """Movement of the plate that a standing sensor should have shown, °C."""
 
@@ -107,6 +109,7 @@ class Repeats:
         self._most = max(3, round(longest / period))
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
         self._change = 0.0  # mean change from reading to reading, °C
+        self._seen, self._moves = 10, 0  # readings and changes of them, the first as good as so many
         self.count = 0
         """How often the newest reading has been repeated."""
         self.expected = 0.0
@@ -120,9 +123,11 @@ class Repeats:
             return
         if not self.stands:
             for repeats in (1.0,) * self.count + (0.0,):
-                self._often += (repeats - self._often) / 300
+                self._seen = min(self._seen + 1, 300)
+                self._often += (repeats - self._often) / self._seen
                 self._lately += (repeats - self._lately) / 30
                 self._change += ((0.0 if repeats else abs(change)) - self._change) / 30
+            self._moves += 1
         self.count, self.expected = 0, 0.0
 
     @property
@@ -136,7 +141,8 @@ class Repeats:
         if self.count + 1 < self._most:
             return False
         chance = max(self._often, self._lately, 0.02) ** self.count
-        return abs(self.expected) > _MOVED or (chance < _CHANCE and self._change >= _LEAST_NOISE)
+        noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE
+        return abs(self.expected) > _MOVED or (noisy and chance < _CHANCE)
 
 
 class Lag:
