@@ -25,7 +25,7 @@ from twinmatch.discrimination import information_gain
 from twinmatch.discrimination.code_length import two_part_length
 from twinmatch.discrimination.criteria import bic, mdl, naic
 from twinmatch.discrimination.score import Criteria
-from twinmatch.matching import Noise
+from twinmatch.matching import MatchingError, Noise
 from twinmatch.matching.structures import STRUCTURES, Structure, StructureFit, fit_structure
 from twinmatch.plant import Driver, PidGains, RigParameters
 from twinmatch.signals import KELVIN, FloatArray, Window
@@ -125,6 +125,7 @@ def choose_structure(
     gains: PidGains | None = None,
     driver: Driver | None = None,
     decimals: int = 2,
+    thorough: bool = True,
 ) -> StructureChoice:
     """Fit every structure to the windows and choose the one that most criteria prefer.
 
@@ -138,19 +139,27 @@ def choose_structure(
         gains: of the running controller.
         driver: bridge between PWM and module.
         decimals: places the tables of the information gain are written with.
+        thorough: as in `fit_structure`.
 
     Raises:
         MatchingError: no window, one too short, or no structure.
     """
     held = [windows] if isinstance(windows, Window) else list(windows)
     before = {s.name: s.fitted for s in previous.scores} if previous else {}
-    scores = [
-        score_structure(
-            fit_structure(held, s, start=before.get(s.name), noise=noise, gains=gains, driver=driver),
-            decimals,
+    scores = []
+    for structure in structures:
+        fitted = fit_structure(
+            held,
+            structure,
+            start=before.get(structure.name),
+            noise=noise,
+            gains=gains,
+            driver=driver,
+            thorough=thorough,
         )
-        for s in structures
-    ]
+        scores.append(score_structure(fitted, decimals))
+    if not scores:
+        raise MatchingError("structures: there is none to choose from; name one at least")
     votes = _votes(scores)
     count = Counter(votes.values())
     chosen = min(scores, key=lambda s: (-count[s.name], s.fitted.n_parameters))

@@ -1,0 +1,118 @@
+"""Which structure the plant has, asked again and again while samples come in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.matching import Noise
+from twinmatch.matching.structures import STRUCTURES, Structure
+from twinmatch.plant import PidGains
+from twinmatch.signals import Window
+from twinmatch.twin.structures import StructureChoice, choose_structure
+
+__all__ = ["WATCHED", "StructureSettings", "StructureWatch"]
+
+WATCHED: tuple[Structure, ...] = tuple(
+    s
+    for s in STRUCTURES
+    if s.name
+    in {
+        "held sink",
+        "sink with mass",
+        "sink with mass, free ambient",
+        "sink with mass, free ambient, switched drive",
+    }
+)
+"""What is tried beside a running plant: the twin of three parameters, and what an hour of a rig pays for."""
+
+
+@dataclass(frozen=True)
+class StructureSettings:
+    """When to look, and at how much.
+
+    Raises:
+        TwinmatchError: the counts do not go together.
+    """
+
+    least: int = 900
+    """Samples wanted before the first look."""
+    every: int = 1200
+    """Samples between two looks."""
+    longest: int = 1200
+    """Newest samples that are looked at."""
+    structures: tuple[Structure, ...] = WATCHED
+    noise: Noise = field(default_factory=Noise)
+    gains: PidGains = field(default_factory=PidGains)
+    decimals: int = 2
+
+    def __post_init__(self) -> None:
+        if not (100 <= self.least <= self.longest and self.every >= 1 and self.structures):
+            msg = (
+                f"structure watch: least {self.least} samples must be 100 or more and not above longest "
+                f"{self.longest}, every {self.every} positive, and there must be a structure to try"
+            )
+            raise TwinmatchError(msg)
+
+
+class StructureWatch:
+    """Keeps the newest samples and chooses a structure every so many of them.
+
+    Give it every window of the schedule that shows no fault, in order. Windows may overlap or follow one
+    another; after a gap the record begins anew. It depends on the samples alone, so a replay chooses as the
+    live twin did.
+    """
+
+    def __init__(self, settings: StructureSettings | None = None) -> None:
+        """Begin with no samples."""
+        self.settings = settings or StructureSettings()
+        self._history: Window | None = None
+        self._looked: int | None = None
+        self._choice: StructureChoice | None = None
+
+    @property
+    def choice(self) -> StructureChoice | None:
+        """The newest choice, if there is one yet."""
+        return self._choice
+
+    def push(self, window: Window) -> StructureChoice | None:
+        """Take one window; return the choice it brought about, if any."""
+        history = self._history = self._joined(window)
+        settings = self.settings
+        if len(history) < settings.least:
+            return None
+        if self._looked is not None and history.last - self._looked < settings.every:
+            return None
+        self._looked = history.last
+        self._choice = choose_structure(
+            history,
+            settings.structures,
+            previous=self._choice,
+            noise=settings.noise,
+            gains=settings.gains,
+            decimals=settings.decimals,
+            thorough=False,
+        )
+        return self._choice
+
+    def _joined(self, window: Window) -> Window:
+        """The samples kept so far with the new ones behind them, the newest `longest` of all."""
+        held = self._history
+        if held is None or window.first > held.last + 1 or window.last < held.last:
+            self._looked = None
+            held = window
+        elif window.last > held.last:
+            held = _continued(held, window.part(held.last + 1, window.last))
+        return held.part(max(held.first, held.last - self.settings.longest + 1), held.last)
+
+
+def _continued(window: Window, newer: Window) -> Window:
+    return Window(
+        reference=np.concatenate([window.reference, newer.reference]),
+        temperature=np.concatenate([window.temperature, newer.temperature]),
+        pwm=np.concatenate([window.pwm, newer.pwm]),
+        first=window.first,
+        period=window.period,
+    )
