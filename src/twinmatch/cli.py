@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -16,6 +17,8 @@ from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.reporting import command as report_command
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from twinmatch.replay import Judgement
 
 __all__ = ["main"]
@@ -125,6 +128,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _replay_one(options: argparse.Namespace) -> int:
+    gc.set_threshold(50_000)  # start-up makes many objects and hardly any garbage among them
     from twinmatch.replay import judge_session  # noqa: PLC0415
     from twinmatch.views import document, sentence  # noqa: PLC0415
 
@@ -212,21 +216,25 @@ def _print_verdicts(judgement: Judgement) -> None:
 class _Progress:
     """A progress bar on standard error; silent where that is no terminal."""
 
-    def __enter__(self) -> _Progress:
-        from rich.console import Console  # noqa: PLC0415
-        from rich.progress import Progress  # noqa: PLC0415
+    _bar: Progress | None = None
 
-        console = Console(stderr=True)
-        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._bar.add_task("judging", total=None)
-        self._bar.start()
+    def __enter__(self) -> _Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console  # noqa: PLC0415
+            from rich.progress import Progress  # noqa: PLC0415
+
+            self._bar = Progress(console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("judging", total=None)
+            self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        if self._bar is not None:
+            self._bar.stop()
 
     def advance(self, done: int, total: int) -> None:
-        self._bar.update(self._task, completed=done, total=total)
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, total=total)
 
 
 if __name__ == "__main__":
