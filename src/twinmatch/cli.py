@@ -123,7 +123,8 @@ def _replay(options: argparse.Namespace) -> int:
     _check_writable(options.json, options.figure)
     if archive_program.is_archive(options):
         with _Progress() as progress:
-            return archive_program.run(options, progress.advance)
+            archive = archive_program.judge(options, progress.advance)
+        return archive_program.show(options, archive)
     return _replay_one(options)
 
 

@@ -14,7 +14,7 @@ from twinmatch.archive.job import Failure
 from twinmatch.archive.sources import is_single
 from twinmatch.errors import EXIT_USER_ERROR
 
-__all__ = ["EXIT_PARTLY", "add_options", "is_archive", "run"]
+__all__ = ["EXIT_PARTLY", "add_options", "is_archive", "judge", "show"]
 
 EXIT_PARTLY = 3
 """Some sessions were judged and some passed over."""
@@ -45,11 +45,11 @@ def is_archive(options: argparse.Namespace) -> bool:
     return not is_single(options.sessions) or any(option is not None for option in asked)
 
 
-def run(options: argparse.Namespace, watch: Callable[[int, int], None]) -> int:
-    """Judge, print the table, write the JSON; returns the exit code."""
+def judge(options: argparse.Namespace, watch: Callable[[int, int], None]) -> Archive:
+    """Judge what the options name; a session passed over is named at once."""
     if options.figure is not None:
         raise ArchiveError("--figure draws one session; several were named")
-    archive = judge_archive(
+    return judge_archive(
         options.sessions,
         config=options.config,
         candidates=options.candidates,
@@ -59,6 +59,10 @@ def run(options: argparse.Namespace, watch: Callable[[int, int], None]) -> int:
         watch=watch,
         passed_over=_complain,
     )
+
+
+def show(options: argparse.Namespace, archive: Archive) -> int:
+    """Print the table and write the JSON; returns the exit code."""
     _print(archive)
     if options.json is not None:
         text = json.dumps(archive.document(), indent=1, allow_nan=False, ensure_ascii=False)
