@@ -110,13 +110,17 @@ def _compare_recorded(
         ), None
     if found.identical:
         return (
-            f"The session holds {found.verdicts} recorded verdicts and {found.matches} matches. They were "
+            f"The session holds {found.verdicts} recorded verdicts and {_matches(found.matches)}. They were "
             "computed anew for this report and are the same, bit for bit."
         ), True
     return (
-        f"The session holds {found.verdicts} recorded verdicts and {found.matches} matches. Here they "
+        f"The session holds {found.verdicts} recorded verdicts and {_matches(found.matches)}. Here they "
         f"are computed anew, and they differ from the recorded ones. First difference: {found.difference}."
     ), False
+
+
+def _matches(count: int) -> str:
+    return f"{count} match{'' if count == 1 else 'es'}"
 
 
 def _prefix(session: Session) -> str:

@@ -8,6 +8,7 @@ from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
 from twinmatch.replay import Judgement
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
+from twinmatch.twin.discriminator import UNEXPLAINED
 from twinmatch.views.comparison import compare, root_mean_square
 from twinmatch.views.events import level_stretches
 from twinmatch.views.quantities import number
@@ -57,6 +58,8 @@ def plain_words(judgement: Judgement) -> list[str]:
     told.append(_matching(judgement))
     if last is None or nominal is None:
         told.append(_nothing(judgement))
+        if judgement.summary.level is TrustLevel.FAULT:
+            told.append(_health(judgement))
         return told
     told.append(_choice(last, nominal))
     if last.certainty:
@@ -150,7 +153,7 @@ def _health(judgement: Judgement) -> str:
     stretches = level_stretches(judgement.verdicts, judgement.samples[0].index)
     faults = [s for s in stretches if s.level is TrustLevel.FAULT]
     doubts = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
-    named = sorted({v.fault for v in judgement.verdicts if v.fault})
+    named = sorted({v.fault for v in judgement.verdicts} - {"", UNEXPLAINED})
     if faults:
         when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in faults)
         what = f" ({', '.join(named)})" if named else ""

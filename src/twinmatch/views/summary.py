@@ -11,6 +11,7 @@ from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.plant import PidGains, RigParameters
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TrustLimits, closed_loop_fit
+from twinmatch.twin.discriminator import UNEXPLAINED
 from twinmatch.views.quantities import number
 from twinmatch.views.trust_range import TrustRange, trust_range
 
@@ -84,6 +85,8 @@ def summarise(
 def sentence(summary: Summary) -> str:
     """The summary as a person would say it, in one line."""
     if summary.nominal is None:
+        if summary.level is TrustLevel.FAULT:
+            return f"No nominal twin: {_trouble(summary)}. Look at the plant first."
         return (
             f"No nominal twin: {summary.verdicts} verdicts, but no match was accepted. "
             "The loop needs set-point steps of a few degrees, some minutes apart."
@@ -98,9 +101,13 @@ def _trust(summary: Summary) -> str:
     held = f"between {summary.range}" if summary.range else ""
     if summary.level is TrustLevel.FAULT:
         before = f" (it held {held})" if held else ""
-        what = f"the plant shows {summary.fault}" if summary.fault else "the plant does what no twin explains"
-        return f"do not trust it now: {what}{before}"
+        return f"do not trust it now: {_trouble(summary)}{before}"
     if summary.level is TrustLevel.DOUBTFUL:
         before = f" (it held {held})" if held else ""
         return f"doubtful now: plant and twin differ by more than they should{before}"
     return f"trust it {held}" if held else "how far to trust it is not known yet"
+
+
+def _trouble(summary: Summary) -> str:
+    named = summary.fault and summary.fault != UNEXPLAINED
+    return f"the plant shows {summary.fault}" if named else "the plant does what no twin explains"

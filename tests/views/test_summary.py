@@ -1,0 +1,65 @@
+"""The one line that a session comes down to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from twinmatch.discrimination import TrustLevel
+from twinmatch.plant import RigParameters
+from twinmatch.views import Summary, TrustRange, sentence
+
+SUMMARY = Summary(
+    nominal="70 °C",
+    level=TrustLevel.TRUSTED,
+    parameters=RigParameters(),
+    fit_y=0.9881,
+    fit_u=0.9,
+    verdicts=5,
+    identified=2,
+    matches={},
+    order="22221",
+    range=TrustRange(24.3, 92.7),
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {},
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; trust it between 25 and 92 °C.",
+        ),
+        (
+            {"level": TrustLevel.DOUBTFUL},
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: plant and twin differ by "
+            "more than they should (it held between 25 and 92 °C).",
+        ),
+        (
+            {"level": TrustLevel.FAULT, "fault": "drive-lost"},
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; do not trust it now: the plant shows "
+            "drive-lost (it held between 25 and 92 °C).",
+        ),
+        (
+            {"level": TrustLevel.FAULT, "fault": "unexplained", "range": None, "fit_y": math.nan},
+            "Nominal: 70 °C set; orders 22221; do not trust it now: the plant does what no twin explains.",
+        ),
+        (
+            {"range": None},
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; how far to trust it is not known yet.",
+        ),
+        (
+            {"nominal": None, "level": TrustLevel.UNKNOWN},
+            "No nominal twin: 5 verdicts, but no match was accepted. The loop needs set-point steps of a few "
+            "degrees, some minutes apart.",
+        ),
+        (
+            {"nominal": None, "level": TrustLevel.FAULT, "fault": "drive-lost"},
+            "No nominal twin: the plant shows drive-lost. Look at the plant first.",
+        ),
+    ],
+)
+def test_the_sentence(changes: dict[str, object], text: str) -> None:
+    assert sentence(replace(SUMMARY, **changes)) == text  # type: ignore[arg-type]
