@@ -1,9 +1,10 @@
 """Damped least squares inside bounds, for few parameters and many residuals.
 
 Levenberg–Marquardt on the normal equations. A step is the minimum of the damped quadratic model inside
-the box, found by fixing one parameter after another on the bound it would cross; so a parameter lands
-on its bound exactly, and leaves it again when the residuals ask for it. The search ends where an undamped
-step promises nothing more, which a step cut short by damping cannot pretend.
+the box, found by fixing one parameter after another on the bound it would cross and letting go those that
+pull inwards; so a parameter lands on its bound exactly, and leaves it again when the residuals ask for
+it. The search ends where an undamped step promises nothing more, which a step cut short by damping cannot
+pretend.
 """
 
 # ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
@@ -86,7 +87,7 @@ def descend(
             step, expected = box_step(hessian, gradient, values, lower, upper, damping)
             if not np.max(np.abs(step) / scales) > _SMALL:
                 return Descended(values, cost, bool(np.isfinite(cost)), evaluations, hessian)
-            tried = np.minimum(np.maximum(values + step, lower), upper)
+            tried = _onto_bounds(values + step, lower, upper)
             there = evaluate(tried)
             evaluations += 1
             if there.cost < cost:
@@ -98,6 +99,12 @@ def descend(
         growth = 2.0
         values = tried
         cost, gradient, hessian = there.normal
+
+
+def _onto_bounds(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """What lies beyond a bound, or short of it by no more than rounding, is put on it."""
+    near = 1e-12 * (upper - lower)
+    return np.where(values < lower + near, lower, np.where(values > upper - near, upper, values))
 
 
 def _in_valley(found: Descended, values: FloatArray, cost: float) -> bool:
@@ -131,7 +138,7 @@ def box_step(
     for i in range(n):
         outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
         held[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
-    for _ in range(n + 1):
+    for _ in range(4 * n):
         # Cholesky on what is free, in units in which the diagonal is one.
         free = np.flatnonzero(~held)
         m = free.size
@@ -168,7 +175,21 @@ def box_step(
             if abs(step[p]) > abs(room) and abs(room) / abs(step[p]) < reach:
                 first, reach = p, abs(room) / abs(step[p])
         if first < 0:
-            break
+            # A parameter that would rather leave its bound again is let go, one at a time.
+            pull = 0.0
+            for i in range(n):
+                if held[i] and lower[i] < upper[i] and hessian[i, i] > 0.0:
+                    slope = gradient[i] + damping * hessian[i, i] * step[i]
+                    for j in range(n):
+                        slope += hessian[i, j] * step[j]
+                    inward = -slope if values[i] + step[i] <= lower[i] else slope
+                    inward /= np.sqrt(hessian[i, i])
+                    if inward > max(pull, 1e-9 * abs(gradient[i]) / np.sqrt(hessian[i, i])):
+                        first, pull = i, inward
+            if first < 0:
+                break
+            held[first] = False
+            continue
         step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
         held[first] = True
     promised = 0.0

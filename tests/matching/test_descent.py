@@ -1,0 +1,126 @@
+"""The search: against scipy, against its own conditions for a minimum in a box, and where it must stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import least_squares, lsq_linear
+
+from twinmatch.matching.descent import Descended, box_step, descend
+
+
+class Curve:
+    """Residuals and Jacobian of a function, as the search wants them."""
+
+    def __init__(self, residuals: np.ndarray, jacobian: np.ndarray) -> None:
+        self.cost = float(residuals @ residuals)
+        self.normal = self.cost, jacobian.T @ residuals, jacobian.T @ jacobian
+
+
+def rosenbrock(x: np.ndarray) -> Curve:
+    return Curve(
+        np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]), np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+    )
+
+
+def search(
+    evaluate: Callable[[np.ndarray], Curve],
+    start: Sequence[float],
+    lower: Sequence[float],
+    upper: Sequence[float],
+    *,
+    most: int = 200,
+    found: Descended | None = None,
+) -> Descended:
+    arrays = (np.array(v, dtype=float) for v in (start, lower, upper))
+    return descend(evaluate, *arrays, np.ones(len(start)), most, found)
+
+
+@pytest.mark.parametrize("start", [(-1.2, 1.0), (3.0, -4.0), (0.0, 0.0)])
+@pytest.mark.parametrize("upper", [(10.0, 10.0), (0.5, 10.0), (10.0, 0.25), (0.3, 0.01)])
+def test_a_curved_valley_is_followed_to_its_end_or_to_the_bound(
+    start: tuple[float, float], upper: tuple[float, float]
+) -> None:
+    low = (-5.0, -5.0)
+    begin = np.minimum(start, upper)
+    found = search(rosenbrock, begin, low, upper)
+    theirs = least_squares(
+        lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
+        np.minimum(begin, np.array(upper) - 1e-6),
+        bounds=(low, upper),
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+    )
+    assert found.converged
+    assert found.cost <= 2 * theirs.cost + 1e-8
+    np.testing.assert_allclose(found.values, theirs.x, atol=1e-4)
+    assert np.all(found.values <= upper)
+
+
+@given(
+    entries=st.lists(st.floats(-3.0, 3.0), min_size=24, max_size=24),
+    right=st.lists(st.floats(-5.0, 5.0), min_size=6, max_size=6),
+)
+def test_an_undamped_step_solves_the_linear_problem_in_its_box(
+    entries: list[float], right: list[float]
+) -> None:
+    """Against scipy's active-set solver."""
+    matrix, target = np.array(entries[:18]).reshape(6, 3), np.array(right)
+    matrix[:3] += 2.0 * np.eye(3)
+    if np.linalg.cond(matrix) > 1e3:
+        return
+    start, lower, upper = np.full(3, 0.1), np.full(3, 0.0), np.array([1.0, 0.5, 2.0])
+    residuals = matrix @ start - target
+    step, promised = box_step(matrix.T @ matrix, matrix.T @ residuals, start, lower, upper, 1e-12)
+    end = start + step
+    assert np.all((end >= lower - 1e-12) & (end <= upper + 1e-12))
+    before, after = residuals @ residuals, np.sum(np.square(matrix @ end - target))
+    assert promised == pytest.approx(before - after, abs=1e-7 * (1 + before))
+    assert promised >= -1e-9
+    best = 2 * lsq_linear(matrix, target, (lower, upper), method="bvls", tol=1e-12).cost
+    assert after == pytest.approx(best, abs=1e-6 * (1 + best))
+
+
+def test_a_direction_that_is_not_seen_is_left_alone() -> None:
+    def flat(x: np.ndarray) -> Curve:
+        return Curve(np.array([x[0] - 1.0, 0.5]), np.array([[1.0, 0.0], [0.0, 0.0]]))
+
+    found = search(flat, (0.0, 0.3), (-5.0, -5.0), (5.0, 5.0))
+    assert found.converged
+    assert found.values == pytest.approx([1.0, 0.3])
+
+
+def test_a_kink_ends_the_search_and_too_few_evaluations_are_told() -> None:
+    def kink(x: np.ndarray) -> Curve:
+        return Curve(np.array([abs(x[0]) + 1.0]), np.array([[np.sign(x[0]) or 1.0]]))
+
+    found = search(kink, (1.0,), (-5.0,), (5.0,))
+    assert found.converged
+    assert abs(found.values[0]) < 1e-3
+    short = search(rosenbrock, (-1.2, 1.0), (-5.0, -5.0), (5.0, 5.0), most=3)
+    assert not short.converged
+    assert short.evaluations == 3
+
+
+def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None:
+    def well(x: np.ndarray) -> Curve:
+        return Curve(np.array([x[0] + 0.1 * x[0] ** 2, 1.0]), np.array([[1.0 + 0.2 * x[0]], [0.0]]))
+
+    first = search(well, (3.0,), (-4.0,), (4.0,))
+    again = search(well, (2.0,), (-4.0,), (4.0,), found=first)
+    assert again is first
+
+    def two(x: np.ndarray) -> Curve:  # minima at −1 and 2, the second one higher
+        return Curve(
+            np.array([(x[0] + 1.0) * (x[0] - 2.0), 0.3 * (x[0] + 1.0)]), np.array([[2.0 * x[0] - 1.0], [0.3]])
+        )
+
+    left = search(two, (-2.0,), (-5.0,), (5.0,))
+    right = search(two, (3.0,), (-5.0,), (5.0,), found=left)
+    assert left.values == pytest.approx([-1.0], abs=1e-3)
+    assert right.values[0] > 1.5
