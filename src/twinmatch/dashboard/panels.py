@@ -84,7 +84,7 @@ def tiles(state: DashboardState) -> str:
     if state.drive is not None:
         entries.append(("applied / PWM", number(state.drive.pwm, 0)))
         entries.append(("current / A", number(state.drive.current, 2)))
-    return _tiles(entries)
+    return _tiles(entries, "tiles now")
 
 
 def status(state: DashboardState, now: float) -> str:
@@ -217,13 +217,13 @@ def _span(low: float, high: float) -> str:
     return DASH if math.isnan(low) or math.isnan(high) else f"{number(low, 2)} to {number(high, 2)}"
 
 
-def _tiles(entries: Sequence[tuple[str, str]]) -> str:
+def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:
     """Names with their units, and the figures below them."""
     shown = [
         f'<div><div class="label">{text(name)}</div><div class="value">{text(value)}</div></div>'
         for name, value in entries
     ]
-    return f'<div class="tiles">{"".join(shown)}</div>'
+    return f'<div class="{kind}">{"".join(shown)}</div>'
 
 
 def _pill(level: TrustLevel | None, words: str) -> str:
