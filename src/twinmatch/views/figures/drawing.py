@@ -53,6 +53,14 @@ def stack(figure: Figure, ratios: Sequence[float]) -> list[Axes]:
     return axes
 
 
+def _arrange(figure: Figure) -> None:
+    """Lay the figure out once; left to itself it would be done anew for every file."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+
+
 @styled
 def save(figure: Figure, path: Path) -> None:
     """Write a figure; the ending says how (.png, .svg, .pdf).
@@ -61,6 +69,7 @@ def save(figure: Figure, path: Path) -> None:
         TwinmatchError: matplotlib cannot write such a file there.
     """
     # without a date the same figure is the same file
+    _arrange(figure)
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     try:
         figure.savefig(path, metadata=undated.get(path.suffix.lower()))
@@ -72,6 +81,7 @@ def save(figure: Figure, path: Path) -> None:
 @styled
 def png(figure: Figure, dpi: int = 100) -> bytes:
     """The figure as a PNG, for notebooks and the like."""
+    _arrange(figure)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=dpi)
     return stream.getvalue()
@@ -80,6 +90,7 @@ def png(figure: Figure, dpi: int = 100) -> bytes:
 @styled
 def svg(figure: Figure) -> str:
     """The figure as an SVG document."""
+    _arrange(figure)
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None})
     return stream.getvalue()
