@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -39,8 +40,6 @@ def dask(stack: ExitStack, folder: Path, *arguments: str) -> None:
 
 def address_in(file: Path, timeout: float = 60.0) -> str:
     """The address a scheduler writes into its file once it listens."""
-    import time
-
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         if file.exists() and (text := file.read_text()).rstrip().endswith("}"):
@@ -73,6 +72,10 @@ def address(idle: tuple[ExitStack, Path, str]) -> str:
     """A scheduler with two workers of one thread each."""
     stack, folder, address = idle
     dask(stack, folder, "worker", address, "--nworkers", "2", "--nthreads", "1")
+    from distributed import Client
+
+    with Client(address, set_as_default=False, timeout=60) as client:
+        client.wait_for_workers(2, timeout=120)
     return address
 
 
