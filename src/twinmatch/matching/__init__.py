@@ -4,8 +4,10 @@
 temperature and PWM agree with the record as nearly as they can (nonlinear least squares, paper section
 III). Seebeck coefficient, conductance and heat capacity trade off against each other, so a `Match` always
 carries its covariance, its Fisher information and the bounds it ran into; the covariance follows the
-camera's noise round the loop. Its `Status` is the gate's answer: only an accepted match may join the
-family of candidates. `Limits` says where the gate closes, and the gate's module in which order it asks.
+camera's noise round the loop. It also says which parameters to believe, within which intervals, which
+combination is known best, and which set-point step would show what is left open. Its `Status` is the
+gate's answer: only an accepted match may join the family of candidates. `Limits` says where the gate
+closes, and the gate's module in which order it asks.
 """
 
 from twinmatch.matching.bounds import (

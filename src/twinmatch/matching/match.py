@@ -53,7 +53,8 @@ def match(
     """Fit the closed-loop twin to a window by nonlinear least squares on temperature and PWM.
 
     First a fit without the window's last part is tested on that part against `incumbent` (or, without
-    one, against `start`); the parameters returned are then fitted to the whole window.
+    one, against `start`); the parameters returned are then fitted to the whole window. One that the
+    window leaves quite open is kept as near to its value in `incumbent` or `start` as the window allows.
 
     Args:
         window: recorded samples; should hold two set-point levels and the way between them.

@@ -66,7 +66,8 @@ class Match:
     to `eigenvalues[j]`, so column 0 is the combination of parameters that the window shows least."""
     intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     """Profile-likelihood interval (95 %) of each parameter, its own unit, shape (n, 2); an end is
-    infinite where the interval is open and NaN where no fit was made."""
+    infinite where a bound of the search cuts the interval off, zero where physics does, and NaN where no
+    fit was made or it does not explain the window."""
     believed: tuple[str, ...] = ()
     """Names of the parameters that this window determines."""
     determined: str = ""
