@@ -9,16 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import Candidate, SimoModel, TrustLevel, Verdict, nominal_of
+from twinmatch.discrimination import Candidate, SimoModel, TrustLevel, Verdict
 from twinmatch.errors import TwinmatchError
-from twinmatch.health import Alarm, Health, Monitor, State
+from twinmatch.health import Alarm, Fault, Health, Monitor, State
 from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.matcher import MatchReport, candidate_name
-from twinmatch.twin.members import Members, plant_model
+from twinmatch.twin.members import Judged, Members, plant_model
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinSettings
+from twinmatch.twin.structure_watch import StructureSettings, StructureWatch
 from twinmatch.twin.threads import one_thread
 
 __all__ = ["Discriminator", "trust_level"]
@@ -49,6 +50,11 @@ class Discriminator:
         self.schedule = Schedule(self.settings.schedule, self.settings.period)
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._members = Members(self.settings)
+        self._structure = StructureWatch(
+            StructureSettings(
+                noise=self.settings.noise, gains=self.settings.gains, decimals=self.settings.decimals
+            )
+        )
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
         self._reports: deque[MatchReport] = deque()
@@ -129,11 +135,12 @@ class Discriminator:
 
     def _let_go(self, alarm: Alarm) -> None:
         """Dismiss the candidates that were matched while the fault was already there."""
-        gone = self._members.expel(alarm.first, alarm.flagged)
+        gone = () if alarm.fault is Fault.DRIFT else self._members.expel(alarm.first, alarm.flagged)
         if not gone or self._standing is None or self._looked is None:
             return
         if not len(self._members):
-            self._standing = replace(self._standing, nominal=None, candidates=(), order=None, nu_gap=())
+            nobody = Judged((), None, None, (), decided=False, certainty="")
+            self._standing = replace(self._standing, **nobody._asdict())
             return
         order = self._members.order
         plant = plant_model(self._looked.window, order)
@@ -141,6 +148,7 @@ class Discriminator:
 
     def _judge(self, trigger: Trigger, report: MatchReport | None) -> Verdict:
         window = trigger.window
+        self._watch_structure(window)
         if not trigger.excited:
             return self._stand(trigger.sample, window, "the set-point did not move")
         reason = self._admit(trigger, report)
@@ -156,15 +164,15 @@ class Discriminator:
         self._standing = self._at(self._standing, trigger.sample, window, doubtful=doubtful)
         return self._standing
 
+    def _watch_structure(self, window: Window) -> None:
+        """Ask now and then, of samples without a fault, which plant structure they pay for."""
+        alarm = self.monitor.alarms[-1] if self.monitor.alarms else None
+        if alarm is not None and alarm.overlaps(window.first, window.last):
+            return
+        self._structure.push(window)
+
     def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
-        candidates, matrix = self._members.scores(looked.window, looked.plant)
-        return replace(
-            verdict,
-            candidates=candidates,
-            nominal=nominal_of(candidates),
-            order=looked.plant.order,
-            nu_gap=matrix,
-        )
+        return replace(verdict, **self._members.judge(looked.window, looked.plant)._asdict())
 
     def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
         """The verdict before, marked as standing; only health, residuals and level are new."""
@@ -177,8 +185,12 @@ class Discriminator:
         level, fault, since = trust_level(found, self.settings.limits), "", None
         if doubtful and level is TrustLevel.TRUSTED:
             level = TrustLevel.DOUBTFUL
-        if self._health is not None and self._health.state is State.FAULT and self._health.fault:
-            level, fault, since = TrustLevel.FAULT, self._health.fault.value, self._health.since
+        health = self._health
+        if health is not None and health.state is State.FAULT and health.fault is not None:
+            fault, since = health.fault.value, health.since
+            # A plant that drifts still obeys: its next matches bring the twin up to it.
+            drifts = health.fault is Fault.DRIFT and level is not TrustLevel.FAULT
+            level = TrustLevel.DOUBTFUL if drifts else TrustLevel.FAULT
         elif level is TrustLevel.FAULT:
             fault, since = UNEXPLAINED, max(window.first, window.last - self.settings.schedule.stride + 1)
         return replace(
@@ -189,6 +201,7 @@ class Discriminator:
             level=level,
             fault=fault,
             fault_since=since,
+            structure=self._structure.choice.chosen if self._structure.choice else "",
             residual_y=found.y,
             residual_u=found.u,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from twinmatch.discrimination import (
     Candidate,
@@ -13,6 +14,8 @@ from twinmatch.discrimination import (
     choose_order,
     common_order,
     identify,
+    judge_uncertainty,
+    nominal_of,
     nu_gap_matrix,
     nu_gap_of,
     score,
@@ -22,13 +25,11 @@ from twinmatch.identification import ORDERS
 from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
 
-__all__ = ["Members", "plant_model"]
-
-Matrix = tuple[tuple[float, ...], ...]
+__all__ = ["Judged", "Members", "plant_model"]
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _Member:
     """A candidate with the models of its twin and their scores, found once when it is admitted."""
 
     candidate: Candidate
@@ -38,6 +39,17 @@ class _Judged:
     chosen: str
 
 
+class Judged(NamedTuple):
+    """What the family comes to; the fields are those of a verdict."""
+
+    candidates: tuple[CandidateScore, ...]
+    nominal: str | None
+    order: str | None
+    nu_gap: tuple[tuple[float, ...], ...]
+    decided: bool
+    certainty: str
+
+
 class Members:
     """Takes candidates in, lets them leave, and scores those that stand."""
 
@@ -45,10 +57,10 @@ class Members:
         """Begin with nobody."""
         self._settings = settings
         self._family = Family(settings.most_candidates, settings.regime_width)
-        self._judged: dict[str, _Judged] = {}
+        self._members: dict[str, _Member] = {}
 
     def __len__(self) -> int:
-        return len(self._judged)
+        return len(self._members)
 
     def candidate(self, name: str) -> Candidate:
         """The candidate of this name.
@@ -56,12 +68,12 @@ class Members:
         Raises:
             KeyError: there is none.
         """
-        return self._judged[name].candidate
+        return self._members[name].candidate
 
     @property
     def order(self) -> str:
         """The order most members chose, at which all of them are compared."""
-        return common_order([self._judged[c.name].chosen for c in self._family.candidates])
+        return common_order([self._members[c.name].chosen for c in self._family.candidates])
 
     def admit(self, candidate: Candidate, window: Window) -> str:
         """Identify the candidate's twin on a window and take it in; return a sentence saying so.
@@ -78,45 +90,56 @@ class Members:
         orders = tuple(score(m, measured, settings.decimals) for m in models.values())
         leaving = self._family.admit(candidate)
         if leaving is not None:
-            del self._judged[leaving.name]
-        self._judged[candidate.name] = _Judged(candidate, window, models, orders, choose_order(orders))
+            del self._members[leaving.name]
+        self._members[candidate.name] = _Member(candidate, window, models, orders, choose_order(orders))
         return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
 
     def expel(self, first: int, last: int) -> tuple[str, ...]:
         """Let everyone go who was matched on samples that touch `first` to `last`; return their names."""
         gone = tuple(
             name
-            for name, judged in self._judged.items()
-            if judged.candidate.window is not None
-            and judged.window.first <= last
-            and judged.window.last >= first
+            for name, member in self._members.items()
+            if member.candidate.window is not None
+            and member.window.first <= last
+            and member.window.last >= first
         )
         for name in gone:
             self._family.dismiss(name)
-            del self._judged[name]
+            del self._members[name]
         return gone
 
-    def scores(self, newest: Window, plant: SimoModel) -> tuple[tuple[CandidateScore, ...], Matrix]:
-        """Score everyone against a measured window and the plant's model identified on it."""
-        family = [self._judged[c.name] for c in self._family.candidates]
+    def judge(self, newest: Window, plant: SimoModel) -> Judged:
+        """Score everyone against a measured window and the plant's model identified on it, and choose."""
+        family = [self._members[c.name] for c in self._family.candidates]
         models = [j.models[plant.order] for j in family]
         matrix = nu_gap_matrix([m.symbol for m in models])
         scores = tuple(
             CandidateScore(
-                name=judged.candidate.name,
-                operating_point=judged.candidate.operating_point,
-                parameters=judged.candidate.parameters,
-                first=judged.window.first,
-                last=judged.window.last if judged.candidate.window else judged.window.first - 1,
-                orders=judged.orders,
-                chosen_order=judged.chosen,
+                name=member.candidate.name,
+                operating_point=member.candidate.operating_point,
+                parameters=member.candidate.parameters,
+                first=member.window.first,
+                last=member.window.last if member.candidate.window else member.window.first - 1,
+                orders=member.orders,
+                chosen_order=member.chosen,
                 nu_gap_sum=float(total),
                 newest=score(model, newest, self._settings.decimals).total,
                 nu_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
             )
-            for judged, model, total in zip(family, models, matrix.sum(axis=0), strict=True)
+            for member, model, total in zip(family, models, matrix.sum(axis=0), strict=True)
         )
-        return scores, tuple(tuple(float(v) for v in row) for row in matrix)
+        nominal = nominal_of(scores)
+        known = judge_uncertainty(
+            scores,
+            models,
+            matrix,
+            nominal,
+            plant=plant,
+            gains=self._settings.gains,
+            seed=self._settings.seed,
+        )
+        rows = tuple(tuple(float(v) for v in row) for row in matrix)
+        return Judged(known.candidates, nominal, plant.order, rows, known.decided, known.certainty)
 
 
 def plant_model(window: Window, order: str) -> SimoModel:
