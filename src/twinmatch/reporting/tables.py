@@ -16,7 +16,7 @@ from twinmatch.views.criteria import OUTPUTS, Criterion, computed, criterion_row
 from twinmatch.views.events import STATUS_WORDS, events
 from twinmatch.views.family import Member
 from twinmatch.views.intervals import interval, value_of
-from twinmatch.views.quantities import QUANTITIES, number, quantity
+from twinmatch.views.quantities import QUANTITIES, Quantity, number, quantity
 
 __all__ = [
     "Cell",
@@ -93,25 +93,26 @@ def nominal_table(score: CandidateScore, match: Match | None) -> Table:
     """The nominal twin's parameters with their intervals."""
     rows = []
     for q in QUANTITIES:
-        value = getattr(score.parameters, q.name, None)
-        if value is None and (match is None or q.name not in match.free):
-            continue
         if match is not None and q.name in match.free:
-            known = interval(match, q.name)
-            shown = q.shown(value_of(match, q.name) if value is None else value)
-            cells = (
-                Cell(number(shown, q.decimals), best=True),
-                Cell(q.error_text(known.error)),
-                Cell(f"{q.text(known.low)} to {q.text(known.high)}" if known.known else "–"),
-                words(_believed(match, q.name)),
-            )
-        elif value is not None:
-            cells = (Cell(q.text(value)), Cell("–"), Cell("–"), words("not fitted"))
+            value, *rest = _fitted(match, q)
+        elif hasattr(score.parameters, q.name):
+            origin = words("given" if match is None else "not fitted")
+            value, *rest = (Cell(q.text(getattr(score.parameters, q.name))), Cell("–"), Cell("–"), origin)
         else:
             continue
-        rows.append((head(q.symbol), words(q.words), *cells[:1], words(q.unit), *cells[1:]))
+        rows.append((head(q.symbol), words(q.words), value, words(q.unit), *rest))
     columns = ("symbol", "meaning", "value", "unit", "standard error", "95 % interval", "from")
     return Table(f"Parameters of the nominal twin, {score.name}", columns, tuple(rows))
+
+
+def _fitted(match: Match, shown: Quantity) -> tuple[Cell, Cell, Cell, Cell]:
+    known = interval(match, shown.name)
+    return (
+        Cell(shown.text(value_of(match, shown.name)), best=True),
+        Cell(shown.error_text(known.error)),
+        Cell(f"{shown.text(known.low)} to {shown.text(known.high)}" if known.known else "–"),
+        words(_believed(match, shown.name)),
+    )
 
 
 def _believed(match: Match, name: str) -> str:

@@ -1,0 +1,85 @@
+"""The candidates with their windows and models."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinmatch.discrimination import Candidate, Verdict, score
+from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.sessions import samples_of
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import MatchReport, Twin, TwinSettings
+from twinmatch.views import Member, family
+from twinmatch.views.figures import draw_criteria, draw_matrix, draw_responses, draw_uncertainty, png, svg
+
+GIVEN = Candidate(
+    "from the paper", 90.0, RigParameters(seebeck=0.0295, conductance=0.38, heat_capacity=13.7), None
+)
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    reference = np.repeat([30.0, 60.0], [60, 250])
+    rig = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0)
+    camera = Camera().realise(reference.size, 1.0, 11)
+    run = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
+    return samples_of(Window(reference, run.temperature, run.pwm))
+
+
+Judged = tuple[list[MatchReport], list[Verdict]]
+
+
+@pytest.fixture(scope="module")
+def judged(samples: list[Sample]) -> Judged:
+    twin = Twin(TwinSettings(), [GIVEN])
+    outcomes = [twin.push(sample) for sample in samples]
+    return [o.match for o in outcomes if o.match], [v for o in outcomes for v in o.verdicts]
+
+
+@pytest.fixture(scope="module")
+def members(samples: list[Sample], judged: Judged) -> tuple[Member, ...]:
+    matches, verdicts = judged
+    return family(samples, matches, verdicts[-1], TwinSettings())
+
+
+def test_matched_and_given_candidates_have_their_window_and_their_own_models(
+    members: tuple[Member, ...], judged: Judged
+) -> None:
+    """The models that are found again explain the measured window exactly as the verdict says."""
+    assert [m.score.name for m in members] == ["60 °C", "from the paper"]
+    assert [m.match is not None for m in members] == [True, False]
+    assert sum(m.nominal for m in members) == 1
+    for member in members:
+        assert (member.window.first, member.window.last) == judged[0][0].match.samples
+        found = [score(model, member.measured, 2) for model in member.models]
+        assert [s.total.gain for s in found] == [o.total.gain for o in member.score.orders]
+        assert [s.u.bic for s in found] == [o.u.bic for o in member.score.orders]
+
+
+def test_the_simulated_model_is_the_one_of_the_gain(members: tuple[Member, ...]) -> None:
+    """Its first samples are the measured ones, which the gain's table copies."""
+    member = members[0]
+    answer = member.simulated("33331")
+    assert answer.temperature.shape == answer.pwm.shape == (len(member.window) - 2,)
+    np.testing.assert_allclose(answer.temperature[:4], member.measured.temperature[:4])
+    assert np.sqrt(np.mean((answer.temperature - member.measured.temperature) ** 2)) < 1.0
+
+
+def test_a_candidate_from_before_the_recording_is_left_out(samples: list[Sample], judged: Judged) -> None:
+    matches, verdicts = judged
+    assert family(samples[100:], matches, verdicts[-1], TwinSettings()) == ()
+    assert family(samples, matches, None, TwinSettings()) == ()
+
+
+def test_the_family_is_drawn(members: tuple[Member, ...], judged: Judged) -> None:
+    verdict = judged[1][-1]
+    figures = [
+        draw_responses(members),
+        draw_uncertainty(members),
+        draw_criteria(verdict),
+        draw_matrix(verdict),
+    ]
+    for figure in figures:
+        assert png(figure, 50).startswith(b"\x89PNG")
+    assert svg(draw_matrix(verdict)) == svg(draw_matrix(verdict)), "the same on every run"
