@@ -21,6 +21,7 @@ from twinmatch.discrimination import (
     identify,
     nu_gap_matrix,
 )
+from twinmatch.discrimination.certainty import DECIDED_FROM
 from twinmatch.discrimination.models import ahead, deviations, operating_level
 from twinmatch.identification import BoxJenkins, estimate
 from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
@@ -68,6 +69,10 @@ class Coverage(NamedTuple):
     """Mean probability that was given to the candidate with the smallest estimated sum."""
     right: float
     """Share of the families in which that candidate has the smallest true sum."""
+    decided: float
+    """Share of the families in which it was given 0.9 or more."""
+    decided_right: float
+    """Share of these in which it has the smallest true sum."""
 
 
 def coverage(families: int, seed: int = 1) -> Coverage:
@@ -85,7 +90,9 @@ def coverage(families: int, seed: int = 1) -> Coverage:
         choice = int(np.argmin(found.sum(axis=0)))
         chosen.append(known.nominal_probability[choice])
         right.append(choice == np.argmin(total))
-    return Coverage(*(float(np.mean(v)) for v in (gaps, sums, chosen, right)))
+    sure = np.array(chosen) >= DECIDED_FROM
+    sure_right = np.array(right)[sure] if sure.any() else [np.nan]
+    return Coverage(*(float(np.mean(v)) for v in (gaps, sums, chosen, right, sure, sure_right)))
 
 
 def test_nine_in_ten_intervals_hold_the_truth() -> None:

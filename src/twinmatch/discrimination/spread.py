@@ -20,7 +20,7 @@ __all__ = ["directions", "disturbed_pair", "estimates", "failing_draws", "fittin
 
 Complex = NDArray[np.complex128]
 
-HALVINGS = 8
+HALVINGS = 7
 """Of the interval that holds a scale: finer than a hundred draws make it."""
 
 
@@ -121,6 +121,23 @@ def estimates(
 
 
 @kernel
+def _reaching(  # noqa: PLR0917
+    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float, seen: float
+) -> int:
+    """In how many draws `estimates` is `seen` or more; a single pair is left as soon as it is."""
+    if which.size > 1:
+        return int(np.sum(estimates(which, a, b, c, scale) >= seen))
+    p = which[0]
+    count = 0
+    for s in range(b.shape[1]):
+        for w in range(b.shape[2]):
+            if (a[p, w] * scale + b[p, s, w]) * scale + c[p, s, w] >= seen * seen:
+                count += 1
+                break
+    return count
+
+
+@kernel
 def fitting_scales(
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, tail: float
 ) -> tuple[float, float]:
@@ -133,15 +150,15 @@ def fitting_scales(
         seen += math.sqrt(a[p].max())
         most += math.sqrt(c[p].max())
     draws = b.shape[1]
-    rank = int(tail * draws)
+    rare = int(tail * draws)
     # beyond these no draw could bring the estimate to what was seen
     widest = 2 * most / max(seen, 1e-300)
     low, high = max(0.0, 1.0 - widest), 1.0
-    if low == 0.0 and np.sort(estimates(which, a, b, c, 0.0))[draws - 1 - rank] >= seen:
+    if low == 0.0 and _reaching(which, a, b, c, 0.0, seen) > rare:
         high = 0.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if np.sort(estimates(which, a, b, c, middle))[draws - 1 - rank] >= seen:
+        if _reaching(which, a, b, c, middle, seen) > rare:
             high = middle
         else:
             low = middle
@@ -149,7 +166,7 @@ def fitting_scales(
     low, high = 1.0, 1.0 + widest
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if np.sort(estimates(which, a, b, c, middle))[rank] <= seen:
+        if _reaching(which, a, b, c, middle, seen) < draws - rare:
             low = middle
         else:
             high = middle
