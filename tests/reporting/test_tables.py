@@ -9,7 +9,8 @@ import numpy as np
 
 from twinmatch.discrimination import Verdict
 from twinmatch.reporting import Report
-from twinmatch.reporting.tables import gap_table, match_table, nominal_table, order_table
+from twinmatch.reporting.match_tables import match_table, nominal_table
+from twinmatch.reporting.model_tables import gap_table, order_table
 from twinmatch.reporting.words import duration
 
 from .conftest import parse, tables_of

@@ -8,8 +8,9 @@ from datetime import datetime
 from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.reporting import tables
 from twinmatch.reporting.judging import Judged, judge
+from twinmatch.reporting.match_tables import event_table, family_table, match_table, nominal_table
+from twinmatch.reporting.model_tables import coefficient_table, criterion_tables, gap_table, order_table
 from twinmatch.reporting.page import render
 from twinmatch.reporting.pictures import Picture, pictures
 from twinmatch.reporting.provenance import Provenance, provenance
@@ -76,17 +77,17 @@ class Report:
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
-            "events": tables.event_table(judgement.matches, judgement.verdicts, period),
+            "events": event_table(judgement.matches, judgement.verdicts, period),
             "match": nominal.match if nominal else None,
-            "nominal_parameters": tables.nominal_table(nominal.score, nominal.match) if nominal else None,
-            "family": tables.family_table(self.members) if self.members else None,
-            "matches": tables.match_table(judgement.matches, period) if judgement.matches else None,
+            "nominal_parameters": nominal_table(nominal.score, nominal.match) if nominal else None,
+            "family": family_table(self.members) if self.members else None,
+            "matches": match_table(judgement.matches, period) if judgement.matches else None,
             "verdict": last,
-            "criteria": tables.criterion_tables(last) if last else [],
-            "weights": tables.order_table(last) if last else None,
-            "gaps": tables.gap_table(last) if last else None,
-            "coefficients": tables.coefficient_table(nominal) if nominal else None,
-            "other_coefficients": [tables.coefficient_table(m) for m in self.members if not m.nominal],
+            "criteria": criterion_tables(last) if last else [],
+            "weights": order_table(last) if last else None,
+            "gaps": gap_table(last) if last else None,
+            "coefficients": coefficient_table(nominal) if nominal else None,
+            "other_coefficients": [coefficient_table(m) for m in self.members if not m.nominal],
             "limits": judgement.settings.limits,
             "schedule": judgement.settings.schedule,
             "judged": self.judged,

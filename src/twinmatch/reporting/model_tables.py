@@ -1,0 +1,125 @@
+"""Tables of the Box–Jenkins models: criteria, ν-gaps, coefficients."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from twinmatch.discrimination import CandidateScore, SimoModel, Verdict
+from twinmatch.identification import BoxJenkins
+from twinmatch.reporting.table import Cell, Table, head, words
+from twinmatch.signals import FloatArray
+from twinmatch.views.criteria import OUTPUTS, Criterion, computed, criterion_rows
+from twinmatch.views.family import Member
+from twinmatch.views.quantities import number
+
+__all__ = ["coefficient_table", "criterion_tables", "gap_table", "order_table"]
+
+
+def criterion_tables(verdict: Verdict) -> list[Table]:
+    """One for every candidate; of each criterion and output the best order is set in bold."""
+    shown = computed(verdict.candidates)
+    columns = ("output", "order", *(_column(c) for c in shown))
+    return [
+        Table(_criterion_caption(c, verdict), columns, _criterion_body(c, shown), _chosen_rows(c))
+        for c in verdict.candidates
+    ]
+
+
+def _column(criterion: Criterion) -> str:
+    return f"{criterion.name} / {criterion.unit}" if criterion.unit else criterion.name
+
+
+def _criterion_caption(candidate: CandidateScore, verdict: Verdict) -> str:
+    mark = ", nominal" if candidate.name == verdict.nominal else ""
+    return f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"
+
+
+def _criterion_body(candidate: CandidateScore, shown: Sequence[Criterion]) -> tuple[tuple[Cell, ...], ...]:
+    titles = dict(OUTPUTS)
+    count = len(candidate.orders)
+    rows = []
+    for k, row in enumerate(criterion_rows(candidate, shown)):
+        first = (head(titles[row.output], count),) if k % count == 0 else ()
+        cells = (Cell(c.text, best=c.best) for c in row.cells)
+        rows.append((*first, Cell(row.order, best=row.chosen, number=False), *cells))
+    return tuple(rows)
+
+
+def _chosen_rows(candidate: CandidateScore) -> frozenset[int]:
+    return frozenset(k for k, row in enumerate(criterion_rows(candidate)) if row.chosen)
+
+
+def order_table(verdict: Verdict) -> Table | None:
+    """Akaike weights of the orders, both outputs together; None where they were not computed."""
+    if not any(math.isfinite(o.weight) for c in verdict.candidates for o in c.orders):
+        return None
+    names = [o.order for o in verdict.candidates[0].orders]
+    rows = []
+    for c in verdict.candidates:
+        best = max(o.weight for o in c.orders)
+        weights = (Cell(number(o.weight, 3), best=o.weight == best) for o in c.orders)
+        differences = (Cell(number(o.aic_difference, 1), best=o.weight == best) for o in c.orders)
+        rows.append((head(c.name), *weights, *differences))
+    columns = ("candidate", *(f"weight {n}" for n in names), *(f"ΔAIC {n}" for n in names))
+    return Table("Akaike weights of the orders", columns, tuple(rows))
+
+
+def gap_table(verdict: Verdict) -> Table:
+    """The ν-gaps, their sums, and what else is known of every candidate's distance."""
+    candidates = verdict.candidates
+    least = min(c.nu_gap_sum for c in candidates)
+    extra = _gap_extras(candidates)
+    rows = []
+    for k, c in enumerate(candidates):
+        gaps = (Cell(number(v, 3)) for v in verdict.nu_gap[k])
+        rows.append(
+            (
+                head(c.name),
+                *gaps,
+                Cell(number(c.nu_gap_sum, 3), best=c.nu_gap_sum == least),
+                *(Cell(text(c)) for _, text in extra),
+            )
+        )
+    columns = ("candidate", *(c.name for c in candidates), "Σ", *(name for name, _ in extra))
+    marked = frozenset(k for k, c in enumerate(candidates) if c.name == verdict.nominal)
+    return Table(f"ν-gap between the models of order {verdict.order}", columns, tuple(rows), marked)
+
+
+def _gap_extras(candidates: Sequence[CandidateScore]) -> list[tuple[str, Callable[[CandidateScore], str]]]:
+    """Columns that are there only when at least one candidate has a figure for them."""
+    known: list[tuple[str, Callable[[CandidateScore], str]]] = [
+        ("90 % interval of Σ", lambda c: _span(c.nu_gap_sum_low, c.nu_gap_sum_high)),
+        ("P(nominal)", lambda c: number(c.nominal_probability, 2)),
+        ("to the plant now", lambda c: number(c.nu_gap_to_plant, 3)),
+        ("margin b(P, C)", lambda c: number(c.margin, 3)),
+        ("ν-gap of its plant to the nominal one", lambda c: number(c.plant_gap_to_nominal, 3)),
+    ]
+    return [(name, text) for name, text in known if any(text(c) != number(None) for c in candidates)]
+
+
+def _span(low: float, high: float) -> str:
+    return number(None) if math.isnan(low) else f"{number(low, 3)} to {number(high, 3)}"
+
+
+def coefficient_table(member: Member) -> Table:
+    """B, C, D and F of every order, set-point to temperature and to control, as in the paper's table."""
+    models = member.models
+    rows = []
+    for output, title in OUTPUTS[:2]:
+        for k, polynomial in enumerate(("B", "C", "D", "F")):
+            first = (head(title, 4),) if k == 0 else ()
+            cells = (words(coefficients(getattr(_model(m, output), polynomial)), mark="poly") for m in models)
+            rows.append((*first, head(polynomial), *cells))
+    columns = ("output", "", *(f"order {m.order}" for m in models))
+    mark = ", nominal" if member.nominal else ""
+    return Table(f"Box–Jenkins models of candidate {member.score.name}{mark}", columns, tuple(rows))
+
+
+def coefficients(values: FloatArray) -> str:
+    """A polynomial in q⁻¹, constant first, to six significant digits."""
+    return "  ".join(f"{v:.6g}".replace("-", "−") for v in values.tolist())
+
+
+def _model(model: SimoModel, output: str) -> BoxJenkins:
+    return model.y if output == "y" else model.u
