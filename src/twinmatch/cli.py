@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from twinmatch import __version__
 from twinmatch.archive import program as archive_program
+from twinmatch.dashboard import command as dashboard_command
 from twinmatch.emulation import virtual_rig_program
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.reporting import command as report_command
@@ -100,6 +101,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     report_command.add_arguments(reporting)
     reporting.set_defaults(command=report_command.run)
+
+    page = commands.add_parser("dashboard", help="the live page: what the graph says, in a browser")
+    dashboard_command.add_arguments(page)
+    page.set_defaults(command=dashboard_command.run)
 
     rig = commands.add_parser("virtual-rig", help="the rig without the rig: board, camera and plate emulated")
     virtual_rig_program.add_options(rig)

@@ -2,13 +2,48 @@
 
 One node hears the graph and fills a `DashboardState`, which is bounded and knows neither ROS nor a browser.
 A Bokeh server shows it in as many tabs as are open; each draws what is new since it last looked.
+
+Names are fetched when they are used, so that the command line need not wait for numpy to say how it is used.
 """
 
 from __future__ import annotations
 
-from twinmatch.dashboard.errors import DashboardError
-from twinmatch.dashboard.events import Event, EventLog, Lane, Mark
-from twinmatch.dashboard.history import History
-from twinmatch.dashboard.state import DashboardState, TwinRow
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["DashboardError", "DashboardState", "Event", "EventLog", "History", "Lane", "Mark", "TwinRow"]
+if TYPE_CHECKING:
+    from twinmatch.dashboard.errors import DashboardError
+    from twinmatch.dashboard.events import Event, EventLog, Lane, Mark
+    from twinmatch.dashboard.history import History
+    from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
+
+__all__ = [
+    "DashboardError",
+    "DashboardState",
+    "Drive",
+    "Event",
+    "EventLog",
+    "History",
+    "Lane",
+    "Mark",
+    "TwinRow",
+]
+
+_MODULES = {
+    "DashboardError": "errors",
+    "Event": "events",
+    "EventLog": "events",
+    "Lane": "events",
+    "Mark": "events",
+    "History": "history",
+    "DashboardState": "state",
+    "Drive": "state",
+    "TwinRow": "state",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        msg = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
