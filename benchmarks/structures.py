@@ -5,10 +5,10 @@
 reads every recording of DIR (`.mat` or `.csv`, as `twinmatch import` does). Each structure is fitted to a
 recording's first half. Then the closed-loop twin with those parameters runs over the set-points of the whole
 hour from its third sample on: plate where it was measured there, controller as the first two samples leave
-it, heat sink where the fit of the first half put it at that third sample. So the second half, on which NRMSE is
-judged, begins with the sink as the twin has warmed it in the first; nothing measured in the second half is
-used. Recordings named by `--faulty` hold a failure of the plant; they are shown but not summed up. The last
-lines are what the structure watch chooses beside a running plant, and its CPU time.
+it, heat sink where the fit of the first half put it at that third sample. So the second half, on which NRMSE
+is judged, begins with the sink as the twin has warmed it in the first; nothing measured in the second half
+is used. Recordings named by `--faulty` hold a failure of the plant; they are shown but not summed up. The
+last lines are what the structure watch chooses beside a running plant, and its CPU time.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)],
     )
     console = Console(width=200)
-    found: dict[str, dict[str, Figures]] = {s.name: {} for s in STRUCTURES} | {CHOSEN: {}}
+    found: dict[str, dict[str, Figures]] = {name: {} for name in (*(s.name for s in STRUCTURES), CHOSEN)}
     for path in paths:
         try:
             hour = read_recording(path)

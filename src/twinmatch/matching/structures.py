@@ -104,7 +104,7 @@ The ambient is free where nobody wrote down the temperature of the room and the 
 degrees. Whether the drive is switched or smoothed is a choice and costs no parameter.
 """
 
-_VALLEY: Final = (
+_VALLEY: Final[tuple[dict[str, float], ...]] = (
     {},
     {"seebeck": 0.09, "conductance": 0.6, "heat_capacity": 40.0},
     {"seebeck": 0.13, "conductance": 0.3, "heat_capacity": 58.0},

@@ -61,8 +61,9 @@ class StructureWatch:
     """Keeps the newest samples and chooses a structure every so many of them.
 
     Give it every window of the schedule that shows no fault, in order. Windows may overlap or follow one
-    another; after a gap the record begins anew. It depends on the samples alone, so a replay chooses as the
-    live twin did.
+    another; after a gap the record begins anew. Looks at samples that do not overlap add their evidence, so
+    that a stretch which tells little does not turn the choice over. All depends on the samples alone, so a
+    replay chooses as the live twin did.
     """
 
     def __init__(self, settings: StructureSettings | None = None) -> None:

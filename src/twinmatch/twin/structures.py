@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -36,6 +36,9 @@ NOISE_ORDER: Final = 12
 """Order of the noise model: past the loop's own time constants, and few beside the samples of a window."""
 CUT: Final = 3.0
 """Robust standard deviations beyond which a prediction error counts no more."""
+_ROUNDS: Final = 3
+"""How often the noise model is fitted again with new weights."""
+_TINY: Final = float(np.finfo(np.float64).tiny)
 _NORMAL: Final = 1.4826
 """Standard deviation of normal noise in units of its median absolute value."""
 
@@ -48,6 +51,8 @@ class StructureScore:
     y: Criteria
     u: Criteria
     total: Criteria
+    evidence: Criteria
+    """`total`, and that of all choices before on samples that came before."""
     loss: tuple[float, float]
     """Mean square of the prediction errors of temperature and PWM, °C² and counts²."""
 
@@ -74,7 +79,7 @@ class StructureChoice:
     scores: tuple[StructureScore, ...]
     chosen: str
     votes: Mapping[str, str]
-    """The structure each criterion prefers in total."""
+    """The structure each criterion prefers by the evidence."""
     samples: tuple[int, int]
     """Session indices of the first and last sample of the windows."""
 
@@ -109,8 +114,8 @@ class StructureChoice:
         text += f" ({best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y, {100 * u:.1f} % of u)"
         others = [s for s in self.scores if s.name != self.chosen]
         if others:
-            second = min(others, key=lambda s: s.total.bic)
-            lead = second.total.bic - best.total.bic
+            second = min(others, key=lambda s: s.evidence.bic)
+            lead = second.evidence.bic - best.evidence.bic
             word = "below" if lead >= 0 else "above"
             text += f"; its BIC is {abs(lead):.0f} {word} that of: {second.name}"
         return text
@@ -134,7 +139,9 @@ def choose_structure(
     Args:
         windows: what was recorded of one rig, one window or several.
         structures: what to try.
-        previous: a choice before, from whose parameters the searches begin.
+        previous: a choice before, from whose parameters the searches begin. If it was made on samples before
+            these, its evidence counts too: the plant is then taken to have had one structure all along,
+            whatever its parameters did.
         noise: what the residuals of the fits are measured in.
         gains: of the running controller.
         driver: bridge between PWM and module.
@@ -158,12 +165,18 @@ def choose_structure(
             thorough=thorough,
         )
         scores.append(score_structure(fitted, decimals))
+    samples = (min(w.first for w in held), max(w.last for w in held))
+    if (
+        previous is not None
+        and previous.samples[1] < samples[0]
+        and before.keys() >= {s.name for s in scores}
+    ):
+        scores = [replace(s, evidence=previous.of(s.name).evidence + s.total) for s in scores]
     if not scores:
         raise MatchingError("structures: there is none to choose from; name one at least")
     votes = _votes(scores)
     count = Counter(votes.values())
     chosen = min(scores, key=lambda s: (-count[s.name], s.fitted.n_parameters))
-    samples = (min(w.first for w in held), max(w.last for w in held))
     return StructureChoice(tuple(scores), chosen.name, votes, samples)
 
 
@@ -175,7 +188,7 @@ def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
         simulated = [window[row] for window in fitted.simulated]
         errors = prediction_errors([m - s for m, s in zip(measured, simulated, strict=True)])
         # An exact twin leaves nothing to predict; the smallest number keeps its logarithm finite.
-        loss = max(float(np.mean(np.square(errors))), np.finfo(np.float64).tiny)
+        loss = max(float(np.mean(np.square(errors))), _TINY)
         gain = information_gain(
             np.concatenate(measured) + offset, np.concatenate(simulated) + offset, decimals=decimals
         )
@@ -194,11 +207,14 @@ def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
             )
         )
     y, u = scores
-    return StructureScore(fitted, y, u, y + u, (losses[0], losses[1]))
+    return StructureScore(fitted, y, u, y + u, y + u, (losses[0], losses[1]))
 
 
 def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER) -> FloatArray:
     """What an autoregression of the residuals leaves of them, large errors cut off; one common model.
+
+    The autoregression is found by least squares in which samples count less the more they lie outside, or
+    the larger what they are foretold from is (iteratively reweighted), so that a few kicks do not shape it.
 
     Args:
         residuals: one array per window.
@@ -210,14 +226,20 @@ def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER)
             past.append(np.lib.stride_tricks.sliding_window_view(window[:-1], order))
             now.append(window[order:])
     rows, target = np.concatenate(past), np.concatenate(now)
-    errors = target - rows @ np.linalg.lstsq(rows, target, rcond=None)[0]
-    limit = CUT * _NORMAL * float(np.median(np.abs(errors)))
+    reach = 2.0 * CUT * _NORMAL * float(np.median(np.abs(target)))
+    calm = np.minimum(1.0, reach / np.maximum(np.max(np.abs(rows), axis=1), _TINY))
+    weights = np.ones(target.size)
+    for _ in range(_ROUNDS + 1):
+        roots = np.sqrt(weights)
+        errors = target - rows @ np.linalg.lstsq(rows * roots[:, None], target * roots, rcond=None)[0]
+        limit = CUT * _NORMAL * float(np.median(np.abs(errors)))
+        weights = calm * np.minimum(1.0, limit / np.maximum(np.abs(errors), _TINY))
     return np.clip(errors, -limit, limit)
 
 
 def _votes(scores: Sequence[StructureScore]) -> dict[str, str]:
     def best(name: str) -> str:
-        return min(scores, key=lambda s: (getattr(s.total, name), s.fitted.n_parameters)).name
+        return min(scores, key=lambda s: (getattr(s.evidence, name), s.fitted.n_parameters)).name
 
     return {
         "information gain": best("two_part_length"),

@@ -1,0 +1,75 @@
+"""The watch beside a running plant: which samples it keeps, and when it looks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.matching.structures import STRUCTURES
+from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.sessions import samples_of
+from twinmatch.signals import Window
+from twinmatch.twin import Schedule
+from twinmatch.twin.structure_watch import StructureSettings, StructureWatch
+
+PLAIN = RigParameters(seebeck=0.065, conductance=0.65, heat_capacity=31.0)
+SETTINGS = StructureSettings(least=300, every=300, longest=300, structures=STRUCTURES[:2])
+
+
+@pytest.fixture(scope="module")
+def hour() -> Window:
+    reference = np.repeat([50.0, 30.0, 75.0, 45.0, 60.0], 200)
+    camera = Camera().realise(reference.size, 1.0, 8)
+    run = simulate_closed_loop(PLAIN, reference, plate=295.0, camera=camera)
+    return Window(reference, run.temperature, run.pwm)
+
+
+def test_it_looks_every_so_many_samples(hour: Window) -> None:
+    watch = StructureWatch(SETTINGS)
+    looks = [watch.push(hour.part(k, k + 99)) for k in range(0, 1000, 100)]
+    assert [c.samples for c in looks if c] == [(0, 299), (300, 599), (600, 899)]
+    assert watch.choice is looks[8]
+    assert watch.choice.chosen == "held sink"
+    score = watch.choice.score
+    assert score.evidence.bic == pytest.approx(sum(c.score.total.bic for c in looks if c))
+
+
+def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
+    schedule, watch = Schedule(), StructureWatch(SETTINGS)
+    triggers = [t for t in map(schedule.push, samples_of(hour)) if t]
+    assert any(t.excited for t in triggers)
+    choices = [c for c in (watch.push(t.window) for t in triggers) if c]
+    assert len(choices) == 3
+    for choice in choices:
+        first, last = choice.samples
+        assert last - first == 299
+        measured = choice.score.fitted.measured[0]
+        np.testing.assert_array_equal(measured[1], hour.pwm[first + 62 : last + 1])
+
+
+def test_a_replay_chooses_the_same(hour: Window) -> None:
+    figures = []
+    for _ in range(2):
+        watch = StructureWatch(SETTINGS)
+        for k in range(0, 1000, 100):
+            watch.push(hour.part(k, k + 99))
+        assert watch.choice is not None
+        figures.append((watch.choice.parameters, watch.choice.score.evidence))
+    assert figures[0] == figures[1]
+
+
+def test_a_gap_or_a_clock_set_back_begins_anew(hour: Window) -> None:
+    watch = StructureWatch(SETTINGS)
+    assert watch.push(hour.part(0, 299)) is not None
+    assert watch.push(hour.part(350, 640)) is None
+    assert watch.push(hour.part(641, 660)) is not None
+    assert watch.push(hour.part(0, 250)) is None
+    assert watch.push(hour.part(251, 310)) is not None
+
+
+def test_counts_that_do_not_go_together_are_refused() -> None:
+    with pytest.raises(TwinmatchError, match="structure watch: least 400 samples must be 100 or more"):
+        StructureSettings(least=400, longest=300)
+    with pytest.raises(TwinmatchError, match="must be a structure to try"):
+        StructureSettings(structures=())
