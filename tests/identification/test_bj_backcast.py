@@ -8,8 +8,9 @@ import scipy.linalg
 from scipy.signal import lfilter
 
 from twinmatch.identification import estimate, estimate_ladder
-from twinmatch.identification.backcast import BackcastProblem, noise_factor
+from twinmatch.identification.kernels import ROWS, Place, Task, evaluate, linearise, noise_factor
 from twinmatch.identification.order import parse_order
+from twinmatch.identification.prediction import linear_size, task_of
 from twinmatch.signals import FloatArray
 
 B = np.array([0.0, 1.0, 0.5])
@@ -42,20 +43,27 @@ def quadratic_form(u: FloatArray, y: FloatArray) -> float:
     return float(np.sum((target - A @ np.linalg.lstsq(A, target, rcond=None)[0]) ** 2))
 
 
+def task(u: FloatArray, y: FloatArray) -> Task:
+    return task_of(u, y, parse_order("22221"), "backcast")
+
+
+def place(at: Task, theta: FloatArray) -> Place:
+    return evaluate(at, theta, np.zeros((ROWS, at.pad + at.u.size)), True)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_cost_is_the_quadratic_form(seed: int) -> None:
     u, y = window(80, seed)
-    cost = BackcastProblem(u, y, parse_order("22221")).evaluate(THETA).cost
-    assert cost == pytest.approx(quadratic_form(u, y), rel=1e-8)
+    assert place(task(u, y), THETA).cost == pytest.approx(quadratic_form(u, y), rel=1e-8)
 
 
 def test_gradient_is_that_of_differences() -> None:
-    problem = BackcastProblem(*window(80, 4), parse_order("22221"))
-    R = problem.triangle(problem.evaluate(THETA), exact=True)
-    gradient = (R.T @ R)[problem.linear_size : -1, -1]
+    problem = task(*window(80, 4))
+    R = linearise(problem, place(problem, THETA), True)
+    gradient = (R.T @ R)[linear_size(problem) : -1, -1]
     h = 1e-5
     for i, step in enumerate(h * np.eye(6)):
-        slope = (problem.evaluate(THETA + step).cost - problem.evaluate(THETA - step).cost) / (4.0 * h)
+        slope = (place(problem, THETA + step).cost - place(problem, THETA - step).cost) / (4.0 * h)
         # The factor L is differentiated by a quotient of step 1e-6: six digits.
         assert gradient[i] == pytest.approx(slope, rel=1e-3, abs=1e-4 * np.max(np.abs(gradient)))
 

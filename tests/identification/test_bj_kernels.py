@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from twinmatch.identification import kernels
+from twinmatch.identification.kernels import LARGEST_ROOT, boundary_normals, clamp, reflect
 from twinmatch.identification.order import Order
-from twinmatch.identification.polynomial import boundary_normals, clamp, reflect
-from twinmatch.identification.prediction import Problem
+from twinmatch.identification.prediction import linear_size, task_of
 from twinmatch.signals import FloatArray
 
 ROOTS = st.lists(st.floats(-0.9, 0.9), min_size=0, max_size=4)
@@ -64,20 +64,20 @@ def test_stability_is_that_of_the_roots(roots: list[float], size: float) -> None
 def test_unstable_roots_come_inside(roots: list[float], size: float, angle: float) -> None:
     pair = size * np.exp(1j * angle)
     polynomial = np.real(np.poly([*roots, pair, np.conj(pair)]))
-    reflected = reflect(polynomial)
+    reflected = reflect(polynomial, LARGEST_ROOT)
     assert kernels.is_stable(reflected, kernels.LARGEST_ROOT)
     # A mirrored zero leaves the shape of the spectrum: |P| on the circle changes by one factor.
     z = np.exp(1j * np.linspace(0.1, 3.0, 7))
     ratio = np.abs(np.polyval(reflected, z)) / np.abs(np.polyval(polynomial, z))
     if size < 20.0 and abs(size - 1.0) > 0.05:
         np.testing.assert_allclose(ratio, ratio[0], rtol=1e-5)
-    clamped = clamp(polynomial)
+    clamped = clamp(polynomial, LARGEST_ROOT)
     assert kernels.is_stable(clamped, kernels.LARGEST_ROOT)
     assert np.max(np.abs(np.roots(clamped))) > 0.99
 
 
 def test_what_is_not_finite_becomes_one() -> None:
-    np.testing.assert_array_equal(reflect(np.array([1.0, np.nan, 2.0])), [1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(reflect(np.array([1.0, np.nan, 2.0]), LARGEST_ROOT), [1.0, 0.0, 0.0])
 
 
 def test_normals_are_the_gradient_of_the_root() -> None:
@@ -93,37 +93,40 @@ def test_normals_are_the_gradient_of_the_root() -> None:
 
 
 @st.composite
-def problems(draw: st.DrawFn) -> tuple[Problem, FloatArray]:
+def tasks(draw: st.DrawFn) -> tuple[kernels.Task, FloatArray]:
     count = st.integers(0, 3)
     order = Order(draw(st.integers(1, 3)), draw(count), draw(count), draw(count), draw(st.integers(0, 3)))
     rng = np.random.default_rng(draw(st.integers(0, 2**31)))
     u, y = np.cumsum(rng.standard_normal((2, 80)), axis=1)
-    problem = Problem(u, y, order, free_start=draw(st.booleans()))
+    task = task_of(u, y, order, "estimate" if draw(st.booleans()) else "zero")
     parts = [np.atleast_1d(np.poly(rng.uniform(-0.8, 0.8, n)))[1:] for n in (order.nc, order.nd, order.nf)]
-    return problem, np.concatenate(parts)
+    return task, np.concatenate(parts)
 
 
-def gradient_at(problem: Problem, theta: FloatArray) -> FloatArray:
-    R = problem.triangle(problem.evaluate(theta, exact=True), exact=True)
-    inner = slice(problem.linear_size, problem.size)
-    return R[inner, inner].T @ R[inner, problem.size]
+def place_at(task: kernels.Task, theta: FloatArray) -> kernels.Place:
+    return kernels.evaluate(task, theta, np.zeros((kernels.ROWS, task.pad + task.u.size)), True)
 
 
-@given(problems())
-def test_derivatives_are_those_of_differences(case: tuple[Problem, FloatArray]) -> None:
-    problem, theta = case
-    point = problem.evaluate(theta, exact=True)
-    R = problem.triangle(point, exact=True)
-    hessian = problem.curvature(point, R)
-    gradient = gradient_at(problem, theta)
+def gradient_at(task: kernels.Task, theta: FloatArray) -> FloatArray:
+    R = kernels.linearise(task, place_at(task, theta), True)
+    inner = slice(linear_size(task), -1)
+    return np.asarray(R[inner, inner].T @ R[inner, -1])
+
+
+@given(tasks())
+def test_derivatives_are_those_of_differences(case: tuple[kernels.Task, FloatArray]) -> None:
+    task, theta = case
+    place = place_at(task, theta)
+    R = kernels.linearise(task, place, True)
+    hessian = kernels.curvature(task, place, R)
+    gradient = gradient_at(task, theta)
     h = 1e-5
     # Differences of order h² ≈ 1e-10 and rounding ≈ 1e-16/h, both against the size of the cost.
     for i in range(theta.size):
         step = h * np.eye(theta.size)[i]
-        up, down = problem.evaluate(theta + step, exact=True), problem.evaluate(theta - step, exact=True)
-        slope = (up.cost - down.cost) / (4.0 * h)
-        size = np.max(np.abs(gradient)) + 1e-3 * point.cost
+        slope = (place_at(task, theta + step).cost - place_at(task, theta - step).cost) / (4.0 * h)
+        size = np.max(np.abs(gradient)) + 1e-3 * place.cost
         assert gradient[i] == pytest.approx(slope, abs=1e-4 * size)
-        column = (gradient_at(problem, theta + step) - gradient_at(problem, theta - step)) / (2.0 * h)
-        size = np.max(np.abs(hessian)) + 1e-3 * point.cost
+        column = (gradient_at(task, theta + step) - gradient_at(task, theta - step)) / (2.0 * h)
+        size = np.max(np.abs(hessian)) + 1e-3 * place.cost
         np.testing.assert_allclose(hessian[:, i], column, atol=1e-3 * size)

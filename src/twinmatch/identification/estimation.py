@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.identification.backcast import BackcastProblem
 from twinmatch.identification.data import checked_pair
 from twinmatch.identification.errors import IdentificationError
+from twinmatch.identification.hops import Hops
+from twinmatch.identification.kernels import Place, Task, descend, linearise
 from twinmatch.identification.model import BoxJenkins
 from twinmatch.identification.order import ORDERS, Order, parse_order
-from twinmatch.identification.prediction import Problem
-from twinmatch.identification.search import Outcome, search
+from twinmatch.identification.prediction import linear_size, task_of, unknowns
 from twinmatch.identification.start import start_values
 from twinmatch.signals import FloatArray
 
 __all__ = ["estimate", "estimate_ladder"]
 
+Outcome = tuple[Place, bool, int]
+"""Where a search ended, whether nothing was left to gain, and the steps taken."""
+
 ROUTE = 50
 """Steps that a start may take; the best is then searched on."""
+COARSE, FINE = 1e-6, 1e-11
+"""What a start, and what the search in the end, counts as settled."""
+LOST = 1e-8
+"""Part of the cost by which the two factorisations may differ before the exact one has to search too."""
+WORTH = 1e-4
+"""A start that seems to gain less than this over the best is given up."""
+HOPS = (2, 6)
+"""Fewest and most starts around the best minimum, where the caller does not say how many."""
+HOPPED = 3000
+"""Between these, so many samples are searched; long windows have fewer minima and cost more."""
+LAST = 100
+"""Steps that the search in the end may take."""
 SPARE = 10
 """Samples a window must have beyond the number of unknowns."""
 
@@ -32,6 +48,7 @@ def estimate(
     *,
     initial: str = "estimate",
     start: BoxJenkins | None = None,
+    hops: int | None = None,
     period: float = 1.0,
 ) -> BoxJenkins:
     """The Box–Jenkins model with the smallest mean squared one-step prediction error.
@@ -53,6 +70,9 @@ def estimate(
             least squares of Box and Jenkins).
         start: a model of the same or a lower order to start from, beside the usual start values; the
             result is then never worse than it (its C must forget within this window too, see below).
+        hops: how many starts around the best minimum to try beside the usual ones, 0 or more; without a
+            number 6 up to 500 samples and fewer for longer windows, at least 2. Each costs about as much as
+            one of the usual starts; more of them come nearer to the lowest minimum.
         period: sample time, s; only passed on to the result.
 
     Returns:
@@ -60,18 +80,23 @@ def estimate(
 
     Raises:
         IdentificationError: wrong order, data that are no pair of signals, an input that does not vary,
-            too few samples, or a start of a higher order.
+            too few samples, a start of a higher order, or a negative number of hops.
     """
     u, y = checked_pair(u, y)
     parsed = parse_order(order)
-    problem = _problem(u, y, parsed, initial)
+    task = _task(u, y, parsed, initial)
+    if hops is None:
+        hops = min(max(HOPPED // u.size, HOPS[0]), HOPS[1])
+    if hops < 0:
+        msg = f"hops: {hops} starts cannot be tried; give 0 or more"
+        raise IdentificationError(msg)
     thetas = start_values(u, y, parsed)
     if start is not None:
         if not parsed.covers(start.order):
             msg = f"start: a model of order {start.order} cannot start one of order {parsed}"
             raise IdentificationError(msg)
         thetas.append(_padded(start, parsed))
-    return _model(problem, _best(problem, thetas), period)
+    return _model(task, parsed, _best(task, parsed, thetas, hops), period)
 
 
 def estimate_ladder(
@@ -80,6 +105,7 @@ def estimate_ladder(
     orders: Iterable[str | Sequence[int]] = ORDERS,
     *,
     initial: str = "estimate",
+    hops: int | None = None,
     period: float = 1.0,
 ) -> dict[str, BoxJenkins]:
     """Models of several orders; one whose order contains an earlier one's never has the greater loss.
@@ -94,25 +120,19 @@ def estimate_ladder(
         parsed = parse_order(order)
         below = [model for model in models.values() if parsed.covers(model.order)]
         start = min(below, key=lambda model: model.variance, default=None)
-        models[str(parsed)] = estimate(u, y, parsed, initial=initial, start=start, period=period)
+        models[str(parsed)] = estimate(u, y, parsed, initial=initial, start=start, hops=hops, period=period)
     return models
 
 
-def _problem(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Problem:
-    if initial not in ("estimate", "zero", "backcast"):
-        msg = f'initial: {initial!r} is unknown; use "estimate", "zero" or "backcast"'
-        raise IdentificationError(msg)
+def _task(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Task:
+    task = task_of(u, y, order, initial)
     if np.ptp(u) <= 1e-12 * np.max(np.abs(u)):
         msg = f"input u does not vary (it is {u[0]:g} throughout); nothing can be identified from it"
         raise IdentificationError(msg)
-    if initial == "backcast":
-        problem: Problem = BackcastProblem(u, y, order)
-    else:
-        problem = Problem(u, y, order, free_start=initial == "estimate")
-    if u.size < problem.size + SPARE:
-        msg = f"{u.size} samples are too few for order {order}; give at least {problem.size + SPARE}"
+    if u.size < unknowns(task) + SPARE:
+        msg = f"{u.size} samples are too few for order {order}; give at least {unknowns(task) + SPARE}"
         raise IdentificationError(msg)
-    return problem
+    return task
 
 
 def _padded(model: BoxJenkins, order: Order) -> FloatArray:
@@ -124,40 +144,50 @@ def _padded(model: BoxJenkins, order: Order) -> FloatArray:
     return theta
 
 
-def _best(problem: Problem, thetas: list[FloatArray]) -> Outcome:
+def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outcome:
     """The lowest minimum reached from any start, its last digits from the exact factorisation."""
-    best = search(problem, thetas[0], iterations=ROUTE)
-    for theta in thetas[1:]:
-        other = search(problem, theta, iterations=ROUTE, rival=best.point.cost)
-        best = min(best, other, key=lambda outcome: outcome.point.cost)
-    polished = search(problem, best.point.theta, exact=True)
-    return polished._replace(iterations=best.iterations + polished.iterations)
+    best, _, steps = descend(task, thetas[0], False, ROUTE, math.inf, COARSE)
+    around = Hops(order)
+    for k in range(1, len(thetas) + (hops if around.possible else 0)):
+        theta = thetas[k] if k < len(thetas) else around.from_model(best.theta)
+        other, _, taken = descend(task, theta, False, ROUTE, best.cost * (1.0 - WORTH), COARSE)
+        if other.cost < best.cost:
+            best, steps = other, taken
+    best, converged, taken = descend(task, best.theta, False, LAST, math.inf, FINE)
+    steps += taken
+    polished, _, _ = descend(task, best.theta, True, 0, math.inf, FINE)
+    if abs(polished.cost - best.cost) > LOST * best.cost:  # the normal equations had lost digits
+        polished, converged, taken = descend(task, best.theta, True, LAST, math.inf, FINE)
+        steps += taken
+    return polished, converged, steps
 
 
-def _model(problem: Problem, outcome: Outcome, period: float) -> BoxJenkins:
-    point = outcome.point
+def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenkins:
+    place, converged, steps = outcome
     return BoxJenkins(
-        order=problem.order,
-        B=point.model.B,
-        C=point.model.C,
-        D=point.model.D,
-        F=point.model.F,
-        variance=float(np.mean(point.errors**2)),
-        covariance=_covariance(problem, outcome),
-        initial_state=problem.initial_state(point),
-        n_samples=problem.y.size,
+        order=order,
+        B=place.model.B,
+        C=place.model.C,
+        D=place.model.D,
+        F=place.model.F,
+        variance=float(np.mean(place.errors**2)),
+        covariance=_covariance(task, place),
+        initial_state=place.x[order.nb :],
+        n_samples=task.y.size,
         period=period,
-        converged=outcome.converged,
-        iterations=outcome.iterations,
+        converged=converged,
+        iterations=steps,
     )
 
 
-def _covariance(problem: Problem, outcome: Outcome) -> FloatArray:
+def _covariance(task: Task, place: Place) -> FloatArray:
     """σ² (JᵀJ)⁺ of the coefficients, the initial conditions counted as unknowns too."""
-    R = problem.triangle(outcome.point, exact=True)[: problem.size, : problem.size]
+    size = unknowns(task)
+    R = linearise(task, place, True)[:size, :size]
     norms = np.sqrt(np.sum(R**2, axis=0))
     norms[norms == 0.0] = 1.0
     inverse = np.linalg.pinv(R / norms, rcond=1e-10) / norms[:, np.newaxis]
-    noise = outcome.point.cost / (problem.y.size + outcome.point.prior.size - problem.size)
-    inverse = np.delete(inverse, slice(problem.order.nb, problem.linear_size), axis=0)
+    weighed = int(max(task.counts[1], task.counts[2])) if task.weighed else 0
+    noise = place.cost / (task.y.size + weighed - size)
+    inverse = np.delete(inverse, slice(int(task.counts[0]), linear_size(task)), axis=0)
     return np.asarray(noise * (inverse @ inverse.T))

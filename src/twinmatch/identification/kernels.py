@@ -11,7 +11,7 @@ normal matrix from a few correlations (twenty times faster, half the digits), an
 into the same triangle. Signals carry zeros in front, `pad` of them, so that a delay needs no test.
 """
 
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
+# ruff: noqa: PLR0912, PLR0917 (loops written out have many branches, kernels take arrays in a row)
 
 from __future__ import annotations
 
@@ -47,11 +47,16 @@ __all__ = [
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
+ComplexArray = NDArray[np.complex128]
 Spans = NDArray[np.int64]
 """Columns of a matrix in groups, shape (g, 3): signal, first delay, count; the delays run on by one."""
 
 CHUNK = 48
 """Rows folded into the triangle at a time: a chunk of 30 columns stays in the first-level cache."""
+VANISHED = 1e-140
+"""A filter whose memory is smaller than this is at rest: denormal numbers are a hundred times slower."""
+TAPS = 6
+"""Filters of up to so many coefficients are written out."""
 DEPENDENT = 1e-13
 """Part of a column's square that must be left after the columns before it for it to count as new."""
 RIDGE = 1e-9
@@ -59,6 +64,27 @@ RIDGE = 1e-9
 cannot tell apart, and changes nothing otherwise."""
 LARGEST_ROOT = 1.0 - 1e-6
 """Largest root magnitude an estimated C, D or F may have."""
+ROWS = 9
+"""Signals of which the derivatives are delayed copies."""
+STEP = 1e-6
+"""Of the difference quotient of the noise filter's covariance."""
+DOUBLINGS = 28
+"""Enough for a root of D next to the largest allowed: 2²⁸ terms."""
+TOUCHING = 1e-8
+"""A root is on the boundary when it is no farther from it than this."""
+FLAT = 10.0
+"""A step that gains less than this part of what counts as settled is idle; after `PATIENCE`, stop."""
+PATIENCE = 3
+NOISE_FREE = 1e-26
+"""Part of Σ y² below which errors are rounding only."""
+EPSILON = 1e-14
+"""Curvature of an axis, relative to the greatest, below which it is rounding."""
+TRIAL = 4
+FAITH = 5.0
+"""A search that after `TRIAL` steps would not reach its rival with this many times the gain that its
+undamped step promises is given up."""
+STIFF = 1e8
+"""Damping at which no step is left to take."""
 CURVATURES = np.array(
     [
         [0, 2, 1, 0, -1],
@@ -91,16 +117,106 @@ class Polynomials(NamedTuple):
     F: FloatArray
 
 
+class Task(NamedTuple):
+    """The data and the order of one estimate."""
+
+    u: FloatArray
+    y: FloatArray
+    counts: NDArray[np.int64]
+    """nb, nc, nd, nf, nk."""
+    radii: FloatArray
+    """Largest root magnitudes of C, D and F."""
+    spans: Spans
+    """Columns b, m, c, d, f and e of the derivatives."""
+    pad: int
+    """At least the largest delay."""
+    weighed: bool
+    """Whether the initial conditions of the noise filter are penalised."""
+
+
+class Place(NamedTuple):
+    """A model along the search: θ, the best x for it, and its errors."""
+
+    theta: FloatArray
+    """c, d, f."""
+    model: Polynomials
+    """θ and b as polynomials."""
+    x: FloatArray
+    """b, m."""
+    errors: FloatArray
+    """e, shape (N,)."""
+    signals: FloatArray
+    """Derivatives before their delays, shape (ROWS, pad + N)."""
+    cost: float
+    """Σ e², and ‖z‖² where the start is weighed."""
+    start: FloatArray
+    """s and z where the start is weighed, else empty; see `weigh_linear`."""
+
+
+class Quadratic(NamedTuple):
+    """A quadratic model of the cost in the eigenvectors of its Hessian."""
+
+    gradient: FloatArray
+    curvatures: FloatArray
+    basis: FloatArray
+    """The eigenvectors as columns."""
+
+
+@_compiled
+def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Filter x by a polynomial in q⁻¹ from rest into `out`, another array of its length."""
+    count, taps = x.size, numerator.size
+    if taps > TAPS or count < TAPS:
+        for t in range(count):
+            total = 0.0
+            for i in range(min(taps - 1, t) + 1):
+                total += numerator[i] * x[t - i]
+            out[t] = total
+        return
+    c = np.zeros(TAPS)
+    c[:taps] = numerator
+    for t in range(TAPS - 1):
+        total = 0.0
+        for i in range(t + 1):
+            total += c[i] * x[t - i]
+        out[t] = total
+    # Written out over slices it fills the vector unit.
+    c0, c1, c2, c3, c4, c5 = c[0], c[1], c[2], c[3], c[4], c[5]
+    x0, x1, x2, x3, x4, x5 = x[5:], x[4:], x[3:], x[2:], x[1:], x
+    rest = out[5:]
+    for t in range(rest.size):
+        rest[t] = (c0 * x0[t] + c1 * x1[t]) + (c2 * x2[t] + c3 * x3[t]) + (c4 * x4[t] + c5 * x5[t])
+
+
+@_compiled
+def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Filter x by 1/denominator from rest into `out`, which may be x; the denominator is monic in q⁻¹."""
+    degree = denominator.size - 1
+    if degree >= TAPS:
+        for t in range(x.size):
+            total = x[t]
+            for i in range(min(degree, t), 0, -1):
+                total -= denominator[i] * out[t - i]
+            out[t] = total
+        return
+    a = np.zeros(TAPS)
+    a[: degree + 1] = denominator
+    a1, a2, a3, a4, a5 = a[1], a[2], a[3], a[4], a[5]
+    o1 = o2 = o3 = o4 = o5 = 0.0
+    for start in range(0, x.size, CHUNK):
+        if abs(o1) + abs(o2) + abs(o3) + abs(o4) + abs(o5) < VANISHED:
+            o1 = o2 = o3 = o4 = o5 = 0.0
+        for t in range(start, min(start + CHUNK, x.size)):  # the newest output last: a short dependency
+            total = (x[t] - (a5 * o5 + a4 * o4)) - (a3 * o3 + a2 * o2) - a1 * o1
+            out[t] = total
+            o5, o4, o3, o2, o1 = o4, o3, o2, o1, total
+
+
 @_compiled
 def fir(numerator: FloatArray, x: FloatArray) -> FloatArray:
     """Filter x by a polynomial in q⁻¹ from rest; shape (N,)."""
     out = np.empty(x.size)
-    degree = numerator.size - 1
-    for t in range(x.size):
-        total = 0.0
-        for i in range(min(degree, t) + 1):
-            total += numerator[i] * x[t - i]
-        out[t] = total
+    fir_into(numerator, x, out)
     return out
 
 
@@ -108,12 +224,7 @@ def fir(numerator: FloatArray, x: FloatArray) -> FloatArray:
 def all_pole(denominator: FloatArray, x: FloatArray) -> FloatArray:
     """Filter x by 1/denominator from rest; the denominator is monic in q⁻¹; shape (N,)."""
     out = np.empty(x.size)
-    degree = denominator.size - 1
-    for t in range(x.size):
-        total = x[t]
-        for i in range(min(degree, t), 0, -1):  # the newest output last keeps the dependency short
-            total -= denominator[i] * out[t - i]
-        out[t] = total
+    all_pole_into(denominator, x, out)
     return out
 
 
@@ -137,12 +248,25 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 
 
 @_compiled
+def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows: FloatArray) -> None:
+    """Copy the columns of `count` samples from index `start` on into `rows`, shape (≥ count, p)."""
+    column = 0
+    for p in range(spans.shape[0]):
+        for i in range(spans[p, 2]):
+            at = start - spans[p, 1] - i
+            source, target = signals[spans[p, 0], at : at + count], rows[:count, column]
+            for t in range(count):
+                target[t] = source[t]
+            column += 1
+
+
+@_compiled
 def correlate(signals: FloatArray, pad: int, spans: Spans, first: int) -> FloatArray:
     """Upper triangle of the normal matrix of delayed signals.
 
     Row t of the matrix has ``signals[s, pad + t - delay]`` for every span; t = first … N−1. Moving both
-    delays by one moves a product sum by one sample, so that only the first row and column of each pair
-    of spans are summed in full.
+    delays by one moves a product sum by one sample, so that only the products with the first column of
+    each span are summed in full.
 
     Args:
         signals: shape (m, pad + N), zero in the first `pad` samples.
@@ -153,22 +277,44 @@ def correlate(signals: FloatArray, pad: int, spans: Spans, first: int) -> FloatA
     Returns:
         Normal matrix, shape (p, p); what lies below the diagonal has no meaning.
     """
-    starts = np.concatenate((np.zeros(1, np.int64), np.cumsum(spans[:, 2])))
-    G = np.zeros((starts[-1], starts[-1]))
+    corners = np.concatenate((np.zeros(1, np.int64), np.cumsum(spans[:, 2])))
+    width, groups = corners[-1], spans.shape[0]
+    leads = np.zeros((groups, width))
+    rows = np.empty((CHUNK, width))
     low, high = pad + first, signals.shape[1]
-    for p in range(spans.shape[0]):
-        for q in range(p, spans.shape[0]):
+    for start in range(low, high, CHUNK):
+        count = min(CHUNK, high - start)
+        delayed_rows(signals, spans, start, count, rows)
+        for p in range(groups):
+            if spans[p, 2] == 0:
+                continue
+            lead = leads[p]
+            corner = corners[p]
+            for t in range(0, count - 3, 4):
+                r0, r1, r2, r3 = rows[t], rows[t + 1], rows[t + 2], rows[t + 3]
+                a0, a1, a2, a3 = r0[corner], r1[corner], r2[corner], r3[corner]
+                for j in range(width):
+                    lead[j] += (a0 * r0[j] + a1 * r1[j]) + (a2 * r2[j] + a3 * r3[j])
+            for t in range(count // 4 * 4, count):
+                row = rows[t]
+                for j in range(width):
+                    lead[j] += row[corner] * row[j]
+    G = np.zeros((width, width))
+    for p in range(groups):
+        for q in range(p, groups):
             a, b = signals[spans[p, 0]], signals[spans[q, 0]]
             for i in range(spans[p, 2]):
                 da = spans[p, 1] + i
                 for j in range(i if p == q else 0, spans[q, 2]):
                     db = spans[q, 1] + j
-                    if i == 0 or j == 0:
-                        value = dot(a[low - da : high - da], b[low - db : high - db])
+                    if i == 0:
+                        value = leads[p, corners[q] + j]
+                    elif j == 0:
+                        value = leads[q, corners[p] + i]
                     else:
-                        value = G[starts[p] + i - 1, starts[q] + j - 1]
+                        value = G[corners[p] + i - 1, corners[q] + j - 1]
                         value += a[low - da] * b[low - db] - a[high - da] * b[high - db]
-                    G[starts[p] + i, starts[q] + j] = value
+                    G[corners[p] + i, corners[q] + j] = value
     return G
 
 
@@ -239,14 +385,7 @@ def triangularise(signals: FloatArray, pad: int, spans: Spans, first: int) -> Fl
     start = first
     while start < total:
         count = min(CHUNK, total - start)
-        column = 0
-        for p in range(spans.shape[0]):
-            signal = signals[spans[p, 0]]
-            for i in range(spans[p, 2]):
-                delayed = pad + start - spans[p, 1] - i
-                for t in range(count):
-                    rows[t, column] = signal[delayed + t]
-                column += 1
+        delayed_rows(signals, spans, pad + start, count, rows)
         fold(R, rows, count, work)
         start += count
     return R
@@ -347,12 +486,28 @@ def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -
 
 
 @_compiled
+def back_substitute(R: FloatArray, rhs: FloatArray) -> FloatArray:
+    """The x with R x = rhs for an upper triangle R; components without a row of R are zero."""
+    size = R.shape[0]
+    x = np.zeros(size)
+    for i in range(size - 1, -1, -1):
+        total = rhs[i]
+        for j in range(i + 1, size):
+            total -= R[i, j] * x[j]
+        x[i] = total / R[i, i] if R[i, i] != 0.0 else 0.0
+    return x
+
+
+@_compiled
 def solve_linear(signals: FloatArray, pad: int, spans: Spans, exact: bool) -> FloatArray:
     """The x that minimises the errors; the last span is the error at x = 0."""
-    R = triangularise(signals, pad, spans, 0) if exact else cholesky(correlate(signals, pad, spans, 0))
+    if exact:
+        R = triangularise(signals, pad, spans, 0)
+        size = R.shape[0] - 1
+        return ridge_solve(R[:size, :size].copy(), -R[:size, size], RIDGE * column_norms(R)[:size])
+    R = cholesky(correlate(signals, pad, spans, 0))
     size = R.shape[0] - 1
-    damping = RIDGE * column_norms(R)[:size]
-    return ridge_solve(R[:size, :size].copy(), -R[:size, size], damping)
+    return back_substitute(R[:size, :size], -R[:size, size])
 
 
 @_compiled
@@ -366,73 +521,181 @@ def best_start(u: FloatArray, y: FloatArray, model: Polynomials, count: int) -> 
 
 
 @_compiled
+def noise_factor(C: FloatArray, D: FloatArray) -> FloatArray:
+    """L, lower triangular: the state n of C/D driven by white noise of variance 1 is L z, z white."""
+    size = max(C.size, D.size) - 1
+    if size == 0:
+        return np.zeros((0, 0))
+    A, step = np.zeros((size, size)), np.zeros((size, 1))
+    for i in range(size):
+        d = D[i + 1] if i + 1 < D.size else 0.0
+        step[i, 0] = (C[i + 1] if i + 1 < C.size else 0.0) - d
+        A[i, 0] = -d
+        if i + 1 < size:
+            A[i, i + 1] = 1.0
+    P = np.dot(step, step.T.copy())
+    for _ in range(DOUBLINGS):  # P = Σ Aᵏ Q Aᵏᵀ, twice as many terms each time
+        P = P + np.dot(A, np.dot(P, A.T.copy()))
+        A = np.dot(A, A)
+    # Where C and D share a root its state is never excited: a floor keeps the factor defined.
+    P = 0.5 * (P + P.T) + 1e-12 * (1.0 + np.trace(P)) * np.eye(size)
+    return cholesky(P).T.copy()
+
+
+@_compiled
+def start_columns(task: Task, model: Polynomials) -> FloatArray:
+    """The matrix from (s, z) to m = F L z − D s."""
+    nb, nc, nd, nf, nk = task.counts
+    free, noise = max(nf, nb + nk - 1), max(nc, nd)
+    states = task.spans[1, 2]
+    shifted = np.zeros((states, noise))
+    columns = np.zeros((states, free + noise))
+    for j in range(free):
+        for i in range(min(model.D.size, states - j)):
+            columns[j + i, j] = -model.D[i]
+    for j in range(noise):
+        for i in range(min(model.F.size, states - j)):
+            shifted[j + i, j] = model.F[i]
+    columns[:, free:] = np.dot(shifted, noise_factor(model.C, model.D))
+    return columns
+
+
+@_compiled
+def weigh_linear(task: Task, model: Polynomials, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """x = (b, m) and (s, z) that minimise Σ e² + ‖z‖², from the triangle R of b, m and the error at x = 0.
+
+    With n = L z, where L Lᵀ is the covariance of the noise filter's state for innovations of variance 1,
+    this is the unconditional sum of squares of Box and Jenkins: what backcasting the noise into the
+    infinite past would sum up. The state s of B/F stays free.
+    """
+    columns = start_columns(task, model)
+    nb, size, noise = task.counts[0], R.shape[0] - 1, max(task.counts[1], task.counts[2])
+    width = nb + columns.shape[1]
+    rows = np.zeros((size + 1 + noise, width + 1))
+    rows[: size + 1, :nb] = R[:, :nb]
+    rows[: size + 1, nb:width] = np.dot(R[:, nb:size].copy(), columns)
+    rows[: size + 1, width] = R[:, size]
+    for j in range(noise):
+        rows[size + 1 + j, width - noise + j] = 1.0
+    T = triangle_of(rows)
+    found = ridge_solve(T[:width, :width].copy(), -T[:width, width], RIDGE * column_norms(T)[:width])
+    return np.concatenate((found[:nb], np.dot(columns, found[nb:].copy()))), found[nb:].copy()
+
+
+@_compiled
+def weigh_all(task: Task, place: Place, R: FloatArray) -> FloatArray:
+    """Triangle of the derivatives of (e, z) by (b, s, z, c, d, f) from that of e by (b, m, c, d, f)."""
+    nb, nc, nd, nf, nk = task.counts
+    free, noise = max(nf, nb + nk - 1), max(nc, nd)
+    model = place.model
+    z = place.start[free:].copy()
+    states, size = task.spans[1, 2], R.shape[0] - 1
+    columns = start_columns(task, model)
+    moved = np.zeros((states, nc + nd + nf))  # ∂m/∂θ at fixed s and z
+    for i in range(nc + nd):
+        C, D = model.C.copy(), model.D.copy()
+        if i < nc:
+            C[1 + i] += STEP
+        else:
+            D[1 + i - nc] += STEP
+        other = start_columns(task, Polynomials(model.B, C, D, model.F))
+        moved[:, i] = np.dot(other - columns, place.start) / STEP
+    n = np.dot(noise_factor(model.C, model.D), z)
+    for i in range(nf):
+        for j in range(min(noise, states - 1 - i)):
+            moved[1 + i + j, nc + nd + i] += n[j]
+    linear = nb + free + noise
+    by_m = R[:, nb : nb + states].copy()
+    rows = np.zeros((size + 1 + noise, linear + nc + nd + nf + 1))
+    rows[: size + 1, :nb] = R[:, :nb]
+    rows[: size + 1, nb:linear] = np.dot(by_m, columns)
+    rows[: size + 1, linear:-1] = R[:, nb + states : size] + np.dot(by_m, moved)
+    rows[: size + 1, -1] = R[:, size]
+    for j in range(noise):
+        rows[size + 1 + j, linear - noise + j] = 1.0
+        rows[size + 1 + j, -1] = z[j]
+    return triangle_of(rows)
+
+
+@_compiled
 def project(
-    u: FloatArray, y: FloatArray, model: Polynomials, signals: FloatArray, pad: int, spans: Spans, exact: bool
-) -> tuple[FloatArray, FloatArray]:
+    task: Task, model: Polynomials, signals: FloatArray, exact: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The best x = (b, m) for given C, D, F and the errors e it leaves; B of the model is not used.
 
-    Fills rows 0 and 1 of `signals` with ∂e/∂b₀ and ∂e/∂m₀, and row 2 with the error at x = 0. `spans`
-    are those of b, m and row 2.
+    Fills rows 0 and 1 of `signals` with ∂e/∂b₀ and ∂e/∂m₀, and row 8 with the error at x = 0.
     """
-    signals[0, pad:] = -all_pole(model.F, all_pole(model.C, fir(model.D, u)))
-    signals[1, pad:] = 0.0
-    signals[1, pad] = 1.0
-    signals[1, pad:] = all_pole(model.F, all_pole(model.C, signals[1, pad:]))
-    signals[2, pad:] = all_pole(model.C, fir(model.D, y))
-    x = solve_linear(signals, pad, spans, exact)
-    e = signals[2, pad:].copy()
+    pad = task.pad
+    by_b, by_m, rest = signals[0, pad:], signals[1, pad:], signals[8, pad:]
+    fir_into(-model.D, task.u, by_b)
+    all_pole_into(model.C, by_b, by_b)
+    all_pole_into(model.F, by_b, by_b)
+    by_m[:] = 0.0
+    by_m[0] = 1.0
+    all_pole_into(model.C, by_m, by_m)
+    all_pole_into(model.F, by_m, by_m)
+    fir_into(model.D, task.y, rest)
+    all_pole_into(model.C, rest, rest)
+    spans = task.spans[:3].copy()
+    spans[2, 0], spans[2, 1], spans[2, 2] = 8, 0, 1
+    start = np.zeros(0)
+    if task.weighed:
+        x, start = weigh_linear(task, model, triangularise(signals, pad, spans, 0))
+    else:
+        x = solve_linear(signals, pad, spans, exact)
+    e = rest.copy()
     column = 0
     for span in range(2):
         for i in range(spans[span, 2]):
-            delayed = signals[spans[span, 0], pad - spans[span, 1] - i :]
+            at = pad - spans[span, 1] - i
+            factor, delayed = x[column], signals[spans[span, 0], at : at + e.size]
             for t in range(e.size):
-                e[t] += x[column] * delayed[t]
+                e[t] += factor * delayed[t]
             column += 1
-    return x, e
+    return x, e, start
 
 
 @_compiled
-def linearise(
-    u: FloatArray,
-    y: FloatArray,
-    model: Polynomials,
-    e: FloatArray,
-    signals: FloatArray,
-    pad: int,
-    spans: Spans,
-    exact: bool,
-) -> FloatArray:
+def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
     """QR triangle of the derivatives of e by (b, m, c, d, f), with the rotated e as last column.
 
-    Rows 0 and 1 of `signals` are as `project` left them; rows 2 to 4 become ∂e/∂c, ∂e/∂d and ∂e/∂f
+    Rows 0, 1 and 8 of `signals` are as `project` left them; rows 2 to 4 become ∂e/∂c, ∂e/∂d and ∂e/∂f
     before their delays, row 5 becomes e.
     """
-    _, C, D, F = model
-    signals[2, pad:] = -all_pole(C, e)
-    signals[3, pad:] = all_pole(F, all_pole(C, fir(F, y) - fir(model.B, u)))
-    signals[4, pad:] = all_pole(F, all_pole(C, fir(D, y) - fir(C, e)))
+    _, model, _, e, signals, _, _ = place
+    _, C, _, F = model
+    pad = task.pad
+    by_c, by_d, by_f = signals[2, pad:], signals[3, pad:], signals[4, pad:]
+    by_f[:] = signals[8, pad:] - e  # (D y − C e)/C
+    all_pole_into(F, by_f, by_f)
+    by_c[:] = -e
+    all_pole_into(C, by_c, by_c)
+    fir_into(F, task.y, by_d)
+    by_d -= fir(model.B, task.u)
+    all_pole_into(C, by_d, by_d)
+    all_pole_into(F, by_d, by_d)
     signals[5, pad:] = e
-    return triangularise(signals, pad, spans, 0) if exact else cholesky(correlate(signals, pad, spans, 0))
+    if exact:
+        R = triangularise(signals, pad, task.spans, 0)
+    else:
+        R = cholesky(correlate(signals, pad, task.spans, 0))
+    return weigh_all(task, place, R) if task.weighed else R
 
 
 @_compiled
-def curvature(
-    u: FloatArray,
-    model: Polynomials,
-    e: FloatArray,
-    signals: FloatArray,
-    pad: int,
-    spans: Spans,
-    R: FloatArray,
-) -> FloatArray:
+def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     """Half the second derivative of Σ e² by θ = (c, d, f), with x = (b, m) following as its minimiser.
 
     Rows 0 to 5 of `signals` are as `linearise` left them, rows 6 and 7 become u/(CF) and B u/(CF); R is
     the triangle. Every ∂²e is one signal through 1/C or 1/F once more, delayed by both delays; the sum
     over e moves that filter onto e, backwards in time. See `CURVATURES`.
     """
-    signals[6, pad:] = all_pole(model.F, all_pole(model.C, u))
-    signals[7, pad:] = fir(model.B, signals[6, pad:].copy())
+    _, model, _, e, signals, _, _ = place
+    pad, spans = task.pad, task.spans
+    driven = signals[6, pad:]
+    all_pole_into(model.C, task.u, driven)
+    all_pole_into(model.F, driven, driven)
+    fir_into(model.B, driven, signals[7, pad:])
     weights = np.empty((3, e.size))
     backwards = e[::-1].copy()
     weights[0] = e
@@ -477,3 +740,251 @@ def eliminate_linear(S: FloatArray, R: FloatArray, linear: int) -> FloatArray:
             H[a, b] = total
             H[b, a] = total
     return H
+
+
+@_compiled
+def from_roots(roots: ComplexArray, size: int) -> FloatArray:
+    """The monic polynomial of `size` coefficients with these roots and the others at zero."""
+    product = np.zeros(size, np.complex128)
+    product[0] = 1.0
+    for k in range(roots.size):
+        for i in range(k + 1, 0, -1):
+            product[i] -= roots[k] * product[i - 1]
+    return product.real.copy()
+
+
+@_compiled
+def complex_roots(polynomial: FloatArray) -> ComplexArray:
+    """Roots in z of 1 + a₁q⁻¹ + …, those at zero left out."""
+    return np.asarray(np.roots(polynomial.astype(np.complex128)), dtype=np.complex128)
+
+
+@_compiled
+def clamp(polynomial: FloatArray, radius: float) -> FloatArray:
+    """Pull roots beyond `radius` back to it along their ray; what is not finite becomes 1."""
+    if is_stable(polynomial, radius):
+        return polynomial
+    if not np.all(np.isfinite(polynomial)):
+        stable = np.zeros(polynomial.size)
+        stable[0] = 1.0
+        return stable
+    roots = complex_roots(polynomial)
+    for k in range(roots.size):
+        magnitude = abs(roots[k])
+        if magnitude >= radius:
+            roots[k] *= (radius - 1e-9) / magnitude
+    stable = from_roots(roots, polynomial.size)
+    while not is_stable(stable, radius):  # rounding may leave a multiple root outside
+        for i in range(1, stable.size):
+            stable[i] *= 0.9999**i
+    return stable
+
+
+@_compiled
+def reflect(polynomial: FloatArray, radius: float) -> FloatArray:
+    """Move roots outside the unit circle to their mirror image inside, then `clamp`.
+
+    A reflected C or D keeps the spectrum's shape: only the size of the innovations changes.
+    """
+    if is_stable(polynomial, radius) or not np.all(np.isfinite(polynomial)):
+        return clamp(polynomial, radius)
+    roots = complex_roots(polynomial)
+    for k in range(roots.size):
+        if abs(roots[k]) > 1.0:
+            roots[k] = 1.0 / np.conj(roots[k])
+    return clamp(from_roots(roots, polynomial.size), radius)
+
+
+@_compiled
+def boundary_normals(polynomial: FloatArray, radius: float) -> FloatArray:
+    """Gradients of |z| by the free coefficients for the simple roots z that touch the boundary, as rows."""
+    degree = polynomial.size - 1
+    normals = np.zeros((degree, degree))
+    found = 0
+    if is_stable(polynomial, radius - TOUCHING):
+        return normals[:0]
+    roots = complex_roots(polynomial)
+    for k in range(roots.size):
+        z = roots[k]
+        if abs(z) < radius - TOUCHING or z.imag < 0.0:
+            continue
+        slope = 0.0j
+        for i in range(degree):
+            slope = slope * z + (degree - i) * polynomial[i]
+        if slope == 0.0:  # a double root has no gradient
+            continue
+        power = 1.0 + 0.0j
+        for i in range(degree - 1, -1, -1):
+            normals[found, i] = -(np.conj(z) * power / slope).real / abs(z)
+            power *= z
+        if np.all(np.isfinite(normals[found])):
+            found += 1
+    return normals[:found]
+
+
+@_compiled
+def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) -> Place:
+    """The best linear coefficients at θ and the errors they leave.
+
+    Roots outside the stable region are pulled back to its boundary: the place's θ is what is left.
+    """
+    nb, nf, nk = task.counts[0], task.counts[3], task.counts[4]
+    stable = np.empty(theta.size)
+    B = np.zeros(nk + nb)
+    C = D = F = B
+    first = 0
+    for k in range(3):
+        last = first + task.counts[1 + k]
+        part = np.ones(1 + last - first)
+        part[1:] = theta[first:last]
+        part = clamp(part, task.radii[k])
+        stable[first:last] = part[1:]
+        if k == 0:
+            C = part
+        elif k == 1:
+            D = part
+        else:
+            F = part
+        first = last
+    model = Polynomials(B, C, D, F)
+    x, e, start = project(task, model, signals, exact)
+    B[nk:] = x[:nb]
+    cost = 0.0
+    for t in range(e.size):
+        cost += e[t] * e[t]
+    for j in range(max(nf, nb + nk - 1), start.size):
+        cost += start[j] * start[j]
+    return Place(stable, model, x, e, signals, cost if np.isfinite(cost) else np.inf, start)
+
+
+@_compiled
+def diagonalise(gradient: FloatArray, hessian: FloatArray, basis: FloatArray) -> Quadratic:
+    """The cost around a point, cost + 2 gᵀδ + δᵀHδ, in the eigenvectors of the Hessian in `basis`."""
+    across = np.ascontiguousarray(basis.T)
+    curvatures, axes = np.linalg.eigh(np.dot(across, np.dot(hessian, basis)))
+    turned = np.dot(basis, np.ascontiguousarray(axes))
+    return Quadratic(np.dot(np.ascontiguousarray(turned.T), gradient), curvatures, turned)
+
+
+@_compiled
+def damped_step(quadratic: Quadratic, damping: float) -> tuple[FloatArray, float]:
+    """The damped step and the gain it promises; downhill along axes of negative curvature too."""
+    gradient, curvatures, basis = quadratic
+    sizes = np.abs(curvatures)
+    floor = max(EPSILON * np.max(sizes), 1e-300) if sizes.size else 1.0
+    along = -gradient / (np.maximum(sizes, floor) + damping)
+    gain = -np.sum(along * (2.0 * gradient + curvatures * along))
+    return np.dot(basis, along), gain
+
+
+@_compiled
+def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadratic:
+    """The quadratic model of the cost at a place; where θ slides along the boundary, in the axes of that."""
+    R = linearise(task, place, exact)
+    linear, size = R.shape[0] - 1 - place.theta.size, R.shape[0] - 1
+    block = R[linear:size, linear:size].copy()
+    gradient = np.dot(np.ascontiguousarray(block.T), R[linear:size, size].copy())
+    hessian = curvature(task, place, R) if newton else np.dot(np.ascontiguousarray(block.T), block)
+    scale = column_norms(block) + 1e-6 * column_norms(R)[linear:size]
+    basis = np.zeros((scale.size, scale.size))
+    for i in range(scale.size):
+        basis[i, i] = 1.0 / scale[i] if scale[i] > 0.0 else 1.0
+    normals = outward(task, place)
+    for _ in range(2):
+        quadratic = diagonalise(gradient, hessian, basis)
+        if normals.shape[0] == 0:
+            break
+        step, _ = damped_step(quadratic, 0.0)
+        leaving = normals[np.dot(normals, step) > 0.0]
+        if leaving.shape[0] == 0:
+            break
+        basis = without_rows(basis, np.dot(leaving, basis))  # slide along: only steps that leave |z| as it is
+    return quadratic
+
+
+@_compiled
+def without_rows(basis: FloatArray, rows: FloatArray) -> FloatArray:
+    """The basis with the directions in which `rows` differ from zero projected out of it."""
+    kept = basis.copy()
+    for k in range(rows.shape[0]):
+        row = rows[k]
+        for j in range(k):
+            row -= np.dot(rows[j], row) * rows[j]
+        size = np.sqrt(np.dot(row, row))
+        row *= 1.0 / size if size > 1e-10 * np.max(np.abs(basis)) else 0.0
+        for i in range(kept.shape[0]):
+            kept[i] -= np.dot(kept[i], row) * row
+    return kept
+
+
+@_compiled
+def outward(task: Task, place: Place) -> FloatArray:
+    """Normals that point out of the stable region where a root touches its boundary, as rows."""
+    rows = np.zeros((place.theta.size, place.theta.size))
+    first = found = 0
+    for k in range(3):
+        polynomial = place.model[1] if k == 0 else place.model[2] if k == 1 else place.model[3]
+        last = first + polynomial.size - 1
+        for normal in boundary_normals(polynomial, task.radii[k]):
+            rows[found, first:last] = normal
+            found += 1
+        first = last
+    return rows[:found]
+
+
+@_compiled
+def descend(
+    task: Task, theta: FloatArray, exact: bool, iterations: int, rival: float, settled: float
+) -> tuple[Place, bool, int]:
+    """Descend from θ until nothing is left to gain; the cost never grows on the way.
+
+    Gauss–Newton leaves out the second derivatives of e. Far from the minimum that makes it robust; in the
+    flat valleys of closed-loop data and of orders that are too high it makes it zigzag for hundreds of
+    steps. The second derivatives are exact and cheap here, so the search changes over as soon as the
+    model of the cost it used was a bad prophet of the gain. Steps that leave the stable region are pulled
+    back to its boundary and taken only if they still gain.
+
+    Args:
+        task: the data and the order.
+        theta: start.
+        exact: factorise by QR instead of by normal equations: for the last digits.
+        iterations: most steps to take.
+        rival: a cost reached elsewhere; given up when after `TRIAL` steps it seems out of reach.
+        settled: converged when an undamped step promises less than this part of the cost.
+
+    Returns:
+        Where it ended, whether nothing was left to gain, and the steps taken.
+    """
+    used = np.zeros((ROWS, task.pad + task.u.size))
+    spare = np.zeros((ROWS, task.pad + task.u.size))
+    place = evaluate(task, theta, used, exact)
+    floor = NOISE_FREE * np.sum(task.y**2)
+    damping, newton, idle = 1e-3, False, 0
+    for iteration in range(iterations):
+        if place.cost <= floor or theta.size == 0:
+            return place, True, iteration
+        quadratic = quadratic_at(task, place, newton, exact)
+        hope = damped_step(quadratic, 0.0)[1]
+        if hope <= settled * place.cost:
+            return place, True, iteration
+        if iteration >= TRIAL and place.cost - FAITH * hope > rival:
+            return place, False, iteration
+        while True:
+            delta, promised = damped_step(quadratic, damping)
+            trial = evaluate(task, place.theta + delta, spare, exact)
+            gained = place.cost - trial.cost
+            if gained > 0.0:
+                break
+            damping *= 8.0
+            newton = not task.weighed
+            if damping > STIFF:
+                return place, True, iteration
+        ratio = gained / promised if promised > 0.0 else 0.0
+        damping = max(damping * (0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0), 1e-12)
+        newton = newton or not (task.weighed or 0.5 < ratio < 2.0)
+        idle = idle + 1 if gained < FLAT * settled * place.cost else 0
+        place = trial
+        used, spare = spare, used
+        if idle == PATIENCE:
+            return place, True, iteration + 1
+    return place, False, iterations

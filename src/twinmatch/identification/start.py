@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from twinmatch.identification.kernels import (
+    LARGEST_ROOT,
     Polynomials,
     all_pole,
     cholesky,
@@ -20,10 +21,10 @@ from twinmatch.identification.kernels import (
     correlate,
     errors_of,
     fir,
+    reflect,
     ridge_solve,
 )
 from twinmatch.identification.order import Order
-from twinmatch.identification.polynomial import reflect
 from twinmatch.signals import FloatArray
 
 __all__ = ["start_values"]
@@ -76,7 +77,7 @@ def arx_denominator(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
         return np.ones(1)
     spans = [(0, 1, order.nf), (1, order.nk, order.nb)]
     found = regression([y, u], spans, max(order.nf, order.nk + order.nb - 1))
-    return reflect(np.concatenate((np.ones(1), -found[: order.nf])))
+    return reflect(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT)
 
 
 def steiglitz_mcbride(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
@@ -90,7 +91,7 @@ def steiglitz_mcbride(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
     for _ in range(ROUNDS):
         signals = [np.asarray(all_pole(F, x)) for x in (y, u, impulse)]
         found = regression(signals, spans, 0)
-        previous, F = F, reflect(np.concatenate((np.ones(1), -found[: order.nf])))
+        previous, F = F, reflect(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT)
         if previous.size == F.size and np.max(np.abs(F - previous)) < 1e-4:
             break
     return F

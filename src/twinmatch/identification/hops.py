@@ -1,0 +1,114 @@
+"""Hops: starts beside the best minimum found so far, with a few of its roots thrown elsewhere.
+
+Orders above the second have many local minima: pairs of roots that nearly cancel, one minimum for every
+chance sinusoid they can follow. Starts drawn anew rarely fall near a good one; starts that keep most of
+the best model and move one or two of its roots often do. The draws come from a generator of fixed seed, so
+that the same data give the same model.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.identification.order import Order
+from twinmatch.signals import FloatArray
+
+__all__ = ["Hops"]
+
+Roots = NDArray[np.complex128]
+
+SEED = 20220227
+REAL = 1e-9
+"""Imaginary part below which a root counts as real."""
+
+
+class Hops:
+    """An endless supply of starts around a model."""
+
+    def __init__(self, order: Order) -> None:
+        """Begin the sequence of draws for an order; it is the same every time."""
+        self._degrees = (order.nc, order.nd, order.nf)
+        self._movable = [k for k, degree in enumerate(self._degrees) if degree > 0]
+        self._draws = np.random.Generator(np.random.PCG64(SEED))
+
+    @property
+    def possible(self) -> bool:
+        """Whether there is a root to move."""
+        return bool(self._movable)
+
+    def from_model(self, theta: FloatArray) -> FloatArray:
+        """θ = (c, d, f) with some of its roots thrown elsewhere, all inside the unit circle."""
+        corners = np.concatenate(([0], np.cumsum(self._degrees)))
+        roots = [_all_roots(theta[a:b]) for a, b in pairwise(corners)]
+        which = self._movable[self._pick(len(self._movable))]
+        kind = self._pick(4)
+        if kind == 3 and min(self._degrees[:2]) > 1:
+            roots = self._notch(roots)
+        else:
+            move = (self._move_one, self._move_two, self._move_all)[kind % 3]
+            roots[which] = move(roots[which])
+        return np.concatenate([np.real(np.poly(r))[1:] if r.size else np.zeros(0) for r in roots])
+
+    def _pick(self, count: int) -> int:
+        return int(self._draws.random() * count)
+
+    def _magnitude(self, nearest: float, farthest: float) -> float:
+        """1 − 10^x, x uniform."""
+        return float(1.0 - 10.0 ** (nearest + (farthest - nearest) * self._draws.random()))
+
+    def _angle(self) -> float:
+        """Towards low frequencies, where a sampled loop lives."""
+        return float(np.pi * self._draws.random() ** 1.5)
+
+    def _move_one(self, roots: Roots) -> Roots:
+        real = np.flatnonzero(np.abs(roots.imag) <= REAL)
+        if real.size == 0:
+            return self._move_two(roots)
+        moved = roots.copy()
+        moved[real[self._pick(real.size)]] = self._magnitude(-2.5, 0.2)
+        return moved
+
+    def _move_two(self, roots: Roots) -> Roots:
+        if roots.size < 2:
+            return self._move_all(roots)
+        return self._with_pair(roots, self._magnitude(-2.5, -0.7), self._angle())
+
+    def _with_pair(self, roots: Roots, magnitude: float, angle: float) -> Roots:
+        """Two real roots, or a pair, replaced by another pair."""
+        pairs, real = roots[roots.imag > REAL], roots[np.abs(roots.imag) <= REAL]
+        if pairs.size and (real.size < 2 or self._pick(2) == 1):
+            pairs = np.delete(pairs, self._pick(pairs.size))
+        else:
+            for _ in range(2):
+                real = np.delete(real, self._pick(real.size))
+        pairs = np.append(pairs, magnitude * np.exp(1j * angle))
+        return np.concatenate((real, pairs, np.conj(pairs)))
+
+    def _move_all(self, roots: Roots) -> Roots:
+        drawn: list[complex] = []
+        while len(drawn) < roots.size:
+            if roots.size - len(drawn) >= 2 and self._pick(2) == 1:
+                root = self._magnitude(-3.0, -0.3) * np.exp(1j * self._angle())
+                drawn += [root, np.conj(root)]
+            else:
+                drawn.append(self._magnitude(-2.5, -0.1) * (1.0 if self._pick(5) else -1.0))
+        return np.array(drawn, dtype=np.complex128)
+
+    def _notch(self, roots: list[Roots]) -> list[Roots]:
+        """A pair of C that nearly cancels a pair of D: a narrow band in which the noise is coloured."""
+        angle, magnitude = self._angle(), self._magnitude(-2.5, -1.0)
+        wider = max(1.0 - (1.0 - magnitude) * (1.5 + 2.5 * self._draws.random()), 0.5)
+        return [
+            self._with_pair(roots[0], wider, angle),
+            self._with_pair(roots[1], magnitude, angle),
+            roots[2],
+        ]
+
+
+def _all_roots(part: FloatArray) -> Roots:
+    """As many roots as there are coefficients, those at zero included."""
+    found = np.roots(np.append(1.0, part)).astype(np.complex128)
+    return np.append(found, np.zeros(part.size - found.size, dtype=np.complex128))
