@@ -98,5 +98,5 @@ def judge_samples(
         verdicts += outcome.verdicts
         if watch is not None and done % 50 == 0:
             watch(done, len(samples))
-    summary = summarise(samples, matches, verdicts, settings.gains, notes)
+    summary = summarise(samples, matches, verdicts, settings.gains, notes, limits=settings.limits)
     return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)

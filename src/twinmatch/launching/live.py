@@ -75,7 +75,9 @@ def run_live(live: Live) -> int:
     settings = read_settings(live.plan.twin_config)
     code = run([_watch_class(live, settings)], ["live"])
     if live.samples:
-        live.summary = summarise(live.samples, live.matches, live.verdicts, settings.gains)
+        live.summary = summarise(
+            live.samples, live.matches, live.verdicts, settings.gains, limits=settings.limits
+        )
         live.console.print(sentence(live.summary))
     for name in live.killed:
         live.console.print(f"{name} did not end by itself and was killed")

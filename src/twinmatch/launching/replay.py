@@ -66,7 +66,12 @@ def play(replay: Replay) -> int:
         return EXIT_INTERRUPTED
     if code == 0:
         replay.summary = summarise(
-            session.samples, replay.matches, replay.verdicts, settings.gains, session.notes
+            session.samples,
+            replay.matches,
+            replay.verdicts,
+            settings.gains,
+            session.notes,
+            limits=settings.limits,
         )
         for note in replay.summary.notes:
             replay.console.print(f"Note: {note}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from twinmatch.discrimination import Candidate
@@ -16,7 +16,6 @@ from twinmatch.sessions.candidates import parse_candidates, read_candidates
 from twinmatch.sessions.settings import CANDIDATES, parameters_of
 from twinmatch.twin import TwinSettings
 from twinmatch.verify import SAMPLE, SCORES, verify_session
-from twinmatch.views import summarise
 
 __all__ = ["Judged", "judge"]
 
@@ -53,16 +52,8 @@ def judge(
     judgement = judge_samples(
         session.name, session.samples, settings, given=given, notes=session.notes, watch=watch
     )
-    summary = summarise(
-        judgement.samples,
-        judgement.matches,
-        judgement.verdicts,
-        settings.gains,
-        session.notes,
-        limits=settings.limits,
-    )
     recorded, identical = _compare_recorded(path, session, config, candidates, watch)
-    return Judged(session, replace(judgement, summary=summary), source, recorded, identical)
+    return Judged(session, judgement, source, recorded, identical)
 
 
 def _begin(
