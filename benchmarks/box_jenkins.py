@@ -1,0 +1,209 @@
+"""Box–Jenkins: the ladder of orders beside the peers, growth with N, error on a known truth.
+
+    python -m benchmarks.box_jenkins [--quick] [--recording FILE] [--json OUT]
+
+Without a recording the rig is simulated. The peers assume that the data begin at rest; the notes give
+their loss so, and the loss of the same coefficients with the best initial conditions, beside ours. A
+ladder that takes longer than its limit is stopped between two orders: its ratio is then a lower bound.
+statsmodels has no B/F and stands in with delayed inputs and ARMA errors. SIPPY (LGPL) and the others are
+compared with here only; the package imports none of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from benchmarks.box_jenkins_peers import Fit, own, peers
+from benchmarks.common import Row, document, measure_side_by_side, print_rows, rows_of
+from benchmarks.rig import recorded
+from twinmatch.identification import ORDERS, BoxJenkins, estimate, estimate_ladder
+from twinmatch.sessions import open_any
+from twinmatch.signals import FloatArray, Sample
+
+NAME = "box_jenkins"
+SHORT, LONG = 500, 3600
+LIMIT = 10.0
+"""Seconds after which a peer's ladder goes on to no further order."""
+MODEL_TARGETS = {SHORT: 0.010, LONG: 0.040}
+SIPPY_TARGET = 50.0
+GROWTH = (600, 1200, 3600, 12000, 36000)
+
+B, C = np.array([0.0, 1.0, 0.5]), np.array([1.0, 0.7, 0.2])
+D, F = np.array([1.0, -1.2, 0.5]), np.array([1.0, -1.5, 0.7])
+
+
+class Ladder(NamedTuple):
+    """What a program's ladder came to: losses by order, and those of its coefficients with the best start."""
+
+    losses: dict[str, float]
+    best: dict[str, float]
+    stopped: bool
+
+
+def run(quick: bool) -> list[Row]:
+    """Every part, on the simulated rig."""
+    return run_on(recorded(GROWTH[-1] if not quick else GROWTH[2]), quick)
+
+
+def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
+    """Every part, the ladder and the growth on these samples."""
+    rows: list[Row] = []
+    for count in (SHORT,) if quick else (SHORT, LONG):
+        for name, u, y in _pairs(samples[:count]):
+            rows += _single(name, u, y, quick)
+            rows += _ladder(name, u, y, quick)
+    return rows + _growth(samples, quick) + _truth(quick)
+
+
+def _pairs(samples: Sequence[Sample]) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Set-point to temperature and, one tick early, to control, as deviations from the start."""
+    r, y, u = np.array([(s.reference, s.temperature, s.pwm) for s in samples]).T
+    ahead = np.append(r[1:], r[-1]) - r[0]
+    return [(f"r → y, N = {r.size}", r - r[0], y - r[0]), (f"r → u, N = {r.size}", ahead, u - u[0])]
+
+
+def _single(name: str, u: FloatArray, y: FloatArray, quick: bool) -> list[Row]:
+    rows = []
+    for order in (ORDERS[0], ORDERS[-1]):
+        timings = measure_side_by_side({"twinmatch": lambda o=order: estimate(u, y, o)}, 3 if quick else 9)
+        note = f"V {timings['twinmatch'].result.variance:.4g}"
+        targets = {"twinmatch": MODEL_TARGETS.get(u.size, math.nan)} if u.size in MODEL_TARGETS else {}
+        case = f"one model {order}, {name}"
+        rows += rows_of(NAME, case, timings, targets=targets, notes={"twinmatch": note})
+    return rows
+
+
+def _ladder(name: str, u: FloatArray, y: FloatArray, quick: bool) -> list[Row]:
+    programs = {} if quick else peers()
+    cases: dict[str, Callable[[], object]] = {"twinmatch": lambda: _own_ladder(u, y)}
+    for peer, program in programs.items():
+        cases[peer] = lambda p=program: _peer_ladder(p, u, y)
+    timings = measure_side_by_side(cases, 3 if quick else 5, patience=4.0)
+    notes = {peer: _note(t.result) for peer, t in timings.items() if isinstance(t.result, Ladder)}
+    return rows_of(NAME, f"ladder, {name}", timings, targets={"sippy_unipi": SIPPY_TARGET}, notes=notes)
+
+
+def _own_ladder(u: FloatArray, y: FloatArray) -> Ladder:
+    losses = {order: model.variance for order, model in estimate_ladder(u, y).items()}
+    return Ladder(losses, losses, False)
+
+
+def _peer_ladder(
+    program: Callable[[FloatArray, FloatArray, str], Fit], u: FloatArray, y: FloatArray
+) -> Ladder:
+    begin = time.perf_counter()
+    losses, best = {}, {}
+    for order in ORDERS:
+        if time.perf_counter() - begin > LIMIT:
+            return Ladder(losses, best, True)
+        try:
+            fit = program(u, y, order)
+        except Exception:
+            losses[order] = best[order] = math.inf
+            continue
+        losses[order] = fit.loss
+        best[order] = math.nan if fit.model is None else _with_best_start(fit.model, u, y)
+    return Ladder(losses, best, False)
+
+
+def _with_best_start(model: BoxJenkins, u: FloatArray, y: FloatArray) -> float:
+    with np.errstate(all="ignore"):
+        loss = model.loss(u, y)
+    return loss if math.isfinite(loss) else math.inf
+
+
+def _note(ladder: Ladder) -> str:
+    text = "V " + " ".join(f"{loss:.4g}" for loss in ladder.losses.values())
+    if ladder.best is not ladder.losses and not all(math.isnan(v) for v in ladder.best.values()):
+        text += "; best start " + " ".join(f"{loss:.4g}" for loss in ladder.best.values())
+    return text + ("; stopped by the limit" if ladder.stopped else "")
+
+
+def _growth(samples: Sequence[Sample], quick: bool) -> list[Row]:
+    counts = [n for n in GROWTH if n <= len(samples)]
+    pairs = {n: _pairs(samples[:n])[0] for n in counts}
+    cases = {f"N = {n}": lambda p=p: estimate(p[1], p[2], "33331") for n, p in pairs.items()}
+    timings = measure_side_by_side(cases, 2 if quick else 5)
+    per_sample = {f"N = {n}": timings[f"N = {n}"].median / n for n in counts}
+    notes = {case: f"{value * 1e6:.3g} µs a sample" for case, value in per_sample.items()}
+    return rows_of(NAME, "growth, one model 33331", timings, own=f"N = {counts[0]}", notes=notes)
+
+
+def _truth(quick: bool) -> list[Row]:
+    """Median error of B/F over seeds: ‖Ĝ − G‖ / ‖G‖ on the unit circle."""
+    programs = {"twinmatch": own} | ({} if quick else peers())
+    programs.pop("statsmodels", None)  # no B/F to compare
+    rows = []
+    for kind in ("white noise", "coloured noise", "closed loop"):
+        for count in (300,) if quick else (300, 1000, 10000):
+            taking = {n: p for n, p in programs.items() if n != "sippy_unipi" or count == 300}
+            seeds = range(3 if quick or count > 1000 else 7)
+            for name, program in taking.items():
+                begin = time.perf_counter()
+                errors = [_error(program, *_data(kind, count, seed)) for seed in seeds]
+                seconds = (time.perf_counter() - begin) / len(errors)
+                note = f"error of B/F {100.0 * float(np.median(errors)):.3g} %"
+                rows.append(
+                    Row(NAME, f"truth, {kind}, N = {count}", name, seconds, None, len(errors), None, note)
+                )
+    return rows
+
+
+def _error(program: Callable[[FloatArray, FloatArray, str], Fit], u: FloatArray, y: FloatArray) -> float:
+    try:
+        model = program(u, y, "22221").model
+    except Exception:
+        return 1.0
+    if model is None:
+        return 1.0
+    z = np.exp(-1j * np.linspace(0.01, np.pi, 400))
+    true = np.polyval(B[::-1], z) / np.polyval(F[::-1], z)
+    found = np.polyval(model.B[::-1], z) / np.polyval(model.F[::-1], z)
+    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+
+
+def _data(kind: str, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """A record that begins in the middle of a run, as every window of a running loop does."""
+    rng = np.random.default_rng(seed)
+    total = count + 200
+    drive = np.repeat(rng.choice([-1.0, 1.0], size=total // 4 + 1), 4)[:total]
+    e = 0.5 * rng.standard_normal(total)
+    if kind != "closed loop":
+        noise = e if kind == "white noise" else lfilter(C, D, e)
+        return drive[200:], (lfilter(B, F, drive) + noise)[200:]
+    noise = lfilter(C, D, 0.4 * e)
+    u, w, y = np.zeros(total), np.zeros(total), np.zeros(total)
+    for t in range(2, total):
+        w[t] = B[1] * u[t - 1] + B[2] * u[t - 2] - F[1] * w[t - 1] - F[2] * w[t - 2]
+        y[t] = w[t] + noise[t]
+        u[t] = 0.15 * (drive[t] - y[t])
+    return u[200:], y[200:]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small cases, no peers: does it run?")
+    parser.add_argument("--recording", type=Path, metavar="FILE", help="a session or recording of yours")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write environment and rows to this file")
+    options = parser.parse_args()
+    if options.recording is None:
+        rows = run(options.quick)
+    else:
+        rows = run_on(open_any(options.recording).samples, options.quick)
+    print_rows((__doc__ or "").splitlines()[0], rows)
+    if options.json is not None:
+        text = json.dumps(document(rows), indent=1, allow_nan=False, ensure_ascii=False)
+        options.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()
