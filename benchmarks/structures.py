@@ -29,13 +29,11 @@ from rich.console import Console
 from rich.table import Table
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching.structures import STRUCTURES, StructureFit
+from twinmatch.matching import STRUCTURES, StructureFit
 from twinmatch.plant import controller_state, simulate_closed_loop
 from twinmatch.sessions import read_recording, samples_of
 from twinmatch.signals import KELVIN, Window
-from twinmatch.twin import Schedule, nrmse
-from twinmatch.twin.structure_watch import StructureWatch
-from twinmatch.twin.structures import choose_structure
+from twinmatch.twin import Schedule, StructureWatch, choose_structure, nrmse
 
 MEDIAN_TARGET, LEAST_TARGET = (0.992, 0.90), (0.984, 0.82)
 CHOSEN = "chosen"

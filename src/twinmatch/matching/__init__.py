@@ -7,7 +7,8 @@ carries its covariance, its Fisher information and the bounds it ran into; the c
 camera's noise round the loop. It also says which parameters to believe, within which intervals, which
 combination is known best, and which set-point step would show what is left open. Its `Status` is the
 gate's answer: only an accepted match may join the family of candidates. `Limits` says where the gate
-closes, and the gate's module in which order it asks.
+closes, and the gate's module in which order it asks. `fit_structure` does the same for plants that are richer
+than the three parameters, over one window or several.
 """
 
 from twinmatch.matching.bounds import (
@@ -22,6 +23,7 @@ from twinmatch.matching.gate import Limits, Status
 from twinmatch.matching.match import FREE, match
 from twinmatch.matching.problem import Noise
 from twinmatch.matching.result import Fit, Match
+from twinmatch.matching.structures import STRUCTURES, Structure, StructureFit, fit_structure
 
 __all__ = [
     "AUTHORS_BOUNDS",
@@ -29,6 +31,7 @@ __all__ = [
     "FREE",
     "SCALES",
     "SINK_START",
+    "STRUCTURES",
     "Bounds",
     "Fit",
     "Limits",
@@ -36,5 +39,8 @@ __all__ = [
     "MatchingError",
     "Noise",
     "Status",
+    "Structure",
+    "StructureFit",
+    "fit_structure",
     "match",
 ]

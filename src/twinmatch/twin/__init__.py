@@ -2,8 +2,10 @@
 
 `Matcher` fits rig parameters when the schedule says that a window excited the loop, `Discriminator`
 judges the family of accepted matches, `Mirror` runs the nominal twin beside the plant. `Twin` is the
-first two, fed from one stream. All of them are synchronous and depend on nothing but the samples they
-are given: no clock, no thread, no random state, so a recorded session judges itself again exactly.
+first two, fed from one stream. `choose_structure` says what the plant is made of as far as its samples pay
+for it, and `StructureWatch` asks that again and again. All of them are synchronous and depend on nothing
+but the samples they are given: no clock, no thread, no random state, so a recorded session judges itself
+again exactly.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from twinmatch.twin.mirror import Mirror, MirrorState
 from twinmatch.twin.residuals import Residuals, closed_loop_fit, nrmse, residuals
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinError, TwinSettings
+from twinmatch.twin.structure_watch import StructureSettings, StructureWatch
+from twinmatch.twin.structures import StructureChoice, StructureScore, choose_structure
 
 __all__ = [
     "Discriminator",
@@ -31,11 +35,16 @@ __all__ = [
     "Schedule",
     "ScheduleError",
     "ScheduleSettings",
+    "StructureChoice",
+    "StructureScore",
+    "StructureSettings",
+    "StructureWatch",
     "Trigger",
     "TrustLimits",
     "Twin",
     "TwinError",
     "TwinSettings",
+    "choose_structure",
     "closed_loop_fit",
     "nrmse",
     "residuals",

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import Noise
-from twinmatch.matching.structures import STRUCTURES, Structure
+from twinmatch.matching import STRUCTURES, Noise, Structure
 from twinmatch.plant import PidGains
 from twinmatch.signals import Window
 from twinmatch.twin.structures import StructureChoice, choose_structure

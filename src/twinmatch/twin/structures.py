@@ -25,8 +25,14 @@ from twinmatch.discrimination import information_gain
 from twinmatch.discrimination.code_length import two_part_length
 from twinmatch.discrimination.criteria import bic, mdl, naic
 from twinmatch.discrimination.score import Criteria
-from twinmatch.matching import MatchingError, Noise
-from twinmatch.matching.structures import STRUCTURES, Structure, StructureFit, fit_structure
+from twinmatch.matching import (
+    STRUCTURES,
+    MatchingError,
+    Noise,
+    Structure,
+    StructureFit,
+    fit_structure,
+)
 from twinmatch.plant import Driver, PidGains, RigParameters
 from twinmatch.signals import KELVIN, FloatArray, Window
 
