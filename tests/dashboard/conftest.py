@@ -62,7 +62,7 @@ class PageProcess:
 
     def __init__(self, output: Path, *options: str) -> None:
         self.output = output
-        command = [sys.executable, "-m", "twinmatch.dashboard", "--port", "0", *options]
+        command = [sys.executable, "-m", "twinmatch.cli", "dashboard", "--port", "0", *options]
         with output.open("w") as stream:
             self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
 

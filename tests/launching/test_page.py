@@ -27,7 +27,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 def children() -> int:
     found = subprocess.run(["ps", "-eo", "args="], capture_output=True, text=True, check=True).stdout
-    return sum("-m twinmatch.dashboard --port 0 --control" in line for line in found.splitlines())
+    return sum("-m twinmatch.cli dashboard --port 0 --control" in line for line in found.splitlines())
 
 
 def test_it_is_there_within_and_gone_after(ros_domain: int) -> None:  # noqa: ARG001

@@ -40,7 +40,7 @@ class Page:
     def __enter__(self) -> Page:
         if self._port is not None:
             options = ["--port", str(self._port), *self._options]
-            self._processes.start_module("dashboard", "twinmatch.dashboard", *options)
+            self._processes.start_module("dashboard", "twinmatch.cli", "dashboard", *options)
         return self
 
     def __exit__(
