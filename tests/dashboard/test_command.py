@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,9 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+
+from twinmatch.dashboard import DashboardError
+from twinmatch.dashboard.command import add_arguments, run
 
 pytestmark = pytest.mark.ros
 
@@ -45,3 +49,12 @@ def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None
     assert done.returncode == 2, done.stderr
     assert line in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["bokeh", "rclpy"])
+def test_what_is_not_installed_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    monkeypatch.setitem(sys.modules, name, None)  # as if it were not there
+    with pytest.raises(DashboardError, match=rf"{name} is not installed; pip install 'twinmatch\["):
+        run(parser.parse_args([]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -134,6 +135,24 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         assert {k: list(v) for k, v in one.items()} == {k: list(v) for k, v in other.items()}, chart
     for name in ("headline", "family", "events", "tiles", "status"):
         assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
+
+
+def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
+    last = judged.verdicts[-1]
+    count = len(last.candidates)
+    low, high = tuple(0.1 * k for k in range(count)), tuple(0.1 * k + 0.05 for k in range(count))
+    sure = replace(
+        last, candidates=tuple(replace(c, nu_gap_low=low, nu_gap_high=high) for c in last.candidates)
+    )
+    for verdict, interval in ((sure, "0.100 to 0.150"), (last, None)):
+        state = DashboardState()
+        state.push_verdict(verdict)
+        _, document = opened(state)
+        cells, sums = source(document, "matrix", 0).data, source(document, "matrix", 2).data
+        assert cells["gap"] == [gap for line in verdict.nu_gap for gap in line]
+        assert sums["gap"] == [c.nu_gap_sum for c in verdict.candidates]
+        assert [sums["column"][k] for k, s in enumerate(sums["style"]) if s == "bold"] == [verdict.nominal]
+        assert interval is None or cells["interval"][1] == interval
 
 
 def test_without_control_the_document_has_no_button_for_it() -> None:

@@ -11,14 +11,14 @@ from bokeh.palettes import Cividis256
 from bokeh.plotting import figure
 
 from twinmatch.dashboard.look import FONT
-from twinmatch.discrimination import Verdict
+from twinmatch.discrimination import CandidateScore, Verdict
 from twinmatch.views.quantities import number
 from twinmatch.views.style import TEXT
 
 __all__ = ["Matrix"]
 
 SUM = "Σ"
-_NAMES = ("column", "row", "gap", "shown", "ink")
+_NAMES = ("column", "row", "gap", "shown", "interval", "ink")
 
 
 class Matrix:
@@ -48,6 +48,7 @@ class Matrix:
             "row": [names[i] for i, _ in places],
             "gap": [float(gaps[i, j]) for i, j in places],
             "shown": [number(float(gaps[i, j]), 2) for i, j in places],
+            "interval": [_interval(candidates[i], j) for i, j in places],
             "ink": ["#FFFFFF" if gaps[i, j] > 0.5 * most else TEXT for i, j in places],
         }
         nominal = verdict.nominal if verdict is not None else None
@@ -56,6 +57,7 @@ class Matrix:
             "row": [SUM] * len(names),
             "gap": [c.nu_gap_sum for c in candidates],
             "shown": [number(c.nu_gap_sum, 2) for c in candidates],
+            "interval": [""] * len(names),
             "ink": [TEXT] * len(names),
             "style": ["bold" if name == nominal else "normal" for name in names],
         }
@@ -98,6 +100,13 @@ class Matrix:
             text_font_style="style",
             **lettering,
         )
-        rows = [("between", "@row and @column"), ("ν-gap", "@gap{0.0000}")]
+        rows = [("between", "@row and @column"), ("ν-gap", "@gap{0.0000}"), ("90 %", "@interval")]
         chart.add_tools(HoverTool(renderers=[cells], tooltips=rows, visible=False))
         return chart
+
+
+def _interval(candidate: CandidateScore, other: int) -> str:
+    """Where 90 % of the probability is, of its ν-gap to another of the family."""
+    if not (other < len(candidate.nu_gap_low) and other < len(candidate.nu_gap_high)):
+        return "not computed"
+    return f"{number(candidate.nu_gap_low[other], 3)} to {number(candidate.nu_gap_high[other], 3)}"

@@ -46,7 +46,7 @@ class PageServer:
         """Serve on this address; port 0 takes any that is free. `fill` makes the document of a tab.
 
         Raises:
-            DashboardError: the address or port cannot be used.
+            DashboardError: the address or port cannot be used, or the server does not start.
         """
         try:
             self._socket = _bind(address, port)
@@ -63,7 +63,9 @@ class PageServer:
         """What ended the thread."""
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
-        self._ready.wait(PATIENCE)
+        if not self._ready.wait(PATIENCE):
+            msg = f"dashboard: the page's server did not start within {PATIENCE:g} s; try again"
+            raise DashboardError(msg)
 
     @property
     def url(self) -> str:
