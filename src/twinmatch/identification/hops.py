@@ -8,8 +8,6 @@ that the same data give the same model.
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,15 +40,21 @@ class Hops:
     def from_model(self, theta: FloatArray) -> FloatArray:
         """θ = (c, d, f) with some of its roots thrown elsewhere, all inside the unit circle."""
         corners = np.concatenate(([0], np.cumsum(self._degrees)))
-        roots = [_all_roots(theta[a:b]) for a, b in pairwise(corners)]
+        moved = theta.copy()
         which = self._movable[self._pick(len(self._movable))]
         kind = self._pick(4)
         if kind == 3 and min(self._degrees[:2]) > 1:
-            roots = self._notch(roots)
+            # A pair of C that nearly cancels a pair of D: a narrow band in which the noise is coloured.
+            angle, magnitude = self._angle(), self._magnitude(-2.5, -1.0)
+            wider = max(1.0 - (1.0 - magnitude) * (1.5 + 2.5 * self._draws.random()), 0.5)
+            for k, size in ((0, wider), (1, magnitude)):
+                part = slice(corners[k], corners[k + 1])
+                moved[part] = _coefficients(self._with_pair(_all_roots(theta[part]), size, angle))
         else:
             move = (self._move_one, self._move_two, self._move_all)[kind % 3]
-            roots[which] = move(roots[which])
-        return np.concatenate([np.real(np.poly(r))[1:] if r.size else np.zeros(0) for r in roots])
+            part = slice(corners[which], corners[which + 1])
+            moved[part] = _coefficients(move(_all_roots(theta[part])))
+        return moved
 
     def _pick(self, count: int) -> int:
         return int(self._draws.random() * count)
@@ -97,18 +101,17 @@ class Hops:
                 drawn.append(self._magnitude(-2.5, -0.1) * (1.0 if self._pick(5) else -1.0))
         return np.array(drawn, dtype=np.complex128)
 
-    def _notch(self, roots: list[Roots]) -> list[Roots]:
-        """A pair of C that nearly cancels a pair of D: a narrow band in which the noise is coloured."""
-        angle, magnitude = self._angle(), self._magnitude(-2.5, -1.0)
-        wider = max(1.0 - (1.0 - magnitude) * (1.5 + 2.5 * self._draws.random()), 0.5)
-        return [
-            self._with_pair(roots[0], wider, angle),
-            self._with_pair(roots[1], magnitude, angle),
-            roots[2],
-        ]
-
 
 def _all_roots(part: FloatArray) -> Roots:
     """As many roots as there are coefficients, those at zero included."""
     found = np.roots(np.append(1.0, part)).astype(np.complex128)
     return np.append(found, np.zeros(part.size - found.size, dtype=np.complex128))
+
+
+def _coefficients(roots: Roots) -> FloatArray:
+    """Of the monic polynomial, without its one."""
+    product = np.zeros(roots.size + 1, dtype=np.complex128)
+    product[0] = 1.0
+    for k, root in enumerate(roots):
+        product[1 : k + 2] -= root * product[: k + 1]
+    return np.asarray(product.real[1:])
