@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.box_jenkins_peers import Fit, own, peers
+from benchmarks.box_jenkins_peers import Fit, missing, own, peers
 from benchmarks.common import Row, document, measure_side_by_side, print_rows, rows_of
 from benchmarks.rig import recorded
 from twinmatch.identification import ORDERS, BoxJenkins, estimate, estimate_ladder
@@ -89,7 +89,9 @@ def _ladder(name: str, u: FloatArray, y: FloatArray, quick: bool) -> list[Row]:
         cases[peer] = lambda p=program: _peer_ladder(p, u, y)
     timings = measure_side_by_side(cases, 3 if quick else 5, patience=4.0)
     notes = {peer: _note(t.result) for peer, t in timings.items() if isinstance(t.result, Ladder)}
-    return rows_of(NAME, f"ladder, {name}", timings, targets={"sippy_unipi": SIPPY_TARGET}, notes=notes)
+    case = f"ladder, {name}"
+    rows = rows_of(NAME, case, timings, targets={"sippy_unipi": SIPPY_TARGET}, notes=notes)
+    return rows + [Row(NAME, case, peer, math.nan, note="not installed") for peer in missing()]
 
 
 def _own_ladder(u: FloatArray, y: FloatArray) -> Ladder:

@@ -16,7 +16,14 @@ from benchmarks.common import peer
 from twinmatch.identification import BoxJenkins, parse_order
 from twinmatch.signals import FloatArray
 
-__all__ = ["Fit", "own", "peers"]
+__all__ = ["Fit", "missing", "own", "peers"]
+
+MODULES = {
+    "sippy_unipi": "sippy_unipi",
+    "timeseries-toolbox": "TimeSeriesSRC",
+    "pysid": "pysid",
+    "statsmodels": "statsmodels.api",
+}
 
 DELAYED = 12
 """Delayed inputs that stand for B/F where a program knows no denominator."""
@@ -43,13 +50,14 @@ def own(u: FloatArray, y: FloatArray, order: str) -> Fit:
 
 def peers() -> dict[str, Program]:
     """The installed ones by name. SIPPY is LGPL: compared with here, never imported by the package."""
-    modules = {
-        "sippy_unipi": ("sippy_unipi", _sippy),
-        "timeseries-toolbox": ("TimeSeriesSRC", _toolbox),
-        "pysid": ("pysid", _pysid),
-        "statsmodels": ("statsmodels.api", _statsmodels),
-    }
-    return {name: program for name, (module, program) in modules.items() if peer(module) is not None}
+    programs = (_sippy, _toolbox, _pysid, _statsmodels)
+    known = zip(MODULES.items(), programs, strict=True)
+    return {name: program for (name, module), program in known if peer(module) is not None}
+
+
+def missing() -> list[str]:
+    """Names of those that are not installed."""
+    return [name for name, module in MODULES.items() if peer(module) is None]
 
 
 def _fit(B: FloatArray, C: FloatArray, D: FloatArray, F: FloatArray, *, u: FloatArray, y: FloatArray) -> Fit:
