@@ -179,8 +179,8 @@ def test_without_current_the_plate_tends_to_the_sink(rig: RigParameters) -> None
 
 @given(rig=rigs, plate=st.floats(270.0, 380.0), pwm=st.tuples(pwms, pwms))
 def test_more_pwm_is_warmer(rig: RigParameters, plate: float, pwm: tuple[float, float]) -> None:
-    # Only while heat per ampere is positive on the cooling side: α·T_A above the Joule heat R·I. The swing of a
-    # switched current is largest at half PWM, so that its heat may fall while the PWM rises.
+    # Only while heat per ampere is positive on the cooling side: α·T_A above the Joule heat R·I. The swing of
+    # a switched current is largest at half PWM, so that its heat may fall while the PWM rises.
     rig = rig.replace(drive_ripple=0.0)
     low, high = sorted(pwm)
     state = PlantState(plate, rig.ambient)

@@ -236,8 +236,8 @@ def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER)
     calm = np.minimum(1.0, reach / np.maximum(np.max(np.abs(rows), axis=1), _TINY))
     weights = np.ones(target.size)
     for _ in range(_ROUNDS + 1):
-        roots = np.sqrt(weights)
-        errors = target - rows @ np.linalg.lstsq(rows * roots[:, None], target * roots, rcond=None)[0]
+        weighed = rows * weights[:, None]
+        errors = target - rows @ np.linalg.lstsq(weighed.T @ rows, weighed.T @ target, rcond=None)[0]
         limit = CUT * _NORMAL * float(np.median(np.abs(errors)))
         weights = calm * np.minimum(1.0, limit / np.maximum(np.abs(errors), _TINY))
     return np.clip(errors, -limit, limit)
