@@ -44,6 +44,7 @@ class Thermal:
             x_axis_type=None,
             y_axis_type=None,
             min_border_left=4,
+            min_border_right=56,  # room for labels such as 22.5
         )
         chart.grid.grid_line_color = None
         chart.x_range.range_padding = chart.y_range.range_padding = 0
