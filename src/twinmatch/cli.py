@@ -150,7 +150,7 @@ def _replay_one(options: argparse.Namespace) -> int:
         print(f"Note: {note}")
     print(sentence(judgement.summary))
     if options.json is not None:
-        entry = document(judgement.name, judgement.verdicts, judgement.summary)
+        entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
         options.json.write_text(json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     if options.figure is not None:
         from twinmatch.views.figures import draw_verdict  # noqa: PLC0415 — matplotlib is slow to import

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import MatchReport, Twin, TwinSettings
-from twinmatch.views import Member, family
+from twinmatch.views import Member, document, family, sentence, summarise
 from twinmatch.views.figures import draw_criteria, draw_matrix, draw_responses, draw_uncertainty, png, svg
 
 GIVEN = Candidate(
@@ -55,6 +57,21 @@ def test_matched_and_given_candidates_have_their_window_and_their_own_models(
         found = [score(model, member.measured, 2) for model in member.models]
         assert [s.total.gain for s in found] == [o.total.gain for o in member.score.orders]
         assert [s.u.bic for s in found] == [o.u.bic for o in member.score.orders]
+
+
+def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, samples: list[Sample]) -> None:
+    matches, verdicts = judged
+    summary = summarise(samples, matches, verdicts, TwinSettings().gains)
+    entry = json.loads(json.dumps(document("s", verdicts, summary, matches), allow_nan=False))
+    (match,) = entry["matches"]
+    assert match["status"] == "accepted"
+    assert [f["name"] for f in match["fitted"]] == ["seebeck", "conductance", "heat_capacity"]
+    for fitted in match["fitted"]:
+        assert fitted["value"] == match["parameters"][fitted["name"]]
+        low, high = fitted["interval"]
+        assert low is None or low <= fitted["value"]
+        assert high is None or fitted["value"] <= high
+    assert entry["summary"]["sentence"] == sentence(summary)
 
 
 def test_the_simulated_model_is_the_one_of_the_gain(members: tuple[Member, ...]) -> None:

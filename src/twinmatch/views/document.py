@@ -7,16 +7,22 @@ from collections.abc import Sequence
 from typing import Any
 
 from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, Verdict
+from twinmatch.matching import Match
 from twinmatch.plant import PARAMETER_NAMES, RigParameters
+from twinmatch.twin import MatchReport
+from twinmatch.views.intervals import interval, value_of
 from twinmatch.views.summary import Summary, sentence
 
-__all__ = ["document", "parameters_entry", "verdict_entry"]
+__all__ = ["document", "match_entry", "parameters_entry", "verdict_entry"]
 
 
-def document(session: str, verdicts: Sequence[Verdict], summary: Summary) -> dict[str, Any]:
+def document(
+    session: str, verdicts: Sequence[Verdict], summary: Summary, matches: Sequence[MatchReport] = ()
+) -> dict[str, Any]:
     """A whole judged session; every value is a string, finite number, boolean, None, list or dict."""
     return {
         "session": session,
+        "matches": [match_entry(m) for m in matches],
         "verdicts": [verdict_entry(v) for v in verdicts],
         "summary": {
             "nominal": summary.nominal,
@@ -43,12 +49,43 @@ def verdict_entry(verdict: Verdict) -> dict[str, Any]:
         "decided": verdict.decided,
         "certainty": verdict.certainty,
         "fault": verdict.fault,
+        "fault_since": verdict.fault_since,
         "structure": verdict.structure,
         "decimals": verdict.decimals,
         "residual": {"y": _finite(verdict.residual_y), "u": _finite(verdict.residual_u)},
         "candidates": [_candidate_entry(c) for c in verdict.candidates],
         "order": verdict.order,
         "nu_gap": [list(row) for row in verdict.nu_gap],
+    }
+
+
+def match_entry(report: MatchReport) -> dict[str, Any]:
+    """One match, accepted or refused, with how well its window knows each fitted parameter."""
+    match = report.match
+    return {
+        "sample": report.sample,
+        "operating_point": report.operating_point,
+        "window": list(match.samples),
+        "status": match.status.value,
+        "reason": match.reason,
+        "parameters": parameters_entry(match.parameters),
+        "fit": {"y": _finite(match.fit.y), "u": _finite(match.fit.u)},
+        "fitted": [_fitted_entry(match, name) for name in match.free],
+        "determined": match.determined,
+        "suggestion": match.suggestion,
+    }
+
+
+def _fitted_entry(match: Match, name: str) -> dict[str, Any]:
+    """A fitted parameter in its own unit; an end of the interval that is open or not known is None."""
+    known = interval(match, name)
+    return {
+        "name": name,
+        "value": _finite(value_of(match, name)),
+        "standard_error": _finite(known.error),
+        "interval": [_finite(known.low), _finite(known.high)],
+        "profile": known.profile,
+        "believed": name in match.believed,
     }
 
 
