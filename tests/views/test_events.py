@@ -98,3 +98,12 @@ def test_a_level_is_that_of_the_samples_since_the_verdict_before() -> None:
         (180, 239, TrustLevel.FAULT),
     ]
     assert level_stretches([]) == []
+
+
+def test_a_fault_begins_where_it_shows() -> None:
+    story = [verdict(119, TrustLevel.TRUSTED), verdict(145, TrustLevel.FAULT, fault="drive-lost")]
+    found = level_stretches([*story, verdict(179, TrustLevel.FAULT, fault="drive-lost")])
+    assert [(s.first, s.last, s.level) for s in found] == [
+        (0, 139, TrustLevel.TRUSTED),
+        (140, 179, TrustLevel.FAULT),
+    ]

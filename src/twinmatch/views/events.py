@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from twinmatch.discrimination import TrustLevel, Verdict
@@ -73,6 +73,8 @@ def events(matches: Sequence[MatchReport], verdicts: Sequence[Verdict]) -> list[
 def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch]:
     """How far to trust the nominal twin over time: a verdict's level is that of the samples since the last.
 
+    A fault begins at the sample since which it shows, not where the verdict before it ended.
+
     Args:
         verdicts: in order.
         first: index of the session's first sample.
@@ -83,6 +85,10 @@ def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch
             stretches[-1] = Stretch(stretches[-1].first, max(verdict.sample, first), verdict.level)
         else:
             begin = stretches[-1].last + 1 if stretches else first
+            shows = verdict.fault_since
+            if stretches and shows is not None and begin < shows <= verdict.sample:
+                stretches[-1] = replace(stretches[-1], last=shows - 1)
+                begin = shows
             stretches.append(Stretch(begin, max(verdict.sample, begin), verdict.level))
     return stretches
 
