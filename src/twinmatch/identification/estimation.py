@@ -31,10 +31,11 @@ LOST = 1e-8
 """Part of the cost by which the two factorisations may differ before the exact one has to search too."""
 WORTH = 1e-4
 """A start that seems to gain less than this over the best is given up."""
-HOPS = (2, 6)
-"""Fewest and most starts around the best minimum, where the caller does not say how many."""
-HOPPED = 3000
-"""Between these, so many samples are searched; long windows have fewer minima and cost more."""
+HOPS = (36, 108)
+"""Fewest and most starts around the best minimum, shared out over the coefficients of C, D and F: low
+orders, whose searches are short, get more."""
+HOPPED = 54000
+"""Between these, as many starts as windows of this many samples would allow one: long ones cost more."""
 LAST = 100
 """Steps that the search in the end may take."""
 SPARE = 10
@@ -71,8 +72,9 @@ def estimate(
         start: a model of the same or a lower order to start from, beside the usual start values; the
             result is then never worse than it (its C must forget within this window too, see below).
         hops: how many starts around the best minimum to try beside the usual ones, 0 or more; without a
-            number 6 up to 500 samples and fewer for longer windows, at least 2. Each costs about as much as
-            one of the usual starts; more of them come nearer to the lowest minimum.
+            number 18, 12, 9, 7 for the orders of the ladder up to 500 samples, down to a third for longer
+            windows. Each costs about as much as one of the usual starts; more of them come nearer to the
+            lowest minimum.
         period: sample time, s; only passed on to the result.
 
     Returns:
@@ -86,7 +88,8 @@ def estimate(
     parsed = parse_order(order)
     task = _task(u, y, parsed, initial)
     if hops is None:
-        hops = min(max(HOPPED // u.size, HOPS[0]), HOPS[1])
+        shared = min(max(HOPPED // u.size, HOPS[0]), HOPS[1])
+        hops = shared // max(parsed.nc + parsed.nd + parsed.nf, 1)
     if hops < 0:
         msg = f"hops: {hops} starts cannot be tried; give 0 or more"
         raise IdentificationError(msg)
