@@ -15,6 +15,7 @@ from twinmatch.archive import program as archive_program
 from twinmatch.dashboard import command as dashboard_command
 from twinmatch.emulation import virtual_rig_program
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.foxglove import command as foxglove_command
 from twinmatch.reporting import command as report_command
 
 if TYPE_CHECKING:
@@ -105,6 +106,10 @@ def _parser() -> argparse.ArgumentParser:
     page = commands.add_parser("dashboard", help="the live page: what the graph says, in a browser")
     dashboard_command.add_arguments(page)
     page.set_defaults(command=dashboard_command.run)
+
+    viewing = commands.add_parser("foxglove", help="serve the graph to Foxglove and Lichtblick")
+    foxglove_command.add_arguments(viewing)
+    viewing.set_defaults(command=foxglove_command.run)
 
     rig = commands.add_parser("virtual-rig", help="the rig without the rig: board, camera and plate emulated")
     virtual_rig_program.add_options(rig)

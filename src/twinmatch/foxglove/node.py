@@ -1,0 +1,158 @@
+"""The node behind the server: subscribes to every topic of its namespace and hands the bytes on."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from functools import partial
+from typing import Any, ClassVar
+
+from rclpy.clock import Clock, ClockType
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from twinmatch.foxglove.clock import StreamTime
+from twinmatch.foxglove.server import GraphServer, is_loopback
+from twinmatch.foxglove.topics import ELSEWHERE, TOPICS
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.plant_clock import CLOCK
+from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
+from twinmatch.sessions import Qos, SessionError
+from twinmatch.sessions.installed import schema_of
+
+__all__ = ["Foxglove"]
+
+LOOK = 0.2
+"""Seconds between two looks for new topics."""
+TICK = 0.05
+"""Seconds between two times that the viewers are told."""
+LEFT_OUT = ("parameter_events",)
+
+
+class Foxglove(TwinmatchNode):
+    """Shows the graph of its namespace to viewers; publishes nothing but its health.
+
+    It stays when the graph ends and takes up the next one.
+    """
+
+    NAME = "foxglove"
+    PARAMETERS: ClassVar = (
+        Parameter(
+            "address", "127.0.0.1", "Address to serve on; any but this machine's own is open to others."
+        ),
+        Parameter("port", 8765, "TCP port; 0: any that is free.", "", 0, 65535),
+    )
+
+    _serving = False
+
+    def open(self) -> None:
+        """Serve, and look for topics.
+
+        Raises:
+            FoxgloveError: the address or port cannot be used.
+        """
+        address = self.values["address"]
+        self._server = GraphServer("twinmatch", address, self.values["port"])
+        self._serving = True
+        self._time = StreamTime()
+        self._offers: dict[str, tuple[int, Qos]] = {}
+        self._readers: dict[str, Any] = {}
+        self._types: dict[str, str] = {}
+        self._unknown: set[str] = set()
+        rig = self.get_namespace().rstrip("/")
+        for name, kind in ({f"{rig}/{name}": kind for name, kind in TOPICS.items()} | ELSEWHERE).items():
+            self._advertise(name, kind)
+        self._clock_there = self._to_repeat = False
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_subscription(ClockMessage, "/clock", self._on_clock, CLOCK)
+        self.create_timer(LOOK, self._look, clock=steady)
+        self.create_timer(TICK, self._tell_time, clock=steady)
+        if not is_loopback(address):
+            print(
+                f"FOXGLOVE OPEN: whoever reaches {address} may read this graph but command nothing; "
+                "nothing is encrypted",
+                flush=True,
+            )
+        print(f"foxglove: {self._server.url} (layout: config/foxglove_layout.json)", flush=True)
+        self.report_on()
+
+    def report(self) -> Report:
+        """How many look."""
+        self.health.set("address", self._server.url)
+        self.health.set("viewers", self._server.viewers)
+        self.health.set("topics", len(self._readers))
+        return super().report()
+
+    def close(self) -> bool:
+        """End the server."""
+        if self._serving:
+            self._server.close()
+        return True
+
+    def _look(self) -> None:
+        self._clock_there = self.count_publishers("/clock") > 0
+        for name, _ in self.get_topic_names_and_types():
+            if name not in self._unknown and wanted(name, self.get_namespace(), ELSEWHERE, LEFT_OUT):
+                self._subscribe(name)
+
+    def _subscribe(self, name: str) -> None:
+        """Subscribe to a topic, or again if its publishers changed and now offer something else."""
+        publishers = self.count_publishers(name)
+        known = self._offers.get(name)
+        if publishers == (0 if known is None else known[0]):
+            return
+        if not publishers and known is not None:
+            self._offers[name] = 0, known[1]
+            self._server.forget(name)
+            return
+        endpoints = self.get_publishers_info_by_topic(name)
+        if not endpoints:
+            return
+        qos, kind = offered(endpoints), endpoints[0].topic_type
+        self._offers[name] = publishers, qos
+        if known is not None:
+            if reader_profile(known[1]) == reader_profile(qos):
+                return
+            self.destroy_subscription(self._readers.pop(name))
+        elif not self._advertise(name, kind):
+            return
+        package, _, short = kind.split("/")
+        message = getattr(importlib.import_module(f"{package}.msg"), short)
+        take = partial(self._on_message, name)
+        self._readers[name] = self.create_subscription(message, name, take, reader_profile(qos), raw=True)
+
+    def _advertise(self, name: str, kind: str) -> bool:
+        """Offer a topic, unless it was offered before; whether it can be shown."""
+        before = self._types.setdefault(name, kind)
+        try:
+            if before != kind:
+                msg = f"it was {before} and is {kind} now; start this again"
+                raise SessionError(msg)
+            if not self._server.offers(name):
+                self._server.advertise(name, kind, schema_of(kind))
+        except SessionError as error:
+            self._unknown.add(name)
+            self.health.complain(name, Level.WARN, f"{name} is not shown: {error}")
+            return False
+        return True
+
+    def _on_clock(self, message: ClockMessage) -> None:
+        stamp = message.clock.sec * 10**9 + message.clock.nanosec
+        self._begin_anew(self._time.on_clock(stamp, time.monotonic()))
+
+    def _on_message(self, name: str, data: bytes) -> None:
+        if name.endswith("plant/sample"):
+            self._begin_anew(self._time.on_sample(time.monotonic(), clock=self._clock_there))
+        self._server.send(name, data, self._time.now)
+
+    def _begin_anew(self, changed: bool) -> None:
+        if changed:
+            self._server.begin_anew(self._time.now)
+            self._to_repeat = True
+
+    def _tell_time(self) -> None:
+        self._server.tell_time(self._time.now)
+        if self._to_repeat:
+            self._to_repeat = False
+            self._server.repeat(self._time.now)

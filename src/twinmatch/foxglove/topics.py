@@ -1,0 +1,28 @@
+"""Topics that a graph of ours has, and their types."""
+
+from __future__ import annotations
+
+__all__ = ["ELSEWHERE", "TOPICS"]
+
+TOPICS = {
+    "plant/sample": "twinmatch_msgs/msg/LoopSample",
+    "plant/temperature": "sensor_msgs/msg/Temperature",
+    "plant/reference": "std_msgs/msg/Float64",
+    "plant/uniformity": "std_msgs/msg/Float64",
+    "plant/pwm_command": "twinmatch_msgs/msg/PwmCommand",
+    "plant/pwm_applied": "twinmatch_msgs/msg/PwmApplied",
+    "thermal/image_raw": "sensor_msgs/msg/Image",
+    "thermal/image": "sensor_msgs/msg/Image",
+    "twin/match": "twinmatch_msgs/msg/Match",
+    "twin/model_score": "twinmatch_msgs/msg/ModelScore",
+    "twin/nominal": "twinmatch_msgs/msg/Candidate",
+    "twin/state": "twinmatch_msgs/msg/TwinState",
+}
+"""By name relative to the rig's namespace.
+
+They are offered from the start, so that a viewer that was opened before the graph finds them. It also
+spares it a race of the SDK, which may refuse a viewer that subscribes to a new topic within a millisecond.
+"""
+
+ELSEWHERE = {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "/rosout": "rcl_interfaces/msg/Log"}
+"""Topics outside the namespace that are offered too."""

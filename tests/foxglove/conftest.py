@@ -1,0 +1,175 @@
+"""The server as a process, a viewer that speaks its protocol, and publishers in the test's own process."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+pytest.importorskip("foxglove", reason="foxglove-sdk is not installed; it is in the extra 'foxglove'")
+pytest.importorskip("websockets", reason="websockets is not installed; it is in the extra 'test'")
+
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+PATIENCE = 40.0
+"""Seconds after which a test gives up on something that should come within one."""
+PROTOCOL = Subprotocol("foxglove.sdk.v1")
+
+
+class Arrived(NamedTuple):
+    """A message as the viewer was given it."""
+
+    topic: str
+    at: int
+    data: bytes
+
+
+class Viewer:
+    """Speaks the WebSocket protocol of Foxglove, as its documents describe it."""
+
+    def __init__(self, url: str) -> None:
+        self._open = ExitStack()
+        self._socket = self._open.enter_context(connect(url, subprotocols=[PROTOCOL], max_size=None))
+        self.info: dict[str, Any] = {}
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.messages: list[Arrived] = []
+        self.times: list[int] = []
+        self.sessions: list[str] = []
+        self._topics: dict[int, str] = {}
+
+    def read(self, patience: float = 0.05) -> bool:
+        """Take one frame; whether there was one."""
+        try:
+            frame = self._socket.recv(patience)
+        except TimeoutError:
+            return False
+        if isinstance(frame, bytes):
+            self._read_data(frame)
+            return True
+        said = json.loads(frame)
+        if said["op"] == "serverInfo":
+            self.info = said
+            self.sessions.append(said["sessionId"])
+        elif said["op"] == "advertise":
+            self.channels |= {channel["topic"]: channel for channel in said["channels"]}
+        return True
+
+    def _read_data(self, frame: bytes) -> None:
+        kind = frame[0]
+        if kind == 1:
+            number, at = struct.unpack_from("<IQ", frame, 1)
+            self.messages.append(Arrived(self._topics[number], at, frame[13:]))
+        elif kind == 2:
+            self.times.append(struct.unpack_from("<Q", frame, 1)[0])
+
+    def wait(self, condition: Callable[[], Any], what: str) -> Any:
+        deadline = time.monotonic() + PATIENCE
+        while not (found := condition()):
+            assert time.monotonic() < deadline, f"{what} did not come within {PATIENCE} s"
+            self.read()
+        return found
+
+    def read_for(self, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self.read()
+
+    def subscribe(self, *topics: str) -> None:
+        """Subscribe to topics, waiting until they are offered."""
+        self.wait(lambda: set(topics) <= set(self.channels), f"{topics} among {sorted(self.channels)}")
+        wanted = []
+        for topic in topics:
+            number = len(self._topics) + 1
+            self._topics[number] = topic
+            wanted.append({"id": number, "channelId": self.channels[topic]["id"]})
+        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    @property
+    def subscribed(self) -> list[str]:
+        return list(self._topics.values())
+
+    def heard(self, topic: str) -> list[Arrived]:
+        return [message for message in self.messages if message.topic == topic]
+
+    def close(self) -> None:
+        self._open.close()
+
+
+@pytest.fixture
+def view() -> Iterator[Callable[[str], Viewer]]:
+    """Open a viewer on an address."""
+    opened: list[Viewer] = []
+
+    def open_viewer(url: str) -> Viewer:
+        opened.append(Viewer(url))
+        return opened[-1]
+
+    yield open_viewer
+    for viewer in opened:
+        viewer.close()
+
+
+class ServerProcess:
+    """`twinmatch foxglove` in a process of its own."""
+
+    def __init__(self, output: Path, *options: str) -> None:
+        self.output = output
+        command = [sys.executable, "-m", "twinmatch.foxglove", "--port", "0", *options]
+        with output.open("w") as stream:
+            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
+
+    @property
+    def text(self) -> str:
+        return self.output.read_text()
+
+    @property
+    def url(self) -> str:
+        deadline = time.monotonic() + PATIENCE
+        while not (found := re.search(r"^foxglove: (ws://\S+)", self.text, re.MULTILINE)):
+            assert self.process.poll() is None, self.text
+            assert time.monotonic() < deadline, f"no address within {PATIENCE} s: {self.text}"
+            time.sleep(0.05)
+        return found[1].replace("0.0.0.0", "127.0.0.1")
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        return self.process.wait(20)
+
+
+@pytest.fixture(scope="session")
+def ros(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> None:  # noqa: ARG001
+    """The environment of all ROS in this process and its children, in the domain of this worker."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+    pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+    from twinmatch.nodes import network
+
+    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+    os.environ.pop(network.VARIABLE, None)
+    network.prepare()
+
+
+@pytest.fixture
+def serve(ros: None, tmp_path: Path) -> Iterator[Callable[..., ServerProcess]]:  # noqa: ARG001
+    """Start a server: `serve("--namespace", "/rig_a")`; it ends with the test, and cleanly."""
+    started: list[ServerProcess] = []
+
+    def start(*options: str) -> ServerProcess:
+        started.append(ServerProcess(tmp_path / f"{len(started)}.txt", *options))
+        return started[-1]
+
+    yield start
+    codes = [(server.end(), server.text) for server in started]
+    assert all(code == 0 and "Traceback" not in text for code, text in codes), codes
