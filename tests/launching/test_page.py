@@ -26,7 +26,9 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 
 def children() -> int:
-    found = subprocess.run(["ps", "-eo", "args="], capture_output=True, text=True, check=True).stdout
+    """Pages that this process started."""
+    command = ["ps", "-o", "args=", "--ppid", str(os.getpid())]
+    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     return sum("-m twinmatch.cli dashboard --port 0 --control" in line for line in found.splitlines())
 
 
