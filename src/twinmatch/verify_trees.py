@@ -53,6 +53,7 @@ def verdict_tree(verdict: Verdict, stamp: int) -> Tree:
         "fault": verdict.fault,
         "fault_since": -1 if verdict.fault_since is None else verdict.fault_since,
         "structure": verdict.structure,
+        "structure_parameters": _parameters_tree(verdict.structure_parameters),
         "decimals": verdict.decimals,
         "candidates": [_candidate_tree(verdict, row) for row in range(len(verdict.candidates))],
         "order": verdict.order or "",
@@ -149,7 +150,9 @@ def _candidate_tree(verdict: Verdict, row: int) -> Tree:
     }
 
 
-def _parameters_tree(parameters: RigParameters) -> Tree:
+def _parameters_tree(parameters: RigParameters | None) -> Tree:
+    if parameters is None:
+        return dict.fromkeys(PARAMETER_NAMES, math.nan)
     return {name: float(getattr(parameters, name)) for name in PARAMETER_NAMES}
 
 

@@ -171,6 +171,7 @@ def verdicts(draw: st.DrawFn) -> Verdict:
         fault=draw(TEXTS),
         fault_since=draw(st.none() | INDICES),
         structure=draw(TEXTS),
+        structure_parameters=draw(st.none() | PARAMETERS),
     )
 
 

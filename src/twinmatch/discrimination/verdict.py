@@ -96,7 +96,9 @@ class Verdict:
     fault_since: int | None = None
     """Index of the sample since which that fault shows; None without a fault."""
     structure: str = ""
-    """Name of the plant structure the twins have; empty where only one was tried."""
+    """Name of the plant structure that the samples pay for; empty before the first comparison."""
+    structure_parameters: RigParameters | None = None
+    """The rig as that structure has it; the candidates stay those of the structure that is matched."""
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:

@@ -192,7 +192,7 @@ class VirtualRig:
         before, self._ms = self._ms, self._ms + self._slice
         if self._ms // _FEEDBACK_EVERY != before // _FEEDBACK_EVERY:
             self._board.set_current(self.plant.feedback(self._drive))
-        self._camera.see(self.elapsed, self.plant.plate, self.stamp)
+        self._camera.see(self.elapsed, self.plant.seen, self.stamp)
 
     def _advance_board(self) -> None:
         if "garbage-serial" not in self._schedule.active:

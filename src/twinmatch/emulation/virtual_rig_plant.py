@@ -59,6 +59,11 @@ class VirtualPlant:
         return self.state.plate - KELVIN
 
     @property
+    def seen(self) -> float:
+        """Temperature that the camera sees, °C: the plate's, with the sensor's lag if it has one."""
+        return self.state.sensor - KELVIN
+
+    @property
     def sink(self) -> float:
         """Temperature of the heat sink, °C."""
         return self.state.sink - KELVIN

@@ -162,6 +162,7 @@ def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
         fault=verdict.fault,
         fault_since=-1 if verdict.fault_since is None else verdict.fault_since,
         structure=verdict.structure,
+        structure_parameters=_parameters_message(verdict.structure_parameters),
         decimals=verdict.decimals,
         candidates=[candidate_message(verdict, row) for row in range(len(verdict.candidates))],
         order=verdict.order or "",
@@ -194,6 +195,7 @@ def verdict_from(message: messages.ModelScore) -> Verdict:
         fault=message.fault,
         fault_since=None if message.fault_since < 0 else message.fault_since,
         structure=message.structure,
+        structure_parameters=_parameters_unless_nan(message.structure_parameters),
     )
 
 
@@ -274,7 +276,13 @@ def parameters_from(message: messages.RigParameters) -> RigParameters:
     return RigParameters(**{name: getattr(message, name) for name in PARAMETER_NAMES})
 
 
-def _parameters_message(parameters: RigParameters) -> messages.RigParameters:
+def _parameters_unless_nan(message: messages.RigParameters) -> RigParameters | None:
+    return None if math.isnan(message.seebeck) else parameters_from(message)
+
+
+def _parameters_message(parameters: RigParameters | None) -> messages.RigParameters:
+    if parameters is None:
+        return messages.RigParameters(**dict.fromkeys(PARAMETER_NAMES, NAN))
     return messages.RigParameters(**{name: float(getattr(parameters, name)) for name in PARAMETER_NAMES})
 
 

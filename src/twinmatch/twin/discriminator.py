@@ -181,7 +181,7 @@ class Discriminator:
 
     def _at(self, verdict: Verdict, sample: int, window: Window, *, doubtful: bool = False) -> Verdict:
         """The verdict with what holds at this sample: window, residuals of the nominal, fault, level."""
-        found = self._residuals(verdict.nominal, window)
+        found, choice = self._residuals(verdict.nominal, window), self._structure.choice
         level, fault, since = trust_level(found, self.settings.limits), "", None
         if doubtful and level is TrustLevel.TRUSTED:
             level = TrustLevel.DOUBTFUL
@@ -201,7 +201,8 @@ class Discriminator:
             level=level,
             fault=fault,
             fault_since=since,
-            structure=self._structure.choice.chosen if self._structure.choice else "",
+            structure=choice.chosen if choice else "",
+            structure_parameters=choice.parameters if choice else None,
             residual_y=found.y,
             residual_u=found.u,
         )

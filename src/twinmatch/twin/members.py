@@ -19,6 +19,7 @@ from twinmatch.discrimination import (
     nu_gap_matrix,
     nu_gap_of,
     score,
+    score_orders,
     twin_response,
 )
 from twinmatch.identification import ORDERS
@@ -87,7 +88,7 @@ class Members:
         )
         models = {m.order: m for m in identify(response)}
         measured = window.part(response.first, response.last)
-        orders = tuple(score(m, measured, settings.decimals) for m in models.values())
+        orders = score_orders(list(models.values()), measured, settings.decimals)
         leaving = self._family.admit(candidate)
         if leaving is not None:
             del self._members[leaving.name]

@@ -19,11 +19,11 @@ class MirrorState:
 
     sample: Sample
     closed_temperature: float
-    """Plate of the twin that is given the set-point and has a controller of its own, °C."""
+    """What the camera sees of the twin that is given the set-point and has a controller of its own, °C."""
     closed_pwm: float
     """Control of that twin."""
     driven_temperature: float
-    """Plate of the twin that is given the plant's control, °C."""
+    """What the camera sees of the twin that is given the plant's control, °C."""
     closed_sink: float
     """Heat sink of the closed-loop twin, °C."""
     driven_sink: float
@@ -70,7 +70,7 @@ class Mirror:
             self._pid.follow(sample.reference, sample.temperature, sample.pwm)
             self._started += 1
         else:
-            closed = self._closed.plate - KELVIN
+            closed = self._closed.sensor - KELVIN
             state = self._observe(sample, self._pid.step(sample.reference, closed))
         period = self._gains.period
         self._closed = advance(self.parameters, self._closed, state.closed_pwm, period)
@@ -86,7 +86,7 @@ class Mirror:
         self._started = 0
 
     def _observe(self, sample: Sample, closed_pwm: float) -> MirrorState:
-        closed, driven = self._closed.plate - KELVIN, self._driven.plate - KELVIN
+        closed, driven = self._closed.sensor - KELVIN, self._driven.sensor - KELVIN
         residual = (sample.temperature - closed, sample.pwm - closed_pwm, sample.temperature - driven)
         self._recent.append(residual)
         rms_y, rms_u, rms_driven = np.sqrt(np.mean(np.square(self._recent), axis=0))
