@@ -99,8 +99,7 @@ def _toolbox(u: FloatArray, y: FloatArray, order: str) -> Fit:
     with contextlib.redirect_stdout(io.StringIO()):
         program = pmodel("bjtf", nb=[nb - 1], nf=[nf], nc=[nc], nd=[nd], delay=[nk], diff=[0], per=[])
         program.estimParams.epochs = 100
-        program.estimParams.show = math.nan  # no figure
-        program, _, _ = estimate(program, y, u)
+        program, *_ = estimate(program, y, u, show_plot=False, show_output=False)
     parts = [
         np.ravel(np.asarray(part[0], dtype=np.float64))
         for part in (program.b, program.c, program.d, program.f)
