@@ -37,4 +37,5 @@ def test_it_prints_on_numbered_a4_pages(shipped: Report, tmp_path: Path) -> None
     text = " ".join(" ".join(page.extract_text().split()) for page in pages)
     for title in ("In plain words", "2. Health over time", "5. Which model order"):
         assert title in text
-    assert sum(len(page.images) for page in pages) == 0, "pictures stay drawings, sharp at any size"
+    pixels = sum(len(page.images) for page in pages)
+    assert pixels <= 2, "but for the heat map and its colour bar pictures stay drawings, sharp at any size"
