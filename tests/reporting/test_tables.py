@@ -8,12 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from twinmatch.discrimination import Verdict
+from twinmatch.plant import RigParameters
 from twinmatch.reporting import Report
 from twinmatch.reporting.match_tables import match_table, nominal_table
 from twinmatch.reporting.model_tables import gap_table, order_table
 from twinmatch.reporting.words import duration
 
-from .conftest import parse, tables_of
+from .conftest import grid, parse, tables_of
+
+RIG = RigParameters(seebeck=0.06, sink_heat_capacity=250.0, sink_convection=6.0)
 
 
 def verdict_of(report: Report) -> Verdict:
@@ -34,7 +37,7 @@ def silent(verdict: Verdict) -> Verdict:
         )
         for c in verdict.candidates
     )
-    return replace(verdict, candidates=candidates, certainty="", structure="")
+    return replace(verdict, candidates=candidates, certainty="", structure="", structure_parameters=None)
 
 
 def telling(verdict: Verdict) -> Verdict:
@@ -53,7 +56,13 @@ def telling(verdict: Verdict) -> Verdict:
         )
         for k, c in enumerate(verdict.candidates)
     )
-    return replace(verdict, candidates=candidates, certainty="the choice is certain", structure="sink-mass")
+    return replace(
+        verdict,
+        candidates=candidates,
+        certainty="the choice is certain",
+        structure="sink-mass",
+        structure_parameters=RIG,
+    )
 
 
 def test_columns_without_a_figure_are_left_out(shipped: Report) -> None:
@@ -83,7 +92,11 @@ def test_the_page_shows_it_too(shipped: Report) -> None:
     text = replace(shipped, judged=replace(shipped.judged, judgement=told)).html()
     document = parse(text)
     assert "The choice is certain." in text
-    assert "sink-mass" in text
+    rows = {
+        row[0].text: row[2].text
+        for row in grid(tables_of(document)["The rig with the structure “sink-mass”"])
+    }
+    assert rows["C_sink"] == "250"
     assert "Akaike weights of the orders" in tables_of(document)
 
 

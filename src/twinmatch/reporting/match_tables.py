@@ -14,7 +14,7 @@ from twinmatch.views.family import Member
 from twinmatch.views.intervals import interval, value_of
 from twinmatch.views.quantities import QUANTITIES, Quantity, number, quantity
 
-__all__ = ["event_table", "family_table", "match_table", "nominal_table"]
+__all__ = ["event_table", "family_table", "match_table", "nominal_table", "structure_table"]
 
 
 def event_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float) -> Table:
@@ -61,6 +61,20 @@ def _believed(match: Match, name: str) -> str:
     if not match.believed:
         return "fitted"
     return "fitted, well determined" if name in match.believed else "fitted, hardly determined"
+
+
+def structure_table(verdict: Verdict) -> Table | None:
+    """The rig as the structure has it that the data pay for; None before structures were compared."""
+    parameters = verdict.structure_parameters
+    if parameters is None:
+        return None
+    rows = tuple(
+        (head(q.symbol), words(q.words), Cell(q.text(getattr(parameters, q.name))), words(q.unit))
+        for q in QUANTITIES
+        if hasattr(parameters, q.name)
+    )
+    columns = ("symbol", "meaning", "value", "unit")
+    return Table(f"The rig with the structure “{verdict.structure}”", columns, rows)
 
 
 def family_table(members: Sequence[Member]) -> Table:

@@ -9,7 +9,13 @@ from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.reporting.judging import Judged, judge
-from twinmatch.reporting.match_tables import event_table, family_table, match_table, nominal_table
+from twinmatch.reporting.match_tables import (
+    event_table,
+    family_table,
+    match_table,
+    nominal_table,
+    structure_table,
+)
 from twinmatch.reporting.model_tables import coefficient_table, criterion_tables, gap_table, order_table
 from twinmatch.reporting.page import render
 from twinmatch.reporting.pictures import Picture, pictures
@@ -85,6 +91,7 @@ class Report:
             "verdict": last,
             "criteria": criterion_tables(last) if last else [],
             "weights": order_table(last) if last else None,
+            "structure": structure_table(last) if last else None,
             "gaps": gap_table(last) if last else None,
             "coefficients": coefficient_table(nominal) if nominal else None,
             "other_coefficients": [coefficient_table(m) for m in self.members if not m.nominal],

@@ -51,6 +51,9 @@ def verdict_entry(verdict: Verdict) -> dict[str, Any]:
         "fault": verdict.fault,
         "fault_since": verdict.fault_since,
         "structure": verdict.structure,
+        "structure_parameters": (
+            parameters_entry(verdict.structure_parameters) if verdict.structure_parameters else None
+        ),
         "decimals": verdict.decimals,
         "residual": {"y": _finite(verdict.residual_y), "u": _finite(verdict.residual_u)},
         "candidates": [_candidate_entry(c) for c in verdict.candidates],
