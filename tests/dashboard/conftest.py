@@ -80,7 +80,8 @@ class PageProcess:
         return str(until(address, "the page's address"))
 
     def end(self) -> int:
-        self.process.send_signal(signal.SIGTERM)
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
         return self.process.wait(20)
 
 

@@ -317,6 +317,26 @@ def test_control_asks_the_controller_and_the_bridge(
         measuring.join()
 
 
+def test_an_open_tab_comes_back_with_the_server(
+    page_process: Callable[..., Any], graph: Graph, browser: Any
+) -> None:
+    first = page_process()
+    address = first.url
+    browser.open(address)
+    assert first.end() == 0
+    browser.wait_for(lambda: "connection was lost" in browser.text, "a word of it")
+    again = page_process("--port", address.rsplit(":", 1)[1].strip("/"))
+    assert again.url == address
+    browser.wait_for(lambda: "connection was lost" not in browser.text, "the page")
+
+    def shown() -> bool:
+        graph.session(counted(3))
+        return "sample 2, 2 s" in browser.text
+
+    browser.wait_for(shown, "samples")
+    browser.complaints()  # those of the lost connection
+
+
 def test_a_replay_is_paused_and_hurried(
     page: Any, browser: Any, node: Callable[..., Any], tmp_path: Path
 ) -> None:

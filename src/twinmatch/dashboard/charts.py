@@ -52,6 +52,15 @@ class TimeCharts:
         """All of them, top to bottom."""
         return [self.temperature, self.control, self.residual, self.control_residual, self.happened]
 
+    def show(self, *, measured: bool, mirrored: bool) -> None:
+        """Show the charts that have something to draw; Bokeh finds no range for nothing."""
+        for chart in (self.temperature, self.control, self.happened):
+            if chart.visible != measured:
+                chart.visible = measured
+        for chart in (self.residual, self.control_residual):
+            if chart.visible != mirrored:
+                chart.visible = mirrored
+
     def span(self, seconds: float) -> None:
         """Show so much of the newest time."""
         self.time.follow_interval = seconds

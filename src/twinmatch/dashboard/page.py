@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bokeh.document import Document
-from bokeh.models import Div, Toggle
+from bokeh.models import CustomJS, Div, Toggle
 
 from twinmatch.dashboard import panels
 from twinmatch.dashboard.actions import Actions
@@ -25,6 +25,16 @@ __all__ = ["REFRESH", "Page"]
 
 REFRESH = 350
 """Milliseconds between two updates of a tab."""
+_COME_BACK = """
+const come_back = async () => {
+    try {
+        if ((await fetch(location.href, {cache: "no-store"})).ok) { location.reload(); return }
+    } catch { /* not there yet */ }
+    setTimeout(come_back, 2000)
+}
+setTimeout(come_back, 1000)
+"""
+"""In the browser, when the server has gone: load the page again as soon as it is back."""
 _TEMPLATE = Path(__file__).with_name("page.html")
 
 
@@ -50,6 +60,7 @@ class Page:
             "nodes",
             "thermal_note",
             "matrix_note",
+            "chart_note",
         )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
         self._every = Toggle(label="all orders", name="every", width=110)
@@ -86,6 +97,8 @@ class Page:
             good=LEVELS[TrustLevel.TRUSTED],
             fault=LEVELS[TrustLevel.FAULT],
         )
+        document.config.reconnect_session = False  # a server that was started again knows no old session
+        document.js_on_event("connection_lost", CustomJS(code=_COME_BACK))
         self.update()
         document.add_periodic_callback(self.update, REFRESH)
 
@@ -123,6 +136,8 @@ class Page:
         self._say("headline", panels.headline(state.verdict, state.period, state.sentence))
         self._say("tiles", panels.tiles(state))
         self._say("nodes", panels.nodes(state.roster, now))
+        self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)
+        self._say("chart_note", "" if state.plant.count else panels.NO_SAMPLE)
         none_yet = state.image is None
         self._thermal.figure.visible = not none_yet
         self._say("thermal_note", panels.NO_IMAGE if none_yet else "")

@@ -18,6 +18,7 @@ from twinmatch.views.style import LEVEL_WORDS, LEVELS
 __all__ = [
     "NO_CANDIDATE",
     "NO_IMAGE",
+    "NO_SAMPLE",
     "alarm",
     "events_table",
     "family_table",
@@ -41,6 +42,7 @@ CALLED = {"t / s": "judged at / s", "gain": "gain / characters", "rms u": "rms u
 """Its names that have no room there for a unit."""
 DASH = "–"
 NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been accepted.</p>'
+NO_SAMPLE = '<p class="quiet">No sample has come yet.</p>'
 NO_IMAGE = '<p class="quiet">No thermal image has come; only a rig with a camera sends them.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
 """Colours of the levels of REP 107."""
