@@ -110,7 +110,12 @@ def status(state: DashboardState, now: float) -> str:
     standing = state.roster.standing
     worst = [n for n, s in standing.items() if s.level >= 1 or state.roster.silent(n, now)]
     if standing and not worst:
-        pills.append(_pill(TrustLevel.TRUSTED, f"{len(standing)} nodes are well"))
+        pills.append(
+            _pill(
+                TrustLevel.TRUSTED,
+                "1 node is well" if len(standing) == 1 else f"{len(standing)} nodes are well",
+            )
+        )
     elif worst:
         pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(standing)} nodes need a look"))
     return f'<div class="status">{"".join(pills)}</div>'
