@@ -22,7 +22,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 
 PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
 
-.PHONY: help setup test check demo bench clean
+.PHONY: help setup test check demo bench docs clean
 .DELETE_ON_ERROR:
 
 help:
@@ -31,6 +31,7 @@ help:
 	@echo "make check                setup, then only ruff, mypy and import-linter"
 	@echo "make demo                 setup, then run the twin on a sample session (SESSION=path picks another)"
 	@echo "make bench                setup and the peers, then measure side by side (BENCH_ARGS='--quick nu_gap' picks)"
+	@echo "make docs                 setup, then the pages of docs/ as a site in build/docs"
 	@echo "make clean                remove $(VENV) and everything built"
 
 setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/browser $(STAMPS)/compiled
@@ -47,6 +48,10 @@ demo: setup
 
 bench: setup $(STAMPS)/peers
 	$(RUN) -m benchmarks $(BENCH_ARGS)
+
+docs: setup
+	$(RUN) -m sphinx -q -W --keep-going docs build/docs
+	@echo "docs: build/docs/index.html"
 
 clean:
 	rm -rf $(VENV) build install log dist $(MESSAGES)/build src/*.egg-info $(MESSAGES)/*.egg-info

@@ -1,0 +1,53 @@
+"""The pages of docs/ build into a site without a warning, and all of them are in it."""
+
+from __future__ import annotations
+
+import html
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+for needed in ("sphinx", "myst_nb", "furo"):
+    pytest.importorskip(needed, reason=f"{needed} is not installed; it is in the extra 'docs'")
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOMS = sorted(page.stem for page in (DOCS / "api").glob("*.md") if page.stem != "index")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", folder / "trees", DOCS]
+    done = subprocess.run([*command, folder / "html"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder / "html"
+
+
+def test_every_page_can_be_found_from_the_first(site: Path) -> None:
+    pages = [path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*.md")]
+    pages += [path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*.ipynb")]
+    first = (site / "index.html").read_text("utf-8") + (site / "api" / "index.html").read_text("utf-8")
+    for page in pages:
+        assert (site / page).is_file()
+        if page.parts[0] not in {"index.html", "api"}:
+            assert f'href="{page}"' in first, f"no way leads from the index to {page}"
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_api_has_every_class_and_function_that_a_room_offers(site: Path, room: str) -> None:
+    page = html.unescape((site / "api" / f"{room}.html").read_text("utf-8"))
+    described = set(re.findall(rf'id="twinmatch\.{room}\.(\w+)"', page))
+    offered = importlib.import_module(f"twinmatch.{room}")
+    found = {name: getattr(offered, name) for name in offered.__all__}
+    assert {name for name, it in found.items() if inspect.isclass(it) or inspect.isfunction(it)} <= described
+
+
+def test_the_notebook_shows_what_it_found(site: Path) -> None:
+    page = (site / "notebooks" / "recording_to_verdict.html").read_text("utf-8")
+    assert "cell_output" in page
+    assert "<img" in page
