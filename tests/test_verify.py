@@ -37,7 +37,7 @@ from twinmatch.verify_trees import differences, match_tree, verdict_tree
 
 pytestmark = pytest.mark.ros
 
-FAMILY = "candidates:\n  - {name: a guess, operating_point: 40.0, seebeck: 0.07, heat_capacity: 25.0}\n"
+FAMILY = "candidates:\n  - {name: a guess, operating_point: 75.0, seebeck: 0.07, heat_capacity: 25.0}\n"
 
 
 def topic_of(name: str, kind: str) -> Topic:
