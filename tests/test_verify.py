@@ -175,7 +175,7 @@ def spoil_level(_matches: list[Any], scores: list[Any]) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (spoil_score, ["verdict", "candidate 60 °C: candidates[1].orders[2].y.naic was recorded as"]),
+        (spoil_score, ["verdict", "candidate a guess: candidates[1].orders[2].y.naic was recorded as"]),
         (spoil_match, ["match 1 at sample", "parameters.seebeck was recorded as"]),
         (spoil_stamp, ["verdict 1 at sample", "stamp was recorded as"]),
         (spoil_level, ["verdict 3 at sample", "level_name was recorded as 'trusted?'"]),
