@@ -101,7 +101,7 @@ def _record(job: Job) -> dict[str, Any]:
 
     terms = job.terms
     judgement = judge_on(job.path, terms.settings, terms.given, config=terms.config)
-    entry = document(judgement.name, judgement.verdicts, judgement.summary)
+    entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
     return entry | {"candidates": _rows(judgement, entry)}
 
 
