@@ -95,6 +95,23 @@ def decode(channel: dict[str, Any], data: bytes) -> Any:
     return decoder(data)
 
 
+def definition(channel: dict[str, Any]) -> tuple[str, ...]:
+    """What a viewer is told of a topic."""
+    return tuple(channel[key] for key in ("encoding", "schemaName", "schemaEncoding", "schema"))
+
+
+def definitions(path: Path) -> dict[str, tuple[str, ...]]:
+    """What a recorded session says of its topics."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    found = {}
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        found[channel.topic] = channel.message_encoding, schema.name, schema.encoding, schema.data.decode()
+    return found
+
+
 def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_with_them(
     serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph]
 ) -> None:
@@ -123,23 +140,36 @@ def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_w
     assert bytes(seen.data) == bytes(range(24))
 
 
-def test_definitions_are_those_of_a_recorded_session_and_there_before_the_graph(
+def test_definitions_are_those_of_an_imported_session_and_there_before_the_graph(
     serve: Callable[..., Any], view: Callable[[str], Any]
 ) -> None:
     viewer = view(serve().url)
-    names = ("/plant/sample", "/plant/reference")
-    viewer.wait(lambda: set(names) <= set(viewer.channels), "the topics")
     [path] = (PROJECT / "bags" / "four_setpoints").glob("*.mcap")
-    with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    for channel in summary.channels.values():
-        if channel.topic in names:
-            recorded, offered = summary.schemas[channel.schema_id], viewer.channels[channel.topic]
-            assert offered["schema"] == recorded.data.decode()
-            assert offered["schemaName"] == recorded.name
-            assert offered["schemaEncoding"] == recorded.encoding
-            assert offered["encoding"] == channel.message_encoding
+    recorded = definitions(path)
+    assert {"/plant/sample", "/plant/reference", "/plant/temperature"} <= set(recorded)
+    viewer.wait(lambda: set(recorded) <= set(viewer.channels), "the topics")
+    assert recorded == {topic: definition(viewer.channels[topic]) for topic in recorded}
+
+
+def test_definitions_are_those_of_a_session_recorded_at_the_same_time(
+    serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph], tmp_path: Path
+) -> None:
+    rig = graph()
+    viewer = view(serve().url)
+    options = ["--ros-args", "-p", f"folder:={tmp_path}", "-p", "name:=session"]
+    recorder = subprocess.Popen([sys.executable, "-m", "twinmatch.nodes.recorder", *options])
+    try:
+        readers = (rig.samples, rig.scores, rig.images, rig.references)
+        viewer.wait(lambda: all(p.get_subscription_count() == 2 for p in readers), "both readers")
+        rig.sample(0)
+        rig.scores.publish(ModelScore())
+    finally:
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait(20) == 0
+    [path] = (tmp_path / "session").glob("*.mcap")
+    recorded = definitions(path)
+    assert {"/plant/sample", "/twin/model_score", "/thermal/image", "/diagnostics"} <= set(recorded)
+    assert recorded == {topic: definition(viewer.channels[topic]) for topic in recorded}
 
 
 def test_it_survives_the_graph_and_shows_the_next_one(
