@@ -21,19 +21,21 @@ myst_heading_anchors = 3
 nb_execution_mode = "off"
 
 autodoc_default_options = {"members": True, "imported-members": True, "member-order": "bysource"}
-autodoc_typehints = "description"
-autodoc_class_signature = "separated"
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "FloatArray": "FloatArray"}
+python_maximum_signature_line_length = 100
 # Docstrings write code between single backticks.
 default_role = "literal"
 
 
-def _escape_bars(*arguments: Any) -> None:
-    """Let |u| in a docstring be a magnitude, not a substitution."""
-    lines: list[str] = arguments[-1]
+def _read_docstring(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+    """Let |u| be a magnitude, not a substitution, and a colon in what is said of a field a colon, not a type."""
     for number, line in enumerate(lines):
         parts = line.split("`")  # every other one is code
         parts[::2] = [part.replace("|", r"\|") for part in parts[::2]]
         lines[number] = "`".join(parts)
+    if what in {"attribute", "data", "property"}:
+        lines.insert(0, "")
 
 
 for _name in reporting.__all__:  # which it fetches when they are used; autodoc only looks at what is there
@@ -42,4 +44,4 @@ for _name in reporting.__all__:  # which it fetches when they are used; autodoc 
 
 def setup(app: Any) -> None:
     """Hook into Sphinx."""
-    app.connect("autodoc-process-docstring", _escape_bars)
+    app.connect("autodoc-process-docstring", _read_docstring, priority=400)  # before napoleon
