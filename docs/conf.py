@@ -29,13 +29,13 @@ default_role = "literal"
 
 
 def _read_docstring(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
-    """Let |u| be a magnitude, not a substitution, and a colon in what is said of a field a colon, not a type."""
+    """Let |u| be a magnitude, not a substitution, and a colon in a field's text a colon, not a type."""
     for number, line in enumerate(lines):
         parts = line.split("`")  # every other one is code
         parts[::2] = [part.replace("|", r"\|") for part in parts[::2]]
         lines[number] = "`".join(parts)
     if what in {"attribute", "data", "property"}:
-        lines.insert(0, "")
+        lines[:0] = ["..", ""]  # an empty comment: napoleon takes the first line up to a colon for a type
 
 
 for _name in reporting.__all__:  # which it fetches when they are used; autodoc only looks at what is there
