@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from twinmatch import __version__
 from twinmatch.archive import program as archive_program
+from twinmatch.cli_progress import Progress
 from twinmatch.dashboard import command as dashboard_command
 from twinmatch.emulation import virtual_rig_program
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.foxglove import command as foxglove_command
 from twinmatch.reporting import command as report_command
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from twinmatch.replay import Judgement
 
 __all__ = ["main"]
 
@@ -132,35 +126,13 @@ def _import(options: argparse.Namespace) -> int:
 def _replay(options: argparse.Namespace) -> int:
     _check_writable(options.json, options.figure)
     if archive_program.is_archive(options):
-        with _Progress() as progress:
+        with Progress() as progress:
             archive = archive_program.judge(options, progress.advance)
         return archive_program.show(options, archive)
-    return _replay_one(options)
-
-
-def _replay_one(options: argparse.Namespace) -> int:
     gc.set_threshold(50_000)  # start-up makes many objects and hardly any garbage among them
-    from twinmatch.replay import judge_session  # noqa: PLC0415
-    from twinmatch.views import document, sentence  # noqa: PLC0415
+    from twinmatch.cli_replay import replay  # noqa: PLC0415 — keeps --help fast
 
-    with _Progress() as progress:
-        judgement = judge_session(
-            options.sessions[0],
-            candidates=options.candidates,
-            config=options.config,
-            watch=progress.advance,
-        )
-    _print_verdicts(judgement)
-    for note in judgement.summary.notes:
-        print(f"Note: {note}")
-    print(sentence(judgement.summary))
-    if options.json is not None:
-        entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
-        options.json.write_text(json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
-    if options.figure is not None:
-        from twinmatch.views.figures import draw_verdict  # noqa: PLC0415 — matplotlib is slow to import
-
-        draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, options.figure)
+    replay(options.sessions[0], options)
     return 0
 
 
@@ -168,7 +140,7 @@ def _verify(options: argparse.Namespace) -> int:
     """0 identical, 1 different; what cannot be verified is an error (2)."""
     from twinmatch.verify import verify_session  # noqa: PLC0415
 
-    with _Progress() as progress:
+    with Progress() as progress:
         found = verify_session(
             options.session,
             topic=options.topic,
@@ -205,47 +177,6 @@ def _check_writable(*outputs: Path | None) -> None:
         if output is not None and not output.absolute().parent.is_dir():
             msg = f"{output}: there is no folder {output.parent} to write into; create it first"
             raise TwinmatchError(msg)
-
-
-def _print_verdicts(judgement: Judgement) -> None:
-    from rich.console import Console  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-
-    from twinmatch.views import COLUMNS, STYLES, news, row  # noqa: PLC0415
-
-    console = Console()
-    table = Table(*COLUMNS, title=f"Verdicts on {judgement.name}", box=None, pad_edge=False)
-    shown = news(judgement.verdicts)
-    for verdict in shown:
-        table.add_row(*row(verdict, judgement.settings.period), style=STYLES[verdict.level])
-    console.print(table)
-    hidden = len(judgement.verdicts) - len(shown)
-    if hidden:
-        console.print(f"({hidden} more verdicts changed nothing: the last one stood at the same level)")
-
-
-class _Progress:
-    """A progress bar on standard error; silent where that is no terminal."""
-
-    _bar: Progress | None = None
-
-    def __enter__(self) -> _Progress:
-        if sys.stderr.isatty():
-            from rich.console import Console  # noqa: PLC0415
-            from rich.progress import Progress  # noqa: PLC0415
-
-            self._bar = Progress(console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("judging", total=None)
-            self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def advance(self, done: int, total: int) -> None:
-        if self._bar is not None:
-            self._bar.update(self._task, completed=done, total=total)
 
 
 if __name__ == "__main__":

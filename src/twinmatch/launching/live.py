@@ -12,7 +12,6 @@ from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
-from rich.markup import escape
 
 from twinmatch.discrimination import Verdict
 from twinmatch.launching.plan import LivePlan
@@ -25,7 +24,9 @@ from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, Schedule, TwinSettings
-from twinmatch.views import News, Summary, print_header, print_line, sentence, summarise
+from twinmatch.views import Summary, summarise
+from twinmatch.views.line import Lines, closing_lines
+from twinmatch.views.terminal import Screen, view_on
 from twinmatch_msgs.msg import LoopSample, Match, ModelScore
 
 __all__ = ["EXIT_LOST", "Live", "run_live"]
@@ -73,17 +74,22 @@ def run_live(live: Live) -> int:
         TwinmatchError: a file or option cannot be used.
     """
     settings = read_settings(live.plan.twin_config)
-    code = run([_watch_class(live, settings)], ["live"])
+    view = view_on(live.console, "live", settings.period)
+    try:
+        code = run([_watch_class(live, settings, view)], ["live"])
+    finally:
+        view.close()
+    for name in live.killed:
+        view.say(f"{name} did not end by itself and was killed")
+    for session in live.sessions:
+        view.say(f"recorded: {session}")
+    view.say(f"ended: {live.ending}; {len(live.samples)} samples, {len(live.verdicts)} verdicts")
     if live.samples:
         live.summary = summarise(
             live.samples, live.matches, live.verdicts, settings.gains, limits=settings.limits
         )
-        live.console.print(sentence(live.summary))
-    for name in live.killed:
-        live.console.print(f"{name} did not end by itself and was killed")
-    for session in live.sessions:
-        live.console.print(f"recorded: {session}", highlight=False)
-    live.console.print(f"ended: {live.ending}; {len(live.samples)} samples, {len(live.verdicts)} verdicts")
+        for line in closing_lines(live.summary, live.verdicts[-1] if live.verdicts else None):
+            view.say(line)
     return code
 
 
@@ -93,8 +99,8 @@ _DIGITS = re.compile(r"[\d.,]+")
 class _Events:
     """Errors on /diagnostics, each told once while it lasts, however its figures grow."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
+    def __init__(self, view: Screen | Lines) -> None:
+        self._view = view
         self._standing: dict[str, str] = {}
 
     def take(self, message: DiagnosticArray) -> None:
@@ -102,17 +108,18 @@ class _Events:
             level = int.from_bytes(status.level, "little")
             if level < Level.ERROR:
                 if self._standing.pop(status.name, None) is not None:
-                    self._console.print(f"[green]{escape(status.name)}: well again[/]")
+                    self._view.say(f"{status.name}: well again", "green")
             elif self._standing.get(status.name) != (kind := _DIGITS.sub("", status.message)):
                 self._standing[status.name] = kind
-                self._console.print(f"[red]{escape(status.name)}: {escape(status.message)}[/]")
+                self._view.say(f"{status.name}: {status.message}", "red")
 
 
 class _Supervision:
     """Which processes there are, and what happens when one ends."""
 
-    def __init__(self, live: Live) -> None:
+    def __init__(self, live: Live, view: Screen | Lines) -> None:
         self._live = live
+        self._view = view
         self._plan = live.plan
         self._addresses: dict[str, str] = {}
         self._ready = threading.Event()
@@ -123,7 +130,7 @@ class _Supervision:
         """Start everything; the rig last, when all that listens is on its way."""
         plan = self._plan
         if plan.virtual is not None:
-            self._live.console.print("starting the virtual rig", highlight=False)
+            self._view.say("starting the virtual rig")
             command = [sys.executable, "-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments]
             self.processes.start("virtual_rig", command)
             self.processes.wait_for_line("virtual_rig", self._ready, VIRTUAL_RIG_START)
@@ -145,7 +152,7 @@ class _Supervision:
             if name in ("rig", "virtual_rig") or self._restarts.get(name, 0) >= RESTARTS:
                 return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
             self._restarts[name] = self._restarts.get(name, 0) + 1
-            self._live.console.print(f"[yellow]{name} ended with code {code}; starting it again[/]")
+            self._view.say(f"{name} ended with code {code}; starting it again", "yellow")
             self._start(name)
         return None
 
@@ -182,10 +189,10 @@ class _Supervision:
                 self._ready.set()
             elif value:
                 self._addresses[key] = value
-        self._live.console.print(line, markup=False, highlight=False)
+        self._view.say(line)
 
 
-def _watch_class(live: Live, settings: TwinSettings) -> type[TwinmatchNode]:
+def _watch_class(live: Live, settings: TwinSettings, view: Screen | Lines) -> type[TwinmatchNode]:
     """The node of this process, bound to one run."""
 
     class Watch(TwinmatchNode):
@@ -196,7 +203,7 @@ def _watch_class(live: Live, settings: TwinSettings) -> type[TwinmatchNode]:
 
         def open(self) -> None:
             """Subscribe, then start the processes."""
-            self._news, self._events = News(), _Events(live.console)
+            self._events = _Events(view)
             self._schedule = Schedule(settings.schedule, settings.period)
             self._due: int | None = None
             """Sample of the newest trigger; its verdict ends a run whose profile has ended."""
@@ -206,14 +213,15 @@ def _watch_class(live: Live, settings: TwinSettings) -> type[TwinmatchNode]:
             self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
             self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
             self.create_subscription(DiagnosticArray, "/diagnostics", self._events.take, 100)
-            self._supervision = _Supervision(live)
+            self._supervision = _Supervision(live, view)
             self._refuse_company()
             self._supervision.start()
-            print_header(live.console)
+            view.open()
             self.create_timer(POLL, self._look)
 
         def close(self) -> bool:
             """End the other processes."""
+            view.close()
             self._supervision.stop()
             return True
 
@@ -236,16 +244,17 @@ def _watch_class(live: Live, settings: TwinSettings) -> type[TwinmatchNode]:
 
         def _on_match(self, message: Match) -> None:
             live.matches.append(match_from(message))
+            view.take_match(live.matches[-1])
 
         def _on_score(self, message: ModelScore) -> None:
             verdict = verdict_from(message)
             live.verdicts.append(verdict)
-            if self._news.worth_telling(verdict):
-                print_line(live.console, verdict, settings.period)
+            view.take_verdict(verdict)
 
         def _look(self) -> None:
             if self.exit_code is not None:
                 return
+            view.advance(len(live.samples))
             if self._over is None:
                 self._over = self._supervision.look()
                 self._over_at = time.monotonic()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import time
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
@@ -19,7 +21,9 @@ from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import at_period, read_settings
 from twinmatch.sessions import Session, open_any, samples_of, write_session
 from twinmatch.twin import MatchReport, Schedule, TwinSettings
-from twinmatch.views import News, Summary, print_header, print_line, sentence, summarise
+from twinmatch.views import Summary, summarise
+from twinmatch.views.line import Lines, closing_lines
+from twinmatch.views.terminal import Screen, view_on
 from twinmatch_msgs.msg import Match, ModelScore
 
 __all__ = ["Replay", "play"]
@@ -42,7 +46,7 @@ class Replay:
     """Recorded seconds per second; 0: as fast as it goes."""
     candidates: Path | None = None
     config: Path | None = None
-    console: Console = field(default_factory=Console)
+    console: Console = field(default_factory=lambda: Console(soft_wrap=True, highlight=False))
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
     summary: Summary | None = None
@@ -59,10 +63,13 @@ def play(replay: Replay) -> int:
     triggers = _triggers(session, settings)
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
         playable = _playable(session, Path(folder))
-        watch = _watch_class(replay, session, settings, playable, triggers)
-        code = run([watch], ["replay"])
-    if code == 0 and triggers and (not replay.verdicts or replay.verdicts[-1].sample < triggers[-1]):
-        replay.console.print(f"interrupted after {len(replay.verdicts)} of {len(triggers)} verdicts")
+        view = view_on(replay.console, session.name, settings.period, len(session.samples))
+        try:
+            code = run([_watch_class(replay, session, settings, playable, triggers, view=view)], ["replay"])
+        finally:
+            view.close()
+    if code == 0 and _reached(triggers, replay.verdicts) < len(triggers):
+        view.say(f"interrupted after {_judged(triggers, replay.verdicts)}")
         return EXIT_INTERRUPTED
     if code == 0:
         replay.summary = summarise(
@@ -73,9 +80,8 @@ def play(replay: Replay) -> int:
             session.notes,
             limits=settings.limits,
         )
-        for note in replay.summary.notes:
-            replay.console.print(f"Note: {note}")
-        replay.console.print(sentence(replay.summary))
+        for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
+            view.say(line)
     return code
 
 
@@ -92,8 +98,27 @@ def _triggers(session: Session, settings: TwinSettings) -> list[int]:
     return [t.sample for t in map(schedule.push, session.samples) if t is not None]
 
 
+def _reached(triggers: Sequence[int], verdicts: Sequence[Verdict]) -> int:
+    """How many triggers have their verdict; they come in order, and those on faults on top of them."""
+    return bisect_right(triggers, verdicts[-1].sample) if verdicts else 0
+
+
+def _judged(triggers: Sequence[int], verdicts: Sequence[Verdict]) -> str:
+    """The same in words, with the verdicts between the triggers counted by themselves."""
+    reached = _reached(triggers, verdicts)
+    more = len(verdicts) - reached
+    between = f" and {more} between them" if more > 0 else ""
+    return f"{reached} of {len(triggers)} verdicts{between}"
+
+
 def _watch_class(
-    replay: Replay, session: Session, settings: TwinSettings, playable: Path, triggers: list[int]
+    replay: Replay,
+    session: Session,
+    settings: TwinSettings,
+    playable: Path,
+    triggers: list[int],
+    *,
+    view: Screen | Lines,
 ) -> type[TwinmatchNode]:
     """The node of this process, bound to one replay."""
 
@@ -105,17 +130,16 @@ def _watch_class(
 
         def open(self) -> None:
             """Subscribe, then start the twin and the player."""
-            self._processes = Processes(replay.console.print)
-            self._news = News()
+            self._processes = Processes(view.say)
             self._changed = time.monotonic()
             self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
             self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
             self.create_timer(POLL, self._look)
-            replay.console.print(
+            view.say(
                 f"{session.name}: {len(session.samples)} samples at {replay.rate:g} times their speed, "
                 f"{len(triggers)} verdicts to come"
             )
-            print_header(replay.console)
+            view.open()
             options = ["--ros-args", "-p", f"period:={settings.period}"]
             if replay.config is not None:
                 options += ["--params-file", str(replay.config)]
@@ -136,26 +160,29 @@ def _watch_class(
 
         def close(self) -> bool:
             """End the other processes."""
+            view.close()
             killed = self._processes.stop(("player", "twin"))
             for name in killed:
-                replay.console.print(f"{name} did not end by itself and was killed")
+                view.say(f"{name} did not end by itself and was killed")
             return True
 
         def _on_score(self, message: ModelScore) -> None:
             verdict = verdict_from(message)
             replay.verdicts.append(verdict)
             self._changed = time.monotonic()
-            if self._news.worth_telling(verdict):
-                print_line(replay.console, verdict, settings.period)
+            view.take_verdict(verdict)
             if verdict.sample >= triggers[-1]:
                 self.exit_code = 0
 
         def _on_match(self, message: Match) -> None:
             replay.matches.append(match_from(message))
+            view.take_match(replay.matches[-1])
 
         def _look(self) -> None:
             if self.exit_code is not None:
                 return
+            if replay.verdicts:
+                view.advance(replay.verdicts[-1].sample - session.samples[0].index + 1)
             if not self._playing and self.count_publishers("twin/model_score"):
                 self._play()
             ended = self._processes.ended
@@ -166,8 +193,8 @@ def _watch_class(
             if not triggers and "player" in ended:
                 self.exit_code = 0
             elif "player" in ended and time.monotonic() - self._changed > STALLED:
-                came = f"{len(replay.verdicts)} of {len(triggers)}"
-                msg = f"replay: only {came} verdicts came; look at /diagnostics"
+                came = _judged(triggers, replay.verdicts)
+                msg = f"replay: only {came} came; look at /diagnostics"
                 raise LaunchError(msg)
 
     return Watch

@@ -1,33 +1,137 @@
-"""A verdict as one line, for a log that grows."""
+"""Verdicts as plain lines, for pipes and for logs that grow."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import os
+from dataclasses import fields
+from typing import IO, TYPE_CHECKING
 
 from twinmatch.discrimination import Verdict
+from twinmatch.twin import MatchReport
+from twinmatch.views.news import News
+from twinmatch.views.quantities import quantity
+from twinmatch.views.summary import Summary, sentence
 from twinmatch.views.table import STYLES, row
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["print_header", "print_line"]
+__all__ = ["Lines", "closing_lines", "header_text", "line_text", "print_header", "print_line", "redraws"]
 
-_WIDTHS = (7, 9, 12, 6, 6, 10, 10, 11, 6)
-_NAMES = ("t / s", "level", "nominal", "order", "gain", "Σ ν-gap", "ν-gap now", "rms y / °C", "rms u")
+_NAMES = (
+    "t / s",
+    "level",
+    "nominal",
+    "decided",
+    "order",
+    "gain / characters",
+    "ν-gap sum",
+    "ν-gap to plant",
+    "rms y / °C",
+    "rms u / PWM",
+)
+_WIDTHS = tuple(max(7, len(name)) for name in _NAMES)
+
+
+def line_text(verdict: Verdict, period: float = 1.0) -> str:
+    """Time, level, nominal and figures in columns, then the fault by name and the reason; one line.
+
+    `period` is the sample time, s.
+    """
+    when, level, nominal, *figures, why = row(verdict, period)
+    decided = "–" if verdict.nominal is None else "yes" if verdict.decided else "no"
+    named = f"{verdict.fault}: " if verdict.fault else ""
+    return _columns((when, level, nominal, decided, *figures)) + " ".join(f"{named}{why}".split())
+
+
+def header_text() -> str:
+    """The names of the columns with their units."""
+    return f"{_columns(_NAMES)}why"
 
 
 def print_line(console: Console, verdict: Verdict, period: float = 1.0) -> None:
-    """Print time, level, nominal and figures in columns, then the reason."""
+    """Print a verdict on a console, in the colour of its level where there are colours."""
     from rich.text import Text  # noqa: PLC0415 — replay starts without it
 
-    cells = row(verdict, period)
-    columns = "".join(cell.ljust(width) for cell, width in zip(cells, _WIDTHS, strict=False))
-    console.print(Text(f"{columns} {cells[-1]}", style=STYLES[verdict.level]), soft_wrap=True)
+    console.print(Text(line_text(verdict, period), style=STYLES[verdict.level]), soft_wrap=True)
 
 
 def print_header(console: Console) -> None:
     """Print the names of the columns."""
     from rich.text import Text  # noqa: PLC0415
 
-    columns = "".join(name.ljust(width) for name, width in zip(_NAMES, _WIDTHS, strict=True))
-    console.print(Text(f"{columns} why", style="bold"), soft_wrap=True)
+    console.print(Text(header_text(), style="bold"), soft_wrap=True)
+
+
+def closing_lines(summary: Summary, verdict: Verdict | None) -> list[str]:
+    """What is said at the end: notes, how sure the choice is, the plant's structure, and the sentence.
+
+    `verdict` is the last one.
+    """
+    said = [f"Note: {note}" for note in summary.notes]
+    if verdict is not None and verdict.certainty:
+        said.append(f"Certainty: {verdict.certainty}.")
+    if verdict is not None and verdict.structure:
+        said.append(f"Structure: the samples pay for {verdict.structure}{_rig(verdict)}.")
+    return [*said, sentence(summary)]
+
+
+def redraws(stream: IO[str]) -> bool:
+    """Whether a view can be drawn over and over there: a terminal, and not a dumb one."""
+    return stream.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}
+
+
+class Lines:
+    """Tells a run line by line, each verdict worth telling when it comes."""
+
+    def __init__(self, period: float = 1.0, console: Console | None = None) -> None:
+        """Print on a console, or without one (and without `rich`) on standard output."""
+        self._period = period
+        self._console = console
+        self._news = News()
+
+    def open(self) -> None:
+        """Print the names of the columns."""
+        if self._console is None:
+            print(header_text(), flush=True)
+        else:
+            print_header(self._console)
+
+    def close(self, *, wipe: bool = False) -> None:
+        """Nothing is left to do, and what was printed cannot be wiped away; a `Screen` can."""
+
+    def advance(self, done: int) -> None:
+        """Progress is not told in lines."""
+
+    def take_match(self, report: MatchReport) -> None:
+        """The verdict on it tells of it."""
+
+    def take_verdict(self, verdict: Verdict) -> None:
+        """Print it if it says something new."""
+        if not self._news.worth_telling(verdict):
+            return
+        if self._console is None:
+            print(line_text(verdict, self._period), flush=True)
+        else:
+            print_line(self._console, verdict, self._period)
+
+    def say(self, text: str, style: str = "") -> None:
+        """Print a line of somebody else's."""
+        if self._console is None:
+            print(text, flush=True)
+        else:
+            self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def _columns(cells: tuple[str, ...]) -> str:
+    return "".join(f"{cell:<{width}}  " for cell, width in zip(cells, _WIDTHS, strict=True))
+
+
+def _rig(verdict: Verdict) -> str:
+    """Its parameters in brackets, each with its unit; one that is zero says that it is not part of it."""
+    rig = verdict.structure_parameters
+    if rig is None:
+        return ""
+    known = [(quantity(f.name), getattr(rig, f.name)) for f in fields(rig)]
+    shown = [f"{q.symbol} {q.text(value)} {q.unit}" for q, value in known if value]
+    return f" ({', '.join(shown)})"

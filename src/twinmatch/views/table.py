@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.views.quantities import number
+from twinmatch.views.standing import nominal_score
 
 __all__ = ["COLUMNS", "STYLES", "row"]
 
@@ -32,27 +32,23 @@ STYLES = {
 
 def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
     """The cells of one verdict, in the order of `COLUMNS`."""
-    nominal = next((c for c in verdict.candidates if c.name == verdict.nominal), None)
+    nominal = nominal_score(verdict)
     order = gain = total = now = "–"
     if nominal is not None:
         order = nominal.chosen_order
         score = next(o for o in nominal.orders if o.order == order)
-        gain = str(score.total.gain)
-        total = f"{nominal.nu_gap_sum:.3f}"
-        now = "–" if nominal.nu_gap_to_plant is None else f"{nominal.nu_gap_to_plant:.3f}"
+        gain = number(score.total.gain, 0)
+        total = number(nominal.nu_gap_sum, 3)
+        now = number(nominal.nu_gap_to_plant, 3)
     return (
-        f"{verdict.sample * period:.0f}",
+        number(verdict.sample * period, 0),
         verdict.level.value,
         verdict.nominal or "–",
         order,
         gain,
         total,
         now,
-        _number(verdict.residual_y, ".2f"),
-        _number(verdict.residual_u, ".1f"),
+        number(verdict.residual_y, 2),
+        number(verdict.residual_u, 1),
         verdict.reason,
     )
-
-
-def _number(value: float, form: str) -> str:
-    return "–" if math.isnan(value) else format(value, form)

@@ -1,0 +1,128 @@
+"""The family as a table for a terminal of any width."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from rich.cells import cell_len
+from rich.table import Table
+
+from twinmatch.discrimination import CandidateScore, Verdict
+from twinmatch.matching import Match
+from twinmatch.twin import MatchReport
+from twinmatch.views.criteria import CRITERIA
+from twinmatch.views.quantities import number, quantity
+
+__all__ = ["LEGEND", "believed_of", "family_table"]
+
+LEGEND = "▶ nominal; * the window determines it to a factor of two"
+"""What the marks in the table mean."""
+
+Believed = Mapping[tuple[int, int], Sequence[str]]
+"""Parameters to believe, by the first and last sample of the window they were matched on."""
+
+_GAP = 2
+"""Blanks between two columns."""
+_CRITERIA = {c.attribute: c for c in CRITERIA}
+
+
+class Column(NamedTuple):
+    """One column, and how early it goes where there is no room for all."""
+
+    header: str
+    """Name, and in the line below its unit."""
+    importance: int
+    """The smallest stays longest."""
+    cell: Callable[[CandidateScore, Sequence[str]], str]
+    """Its text, from a candidate and the names of its parameters that are to be believed."""
+
+
+def family_table(verdict: Verdict, believed: Believed, width: int) -> Table:
+    """The candidates with the columns that fit into `width` characters, the most important ones first."""
+    rows = [(c, believed.get((c.first, c.last), ())) for c in verdict.candidates]
+    cells = {column: _cells(column, rows, verdict) for column in COLUMNS}
+    table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+    chosen = _fitting({column: _width(column, texts) for column, texts in cells.items()}, width)
+    for column in chosen:
+        table.add_column(column.header, no_wrap=True, justify="left" if column is COLUMNS[0] else "right")
+    for place, (candidate, _) in enumerate(rows):
+        style = "bold" if candidate.name == verdict.nominal else ""
+        table.add_row(*(cells[column][place] for column in chosen), style=style)
+    return table
+
+
+def believed_of(matches: Sequence[MatchReport]) -> dict[tuple[int, int], tuple[str, ...]]:
+    """The parameters to believe of every accepted match, by its window."""
+    found: list[Match] = [report.match for report in matches if report.match.accepted]
+    return {match.samples: match.believed for match in found if match.samples is not None}
+
+
+def _cells(
+    column: Column, rows: Sequence[tuple[CandidateScore, Sequence[str]]], verdict: Verdict
+) -> list[str]:
+    texts = [column.cell(candidate, believed) for candidate, believed in rows]
+    if column is not COLUMNS[0]:
+        return texts
+    marks = ["▶" if candidate.name == verdict.nominal else " " for candidate, _ in rows]
+    return [f"{mark} {text}" for mark, text in zip(marks, texts, strict=True)]
+
+
+def _width(column: Column, texts: Sequence[str]) -> int:
+    return max(cell_len(text) for text in (*column.header.split("\n"), *texts))
+
+
+def _fitting(widths: Mapping[Column, int], room: int) -> list[Column]:
+    """As many as have room, the important ones first; in the order of the table. One always stays."""
+    room += _GAP  # none behind the last
+    chosen: set[Column] = set()
+    for column in sorted(widths, key=lambda c: c.importance):
+        if not chosen or widths[column] + _GAP <= room:
+            chosen.add(column)
+            room -= widths[column] + _GAP
+    return [column for column in widths if column in chosen]
+
+
+def _parameter(name: str) -> Callable[[CandidateScore, Sequence[str]], str]:
+    def text(candidate: CandidateScore, believed: Sequence[str]) -> str:
+        value = quantity(name).text(getattr(candidate.parameters, name))
+        return f"{value}{'*' if name in believed else ' '}"
+
+    return text
+
+
+def _criterion(name: str) -> Callable[[CandidateScore, Sequence[str]], str]:
+    def text(candidate: CandidateScore, _: Sequence[str]) -> str:
+        chosen = next((o for o in candidate.orders if o.order == candidate.chosen_order), None)
+        return number(None) if chosen is None else _CRITERIA[name].text(getattr(chosen.total, name))
+
+    return text
+
+
+def _unit_below(name: str) -> str:
+    """Symbol and unit of a parameter in two lines; a place is left for the mark behind the figure."""
+    return f"{quantity(name).symbol} \n{quantity(name).unit} "
+
+
+def _sum_interval(candidate: CandidateScore) -> str:
+    low, high = (number(v, 2) for v in (candidate.nu_gap_sum_low, candidate.nu_gap_sum_high))
+    return low if low == high == number(None) else f"{low}…{high}"
+
+
+COLUMNS = (
+    Column("candidate", 0, lambda c, _: c.name),
+    Column("T_op\n°C", 8, lambda c, _: number(c.operating_point, 1)),
+    Column(_unit_below("seebeck"), 4, _parameter("seebeck")),
+    Column(_unit_below("conductance"), 5, _parameter("conductance")),
+    Column(_unit_below("heat_capacity"), 6, _parameter("heat_capacity")),
+    Column("order", 1, lambda c, _: c.chosen_order),
+    Column("gain\ncharacters", 7, _criterion("gain")),
+    Column("nAIC", 11, _criterion("naic")),
+    Column("BIC", 12, _criterion("bic")),
+    Column("MDL\n°C²+PWM²", 13, _criterion("mdl")),
+    Column("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
+    Column("90 %\ninterval", 10, lambda c, _: _sum_interval(c)),
+    Column("P\nnominal", 3, lambda c, _: number(c.nominal_probability, 2)),
+    Column("margin\nb(P, C)", 9, lambda c, _: number(c.margin, 3)),
+)
+"""All columns, in the order of the table."""

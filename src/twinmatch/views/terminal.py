@@ -1,0 +1,197 @@
+"""A run on a terminal, drawn over and over while it lasts: progress, level, family, newest events."""
+
+from __future__ import annotations
+
+import time
+from datetime import timedelta
+
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.twin import MatchReport
+from twinmatch.views.events import Event, EventKind, events
+from twinmatch.views.family_table import LEGEND, believed_of, family_table
+from twinmatch.views.line import Lines, redraws
+from twinmatch.views.quantities import number
+from twinmatch.views.standing import nominal_score
+from twinmatch.views.style import LEVEL_WORDS
+from twinmatch.views.table import STYLES
+
+__all__ = ["Screen", "view_on"]
+
+LEAST_WAIT = 0.25
+"""Between two drawings, s."""
+SHARE = 0.01
+"""Of the time that drawing may take from the work that is shown."""
+MOST_EVENTS = 8
+BAR = 30
+"""Width of the progress bar, characters."""
+_MARKS = {
+    EventKind.ACCEPTED: ("✓", "green"),
+    EventKind.REFUSED: ("✗", "yellow"),
+    EventKind.NOMINAL: ("▶", "bold"),
+    EventKind.LEVEL: ("●", "bold"),
+    EventKind.FAULT: ("!", "bold red"),
+}
+
+
+class Screen:
+    """Shows a run; what happens is told to it by the same calls as to `Lines`.
+
+    It draws when it is told something and the last drawing is long enough ago, in the thread that tells.
+    """
+
+    def __init__(self, console: Console, title: str, period: float = 1.0, total: int | None = None) -> None:
+        """Show a run of `total` samples `period` seconds apart; None: nobody knows how many will come."""
+        self._console = console
+        self._title = title
+        self._period = period
+        self._total = total
+        self._done = 0
+        self._matches: list[MatchReport] = []
+        self._verdicts: list[Verdict] = []
+        self._events: list[Event] | None = []
+        self._next = 0.0
+        self._over = False
+        self._live = Live(
+            self, console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+        )
+
+    def open(self) -> None:
+        """Begin to draw."""
+        self._live.start()
+        self._draw()
+
+    def close(self, *, wipe: bool = False) -> None:
+        """Draw a last time and leave it there, or wipe it away; a second call does nothing."""
+        self._over = True
+        self._live.transient = wipe
+        self._live.stop()
+
+    def advance(self, done: int) -> None:
+        """So many samples were seen, counted from the session's first."""
+        self._done = done
+        if time.monotonic() >= self._next:
+            self._draw()
+
+    def take_match(self, report: MatchReport) -> None:
+        """Show it among the events."""
+        self._matches.append(report)
+        self._events = None
+
+    def take_verdict(self, verdict: Verdict) -> None:
+        """Show it from now on."""
+        self._verdicts.append(verdict)
+        self._events = None
+
+    def say(self, text: str, style: str = "") -> None:
+        """Print a line of somebody else's above the view."""
+        self._console.print(Text(text, style=style))
+
+    def _draw(self) -> None:
+        began = time.monotonic()
+        if self._live.is_started:
+            self._live.refresh()
+        ended = time.monotonic()
+        self._next = ended + max(LEAST_WAIT, (ended - began) / SHARE)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        verdict = self._verdicts[-1] if self._verdicts else None
+        lines = console.render_lines(Group(*self._fixed(verdict, options.max_width)), options, pad=False)
+        room = MOST_EVENTS if self._over else console.size.height - len(lines) - 2
+        lines += self._newest(console, options, room)
+        for line in lines:
+            yield from line
+            yield Segment.line()
+
+    def _fixed(self, verdict: Verdict | None, width: int) -> list[RenderableType]:
+        shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
+        if verdict is not None and verdict.candidates:
+            table = family_table(verdict, believed_of(self._matches), width)
+            shown += [Text(), table, Text(LEGEND, style="dim")]
+        return shown
+
+    def _progress(self, width: int) -> RenderableType:
+        parts: list[RenderableType] = [Text(self._title, style="bold")]
+        plant_time = str(timedelta(seconds=int(self._done * self._period)))
+        if self._total is None:
+            parts.append(Text(f"plant time {plant_time} h, {self._done} samples"))
+        else:
+            whole = str(timedelta(seconds=int(self._total * self._period)))
+            if width > 2 * BAR + len(self._title):
+                parts.append(ProgressBar(max(self._total, 1), self._done, width=BAR))
+            share = 100 * self._done / max(self._total, 1)
+            parts.append(Text(f"{number(share, 0)} %, {plant_time} of {whole} h"))
+        grid = Table.grid(padding=(0, 2, 0, 0))
+        grid.add_row(*parts)
+        return grid
+
+    def _newest(self, console: Console, options: ConsoleOptions, room: int) -> list[list[Segment]]:
+        """The newest events that have room, oldest first."""
+        if self._events is None:
+            self._events = events(self._matches, self._verdicts)
+        shown: list[list[Segment]] = []
+        for event in self._events[: -MOST_EVENTS - 1 : -1]:
+            lines = console.render_lines(_event_line(event, self._period), options, pad=False)
+            if len(shown) + len(lines) > room and not self._over:
+                break
+            shown = lines + shown
+        return [[], *shown] if shown else []
+
+
+def view_on(console: Console, title: str, period: float = 1.0, total: int | None = None) -> Screen | Lines:
+    """A view that is drawn again and again where the console can do that, otherwise lines."""
+    if console.is_terminal and redraws(console.file):
+        # Its own console: one that never wraps would draw over the terminal's edge.
+        return Screen(Console(file=console.file, highlight=False), title, period, total)
+    return Lines(period, console)
+
+
+def _headline(verdict: Verdict | None, period: float) -> RenderableType:
+    """Level, nominal, fault and reason, each behind its name."""
+    level = TrustLevel.UNKNOWN if verdict is None else verdict.level
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_row(
+        "level",
+        Text.assemble(
+            (f" {level.value.upper()} ", f"{STYLES[level]} reverse"),
+            (f"  {LEVEL_WORDS[level]}", STYLES[level]),
+        ),
+    )
+    if verdict is None:
+        grid.add_row("verdict", "none has come yet")
+        return grid
+    grid.add_row("nominal", _nominal(verdict))
+    if verdict.fault:
+        since = "" if verdict.fault_since is None else f" since {number(verdict.fault_since * period, 0)} s"
+        grid.add_row("fault", Text(f"{verdict.fault}{since}", style=STYLES[TrustLevel.FAULT]))
+    if verdict.nominal is not None:
+        apart = f"{number(verdict.residual_y, 2)} °C, {number(verdict.residual_u, 1)} counts of PWM (RMS)"
+        grid.add_row("plant − twin", Text(apart))
+    grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
+    return grid
+
+
+def _nominal(verdict: Verdict) -> Text:
+    chosen = nominal_score(verdict)
+    if chosen is None:
+        return Text("none yet")
+    sure = "decided" if verdict.decided else "not decided: the data do not tell which is nominal"
+    probability = f", probability {number(chosen.nominal_probability, 2)}"
+    return Text.assemble((chosen.name, "bold"), f"  {sure}{probability}")
+
+
+def _event_line(event: Event, period: float) -> RenderableType:
+    mark, style = _MARKS[event.kind]
+    if event.kind is EventKind.LEVEL:
+        style = next((s for level, s in STYLES.items() if level.value == event.title), style)
+    why = f": {event.why}" if event.why else ""
+    grid = Table.grid(padding=(0, 1, 0, 0))
+    when = f"{number(event.sample * period, 0):>6} s"
+    grid.add_row(when, Text(mark, style=style), Text.assemble((event.title, style), (why, "dim")))
+    return grid
