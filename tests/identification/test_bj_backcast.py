@@ -48,7 +48,7 @@ def task(u: FloatArray, y: FloatArray) -> Task:
 
 
 def place(at: Task, theta: FloatArray) -> Place:
-    return evaluate(at, theta, np.zeros((ROWS, at.pad + at.u.size)), True)
+    return evaluate(at, theta, np.zeros((ROWS, at.pad + at.u.size)), True, True)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -59,8 +59,8 @@ def test_cost_is_the_quadratic_form(seed: int) -> None:
 
 def test_gradient_is_that_of_differences() -> None:
     problem = task(*window(80, 4))
-    R = linearise(problem, place(problem, THETA), True)
-    gradient = (R.T @ R)[linear_size(problem) : -1, -1]
+    R = linearise(problem, place(problem, THETA), True, True)
+    gradient = (R.T @ R)[linear_size(problem, True) : -1, -1]
     h = 1e-5
     for i, step in enumerate(h * np.eye(6)):
         slope = (place(problem, THETA + step).cost - place(problem, THETA - step).cost) / (4.0 * h)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from twinmatch.identification.data import checked_pair
 from twinmatch.identification.errors import IdentificationError
 from twinmatch.identification.hops import Hops
-from twinmatch.identification.kernels import Place, Task, descend, linearise
+from twinmatch.identification.kernels import Place, Task, Weighed, descend, linearise
 from twinmatch.identification.model import BoxJenkins
 from twinmatch.identification.order import ORDERS, Order, parse_order
 from twinmatch.identification.prediction import linear_size, task_of, unknowns
@@ -57,7 +57,7 @@ def estimate(
     Offsets are the caller's business: subtract an operating point, or leave it in and let B/F carry it.
     With estimated initial conditions a window may begin in the middle of a transient.
 
-    C, D and F are stable: roots of D and F stay below 1 − 1e-6, those of C below 1 − 6/N, so that the
+    C, D and F are stable: roots of F stay below 1 − 1e-6, those of C and D below 1 − 6/N, so that the
     predictor has forgotten its initial conditions by the end of the window. Orders above the second have
     many local minima; `estimate_ladder` climbs to them from below and is the more thorough way.
 
@@ -99,7 +99,8 @@ def estimate(
             msg = f"start: a model of order {start.order} cannot start one of order {parsed}"
             raise IdentificationError(msg)
         thetas.append(_padded(start, parsed))
-    return _model(task, parsed, _best(task, parsed, thetas, hops), period)
+    weighed = True if initial == "backcast" else None
+    return _model(task, parsed, _best(task, parsed, thetas, hops, weighed), weighed, period)
 
 
 def estimate_ladder(
@@ -147,25 +148,25 @@ def _padded(model: BoxJenkins, order: Order) -> FloatArray:
     return theta
 
 
-def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outcome:
+def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int, weighed: Weighed) -> Outcome:
     """The lowest minimum reached from any start, its last digits from the exact factorisation."""
-    best, _, steps = descend(task, thetas[0], False, ROUTE, math.inf, COARSE)
+    best, _, steps = descend(task, thetas[0], False, ROUTE, math.inf, COARSE, weighed)
     around = Hops(order)
     for k in range(1, len(thetas) + (hops if around.possible else 0)):
         theta = thetas[k] if k < len(thetas) else around.from_model(best.theta)
-        other, _, taken = descend(task, theta, False, ROUTE, best.cost * (1.0 - WORTH), COARSE)
+        other, _, taken = descend(task, theta, False, ROUTE, best.cost * (1.0 - WORTH), COARSE, weighed)
         if other.cost < best.cost:
             best, steps = other, taken
-    best, converged, taken = descend(task, best.theta, False, LAST, math.inf, FINE)
+    best, converged, taken = descend(task, best.theta, False, LAST, math.inf, FINE, weighed)
     steps += taken
-    polished, _, _ = descend(task, best.theta, True, 0, math.inf, FINE)
+    polished, _, _ = descend(task, best.theta, True, 0, math.inf, FINE, weighed)
     if abs(polished.cost - best.cost) > LOST * best.cost:  # the normal equations had lost digits
-        polished, converged, taken = descend(task, best.theta, True, LAST, math.inf, FINE)
+        polished, converged, taken = descend(task, best.theta, True, LAST, math.inf, FINE, weighed)
         steps += taken
     return polished, converged, steps
 
 
-def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenkins:
+def _model(task: Task, order: Order, outcome: Outcome, weighed: Weighed, period: float) -> BoxJenkins:
     place, converged, steps = outcome
     return BoxJenkins(
         order=order,
@@ -174,7 +175,7 @@ def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenk
         D=place.model.D,
         F=place.model.F,
         variance=float(np.mean(place.errors**2)),
-        covariance=_covariance(task, place),
+        covariance=_covariance(task, place, weighed),
         initial_state=place.x[order.nb :],
         n_samples=task.y.size,
         period=period,
@@ -183,14 +184,14 @@ def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenk
     )
 
 
-def _covariance(task: Task, place: Place) -> FloatArray:
+def _covariance(task: Task, place: Place, weighed: Weighed) -> FloatArray:
     """σ² (JᵀJ)⁺ of the coefficients, the initial conditions counted as unknowns too."""
-    size = unknowns(task)
-    R = linearise(task, place, True)[:size, :size]
+    size = unknowns(task, weighed)
+    R = linearise(task, place, True, weighed)[:size, :size]
     norms = np.sqrt(np.sum(R**2, axis=0))
     norms[norms == 0.0] = 1.0
     inverse = np.linalg.pinv(R / norms, rcond=1e-10) / norms[:, np.newaxis]
-    weighed = int(max(task.counts[1], task.counts[2])) if task.weighed else 0
-    noise = place.cost / (task.y.size + weighed - size)
-    inverse = np.delete(inverse, slice(int(task.counts[0]), linear_size(task)), axis=0)
+    priors = int(max(task.counts[1], task.counts[2])) if weighed else 0
+    noise = place.cost / (task.y.size + priors - size)
+    inverse = np.delete(inverse, slice(int(task.counts[0]), linear_size(task, weighed)), axis=0)
     return np.asarray(noise * (inverse @ inverse.T))

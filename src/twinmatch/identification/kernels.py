@@ -50,6 +50,9 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 ComplexArray = NDArray[np.complex128]
 Spans = NDArray[np.int64]
 """Columns of a matrix in groups, shape (g, 3): signal, first delay, count; the delays run on by one."""
+Weighed = bool | None
+"""True where the initial conditions of the noise filter are penalised, else None: what is None when a
+function is compiled takes the code of the other case out of it."""
 
 CHUNK = 48
 """Rows folded into the triangle at a time: a chunk of 30 columns stays in the first-level cache."""
@@ -108,6 +111,17 @@ def _compiled(function: _Function) -> _Function:
     return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
+def _inner(function: _Function) -> _Function:
+    # Called from kernels only: half of what there is to compile of a small function is the way into it.
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return cast(_Function, numba.njit(nogil=True, error_model="numpy", **options)(function))
+
+
+def _inlined(function: _Function) -> _Function:
+    # Becomes part of its one caller: what is linked into every level above is compiled once per level.
+    return cast(_Function, numba.njit(nogil=True, error_model="numpy", inline="always")(function))
+
+
 class Polynomials(NamedTuple):
     """A model as coefficients of q⁻¹; C, D and F monic, B with its leading zeros."""
 
@@ -130,8 +144,6 @@ class Task(NamedTuple):
     """Columns b, m, c, d, f and e of the derivatives."""
     pad: int
     """At least the largest delay."""
-    weighed: bool
-    """Whether the initial conditions of the noise filter are penalised."""
 
 
 class Place(NamedTuple):
@@ -162,7 +174,14 @@ class Quadratic(NamedTuple):
     """The eigenvectors as columns."""
 
 
-@_compiled
+@_inner
+def copy_into(source: FloatArray, target: FloatArray) -> None:
+    """Write the source over the first samples of the target; a slice would compile messages about shapes."""
+    for t in range(source.size):
+        target[t] = source[t]
+
+
+@_inner
 def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
     """Filter x by a polynomial in q⁻¹ from rest into `out`, another array of its length."""
     count, taps = x.size, numerator.size
@@ -174,7 +193,7 @@ def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
             out[t] = total
         return
     c = np.zeros(TAPS)
-    c[:taps] = numerator
+    copy_into(numerator, c)
     for t in range(TAPS - 1):
         total = 0.0
         for i in range(t + 1):
@@ -188,7 +207,7 @@ def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
         rest[t] = (c0 * x0[t] + c1 * x1[t]) + (c2 * x2[t] + c3 * x3[t]) + (c4 * x4[t] + c5 * x5[t])
 
 
-@_compiled
+@_inner
 def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> None:
     """Filter x by 1/denominator from rest into `out`, which may be x; the denominator is monic in q⁻¹."""
     degree = denominator.size - 1
@@ -200,7 +219,7 @@ def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> No
             out[t] = total
         return
     a = np.zeros(TAPS)
-    a[: degree + 1] = denominator
+    copy_into(denominator, a)
     a1, a2, a3, a4, a5 = a[1], a[2], a[3], a[4], a[5]
     o1 = o2 = o3 = o4 = o5 = 0.0
     for start in range(0, x.size, CHUNK):
@@ -228,7 +247,7 @@ def all_pole(denominator: FloatArray, x: FloatArray) -> FloatArray:
     return out
 
 
-@_compiled
+@_inner
 def dot(a: FloatArray, b: FloatArray) -> float:
     """Inner product over the length of a, in eight interleaved sums that fill the vector unit."""
     s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
@@ -247,7 +266,7 @@ def dot(a: FloatArray, b: FloatArray) -> float:
     return ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))
 
 
-@_compiled
+@_inner
 def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows: FloatArray) -> None:
     """Copy the columns of `count` samples from index `start` on into `rows`, shape (≥ count, p)."""
     column = 0
@@ -260,28 +279,36 @@ def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows
             column += 1
 
 
+@_inner
+def corners_of(spans: Spans) -> Spans:
+    """First column of every span, and the number of columns at the end."""
+    corners = np.zeros(spans.shape[0] + 1, np.int64)
+    for p in range(spans.shape[0]):
+        corners[p + 1] = corners[p] + spans[p, 2]
+    return corners
+
+
 @_compiled
-def correlate(signals: FloatArray, pad: int, spans: Spans, first: int) -> FloatArray:
+def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
     """Upper triangle of the normal matrix of delayed signals.
 
-    Row t of the matrix has ``signals[s, pad + t - delay]`` for every span; t = first … N−1. Moving both
-    delays by one moves a product sum by one sample, so that only the products with the first column of
-    each span are summed in full.
+    A row of the matrix has ``signals[s, t - delay]`` for every span; t runs from `low` to the end. Moving
+    both delays by one moves a product sum by one sample, so that only the products with the first column
+    of each span are summed in full.
 
     Args:
-        signals: shape (m, pad + N), zero in the first `pad` samples.
-        pad: at least the largest delay.
+        signals: shape (m, pad + N), zero in the first `pad` samples; pad is at least the largest delay.
+        low: index of the first row used, `pad` for all.
         spans: the columns.
-        first: first row used.
 
     Returns:
         Normal matrix, shape (p, p); what lies below the diagonal has no meaning.
     """
-    corners = np.concatenate((np.zeros(1, np.int64), np.cumsum(spans[:, 2])))
+    corners = corners_of(spans)
     width, groups = corners[-1], spans.shape[0]
     leads = np.zeros((groups, width))
     rows = np.empty((CHUNK, width))
-    low, high = pad + first, signals.shape[1]
+    high = signals.shape[1]
     for start in range(low, high, CHUNK):
         count = min(CHUNK, high - start)
         delayed_rows(signals, spans, start, count, rows)
@@ -339,7 +366,7 @@ def cholesky(G: FloatArray) -> FloatArray:
     return R
 
 
-@_compiled
+@_inner
 def fold(R: FloatArray, rows: FloatArray, count: int, work: FloatArray) -> None:
     """Fold `count` rows into the upper triangle R by Householder reflections; destroys the rows.
 
@@ -375,23 +402,20 @@ def fold(R: FloatArray, rows: FloatArray, count: int, work: FloatArray) -> None:
 
 
 @_compiled
-def triangularise(signals: FloatArray, pad: int, spans: Spans, first: int) -> FloatArray:
+def triangularise(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
     """Triangle of the QR factorisation of delayed signals; arguments as for `correlate`."""
-    width = np.sum(spans[:, 2])
+    width = corners_of(spans)[-1]
     R = np.zeros((width, width))
     rows = np.empty((CHUNK, width))
     work = np.empty(width)
-    total = signals.shape[1] - pad
-    start = first
-    while start < total:
-        count = min(CHUNK, total - start)
-        delayed_rows(signals, spans, pad + start, count, rows)
+    for start in range(low, signals.shape[1], CHUNK):
+        count = min(CHUNK, signals.shape[1] - start)
+        delayed_rows(signals, spans, start, count, rows)
         fold(R, rows, count, work)
-        start += count
     return R
 
 
-@_compiled
+@_inner
 def triangle_of(matrix: FloatArray) -> FloatArray:
     """Triangle of the QR factorisation of a matrix, shape (p, p); destroys the matrix."""
     R = np.zeros((matrix.shape[1], matrix.shape[1]))
@@ -465,7 +489,7 @@ def continue_outputs(B: FloatArray, F: FloatArray, u: FloatArray, outputs: Float
     Inputs and outputs before the first sample count as zero.
     """
     w = np.empty(u.size)
-    w[: outputs.size] = outputs
+    copy_into(outputs, w)
     for t in range(outputs.size, u.size):
         total = 0.0
         for i in range(min(B.size - 1, t) + 1):
@@ -479,45 +503,53 @@ def continue_outputs(B: FloatArray, F: FloatArray, u: FloatArray, outputs: Float
 @_compiled
 def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -> FloatArray:
     """Prediction errors for the given initial conditions m of the predictor; shape (N,)."""
-    e = fir(model.D, fir(model.F, y) - fir(model.B, u))
-    count = min(m.size, e.size)
-    e[:count] += m[:count]
-    return all_pole(model.F, all_pole(model.C, e))
+    rest, driven, e = np.empty(y.size), np.empty(y.size), np.empty(y.size)
+    fir_into(model.F, y, rest)
+    fir_into(model.B, u, driven)
+    for t in range(y.size):
+        rest[t] -= driven[t]
+    fir_into(model.D, rest, e)
+    for t in range(min(m.size, e.size)):
+        e[t] += m[t]
+    all_pole_into(model.C, e, e)
+    all_pole_into(model.F, e, e)
+    return e
 
 
-@_compiled
-def back_substitute(R: FloatArray, rhs: FloatArray) -> FloatArray:
-    """The x with R x = rhs for an upper triangle R; components without a row of R are zero."""
-    size = R.shape[0]
+@_inner
+def back_substitute(R: FloatArray) -> FloatArray:
+    """The x with R x = −(last column) for an upper triangle R; components without a row are zero."""
+    size = R.shape[0] - 1
     x = np.zeros(size)
     for i in range(size - 1, -1, -1):
-        total = rhs[i]
+        total = -R[i, size]
         for j in range(i + 1, size):
             total -= R[i, j] * x[j]
         x[i] = total / R[i, i] if R[i, i] != 0.0 else 0.0
     return x
 
 
-@_compiled
-def solve_linear(signals: FloatArray, pad: int, spans: Spans, exact: bool) -> FloatArray:
-    """The x that minimises the errors; the last span is the error at x = 0."""
-    if exact:
-        R = triangularise(signals, pad, spans, 0)
-        size = R.shape[0] - 1
-        return ridge_solve(R[:size, :size].copy(), -R[:size, size], RIDGE * column_norms(R)[:size])
-    R = cholesky(correlate(signals, pad, spans, 0))
+@_inner
+def solve_triangle(R: FloatArray) -> FloatArray:
+    """The x that minimises the errors from the triangle of their derivatives and the error at x = 0."""
     size = R.shape[0] - 1
-    return back_substitute(R[:size, :size], -R[:size, size])
+    rhs, damping = np.empty(size), column_norms(R)
+    for i in range(size):
+        rhs[i] = -R[i, size]
+        damping[i] *= RIDGE
+    return ridge_solve(R[:size, :size].copy(), rhs, damping)
 
 
 @_compiled
 def best_start(u: FloatArray, y: FloatArray, model: Polynomials, count: int) -> FloatArray:
     """The `count` initial conditions m of the predictor that leave the smallest errors."""
     signals = np.zeros((2, count + u.size))
-    signals[0, count] = 1.0
-    signals[0, count:] = all_pole(model.F, all_pole(model.C, signals[0, count:]))
-    signals[1, count:] = errors_of(u, y, model, np.zeros(0))
-    return solve_linear(signals, count, np.array([[0, 0, count], [1, 0, 1]]), True)
+    impulse = signals[0, count:]
+    impulse[0] = 1.0
+    all_pole_into(model.C, impulse, impulse)
+    all_pole_into(model.F, impulse, impulse)
+    copy_into(errors_of(u, y, model, np.zeros(0)), signals[1, count:])
+    return solve_triangle(triangularise(signals, count, np.array([[0, 0, count], [1, 0, 1]])))
 
 
 @_compiled
@@ -542,7 +574,7 @@ def noise_factor(C: FloatArray, D: FloatArray) -> FloatArray:
     return cholesky(P).T.copy()
 
 
-@_compiled
+@_inner
 def start_columns(task: Task, model: Polynomials) -> FloatArray:
     """The matrix from (s, z) to m = F L z − D s."""
     nb, nc, nd, nf, nk = task.counts
@@ -560,7 +592,7 @@ def start_columns(task: Task, model: Polynomials) -> FloatArray:
     return columns
 
 
-@_compiled
+@_inner
 def weigh_linear(task: Task, model: Polynomials, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """x = (b, m) and (s, z) that minimise Σ e² + ‖z‖², from the triangle R of b, m and the error at x = 0.
 
@@ -582,7 +614,7 @@ def weigh_linear(task: Task, model: Polynomials, R: FloatArray) -> tuple[FloatAr
     return np.concatenate((found[:nb], np.dot(columns, found[nb:].copy()))), found[nb:].copy()
 
 
-@_compiled
+@_inner
 def weigh_all(task: Task, place: Place, R: FloatArray) -> FloatArray:
     """Triangle of the derivatives of (e, z) by (b, s, z, c, d, f) from that of e by (b, m, c, d, f)."""
     nb, nc, nd, nf, nk = task.counts
@@ -617,9 +649,9 @@ def weigh_all(task: Task, place: Place, R: FloatArray) -> FloatArray:
     return triangle_of(rows)
 
 
-@_compiled
+@_inlined
 def project(
-    task: Task, model: Polynomials, signals: FloatArray, exact: bool
+    task: Task, model: Polynomials, signals: FloatArray, exact: bool, weighed: Weighed
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The best x = (b, m) for given C, D, F and the errors e it leaves; B of the model is not used.
 
@@ -627,10 +659,12 @@ def project(
     """
     pad = task.pad
     by_b, by_m, rest = signals[0, pad:], signals[1, pad:], signals[8, pad:]
-    fir_into(-model.D, task.u, by_b)
+    fir_into(model.D, task.u, by_b)
     all_pole_into(model.C, by_b, by_b)
     all_pole_into(model.F, by_b, by_b)
-    by_m[:] = 0.0
+    for t in range(by_b.size):
+        by_b[t] = -by_b[t]
+        by_m[t] = 0.0
     by_m[0] = 1.0
     all_pole_into(model.C, by_m, by_m)
     all_pole_into(model.F, by_m, by_m)
@@ -639,10 +673,13 @@ def project(
     spans = task.spans[:3].copy()
     spans[2, 0], spans[2, 1], spans[2, 2] = 8, 0, 1
     start = np.zeros(0)
-    if task.weighed:
-        x, start = weigh_linear(task, model, triangularise(signals, pad, spans, 0))
+    if weighed is None:
+        if exact:
+            x = solve_triangle(triangularise(signals, pad, spans))
+        else:
+            x = back_substitute(cholesky(correlate(signals, pad, spans)))
     else:
-        x = solve_linear(signals, pad, spans, exact)
+        x, start = weigh_linear(task, model, triangularise(signals, pad, spans))
     e = rest.copy()
     column = 0
     for span in range(2):
@@ -656,7 +693,7 @@ def project(
 
 
 @_compiled
-def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
+def linearise(task: Task, place: Place, exact: bool, weighed: Weighed) -> FloatArray:
     """QR triangle of the derivatives of e by (b, m, c, d, f), with the rotated e as last column.
 
     Rows 0, 1 and 8 of `signals` are as `project` left them; rows 2 to 4 become ∂e/∂c, ∂e/∂d and ∂e/∂f
@@ -665,21 +702,23 @@ def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
     _, model, _, e, signals, _, _ = place
     _, C, _, F = model
     pad = task.pad
-    by_c, by_d, by_f = signals[2, pad:], signals[3, pad:], signals[4, pad:]
-    by_f[:] = signals[8, pad:] - e  # (D y − C e)/C
-    all_pole_into(F, by_f, by_f)
-    by_c[:] = -e
-    all_pole_into(C, by_c, by_c)
+    rest, by_c, by_d, by_f = signals[8, pad:], signals[2, pad:], signals[3, pad:], signals[4, pad:]
+    driven = np.empty(e.size)
+    fir_into(model.B, task.u, driven)
     fir_into(F, task.y, by_d)
-    by_d -= fir(model.B, task.u)
+    for t in range(e.size):
+        by_f[t] = rest[t] - e[t]  # (D y − C e)/C
+        by_c[t] = -e[t]
+        by_d[t] -= driven[t]
+    all_pole_into(F, by_f, by_f)
+    all_pole_into(C, by_c, by_c)
     all_pole_into(C, by_d, by_d)
     all_pole_into(F, by_d, by_d)
-    signals[5, pad:] = e
-    if exact:
-        R = triangularise(signals, pad, task.spans, 0)
-    else:
-        R = cholesky(correlate(signals, pad, task.spans, 0))
-    return weigh_all(task, place, R) if task.weighed else R
+    copy_into(e, signals[5, pad:])
+    R = triangularise(signals, pad, task.spans) if exact else cholesky(correlate(signals, pad, task.spans))
+    if weighed is not None:
+        R = weigh_all(task, place, R)
+    return R
 
 
 @_compiled
@@ -697,11 +736,16 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     all_pole_into(model.F, driven, driven)
     fir_into(model.B, driven, signals[7, pad:])
     weights = np.empty((3, e.size))
-    backwards = e[::-1].copy()
-    weights[0] = e
-    weights[1] = all_pole(model.C, backwards)[::-1]
-    weights[2] = all_pole(model.F, backwards)[::-1]
-    corners = np.concatenate((np.zeros(1, np.int64), np.cumsum(spans[:, 2])))
+    filtered = np.empty((2, e.size))
+    for t in range(e.size):
+        filtered[0, t] = filtered[1, t] = e[e.size - 1 - t]
+    all_pole_into(model.C, filtered[0], filtered[0])
+    all_pole_into(model.F, filtered[1], filtered[1])
+    for t in range(e.size):
+        weights[0, t] = e[t]
+        weights[1, t] = filtered[0, e.size - 1 - t]
+        weights[2, t] = filtered[1, e.size - 1 - t]
+    corners = corners_of(spans)
     S = np.zeros((corners[5], corners[5]))
     for row in range(CURVATURES.shape[0]):
         p, q, weight, signal, factor = CURVATURES[row]
@@ -716,7 +760,7 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     return eliminate_linear(S, R, corners[2])
 
 
-@_compiled
+@_inlined
 def eliminate_linear(S: FloatArray, R: FloatArray, linear: int) -> FloatArray:
     """Schur complement over the first `linear` unknowns of RᵀR + S, S upper and zero among those."""
     size = S.shape[0] - linear
@@ -742,7 +786,7 @@ def eliminate_linear(S: FloatArray, R: FloatArray, linear: int) -> FloatArray:
     return H
 
 
-@_compiled
+@_inner
 def from_roots(roots: ComplexArray, size: int) -> FloatArray:
     """The monic polynomial of `size` coefficients with these roots and the others at zero."""
     product = np.zeros(size, np.complex128)
@@ -750,26 +794,52 @@ def from_roots(roots: ComplexArray, size: int) -> FloatArray:
     for k in range(roots.size):
         for i in range(k + 1, 0, -1):
             product[i] -= roots[k] * product[i - 1]
-    return product.real.copy()
+    out = np.empty(size)
+    for i in range(size):
+        out[i] = product[i].real
+    return out
 
 
-@_compiled
+@_inner
 def complex_roots(polynomial: FloatArray) -> ComplexArray:
-    """Roots in z of 1 + a₁q⁻¹ + …, those at zero left out."""
-    return np.asarray(np.roots(polynomial.astype(np.complex128)), dtype=np.complex128)
+    """Roots in z of 1 + a₁q⁻¹ + …, those at zero left out: eigenvalues of the companion matrix."""
+    degree = polynomial.size - 1
+    while degree > 0 and polynomial[degree] == 0.0:
+        degree -= 1
+    companion = np.zeros((degree, degree), np.complex128)
+    for i in range(degree):
+        companion[0, i] = -polynomial[i + 1]
+        if i > 0:
+            companion[i, i - 1] = 1.0
+    return np.linalg.eigvals(companion).astype(np.complex128)
+
+
+@_inner
+def is_finite(values: FloatArray) -> bool:
+    """Whether every value is a number."""
+    for i in range(values.size):  # noqa: SIM110 (no generators in kernels)
+        if not np.isfinite(values[i]):
+            return False
+    return True
 
 
 @_compiled
-def clamp(polynomial: FloatArray, radius: float) -> FloatArray:
-    """Pull roots beyond `radius` back to it along their ray; what is not finite becomes 1."""
+def stabilise(polynomial: FloatArray, radius: float, mirror: float) -> FloatArray:
+    """Pull roots beyond `radius` back to it along their ray; what is not finite becomes 1.
+
+    Roots beyond `mirror`, 1 or infinity, first move to their mirror image inside: a reflected C or D keeps
+    the spectrum's shape, only the size of the innovations changes.
+    """
     if is_stable(polynomial, radius):
         return polynomial
-    if not np.all(np.isfinite(polynomial)):
+    if not is_finite(polynomial):
         stable = np.zeros(polynomial.size)
         stable[0] = 1.0
         return stable
     roots = complex_roots(polynomial)
     for k in range(roots.size):
+        if abs(roots[k]) > mirror:
+            roots[k] = 1.0 / np.conj(roots[k])
         magnitude = abs(roots[k])
         if magnitude >= radius:
             roots[k] *= (radius - 1e-9) / magnitude
@@ -778,21 +848,6 @@ def clamp(polynomial: FloatArray, radius: float) -> FloatArray:
         for i in range(1, stable.size):
             stable[i] *= 0.9999**i
     return stable
-
-
-@_compiled
-def reflect(polynomial: FloatArray, radius: float) -> FloatArray:
-    """Move roots outside the unit circle to their mirror image inside, then `clamp`.
-
-    A reflected C or D keeps the spectrum's shape: only the size of the innovations changes.
-    """
-    if is_stable(polynomial, radius) or not np.all(np.isfinite(polynomial)):
-        return clamp(polynomial, radius)
-    roots = complex_roots(polynomial)
-    for k in range(roots.size):
-        if abs(roots[k]) > 1.0:
-            roots[k] = 1.0 / np.conj(roots[k])
-    return clamp(from_roots(roots, polynomial.size), radius)
 
 
 @_compiled
@@ -817,13 +872,13 @@ def boundary_normals(polynomial: FloatArray, radius: float) -> FloatArray:
         for i in range(degree - 1, -1, -1):
             normals[found, i] = -(np.conj(z) * power / slope).real / abs(z)
             power *= z
-        if np.all(np.isfinite(normals[found])):
+        if is_finite(normals[found]):
             found += 1
     return normals[:found]
 
 
 @_compiled
-def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) -> Place:
+def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool, weighed: Weighed) -> Place:
     """The best linear coefficients at θ and the errors they leave.
 
     Roots outside the stable region are pulled back to its boundary: the place's θ is what is left.
@@ -836,9 +891,9 @@ def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) ->
     for k in range(3):
         last = first + task.counts[1 + k]
         part = np.ones(1 + last - first)
-        part[1:] = theta[first:last]
-        part = clamp(part, task.radii[k])
-        stable[first:last] = part[1:]
+        copy_into(theta[first:last], part[1:])
+        part = stabilise(part, task.radii[k], np.inf)
+        copy_into(part[1:], stable[first:last])
         if k == 0:
             C = part
         elif k == 1:
@@ -847,8 +902,8 @@ def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) ->
             F = part
         first = last
     model = Polynomials(B, C, D, F)
-    x, e, start = project(task, model, signals, exact)
-    B[nk:] = x[:nb]
+    x, e, start = project(task, model, signals, exact, weighed)
+    copy_into(x[:nb], B[nk:])
     cost = 0.0
     for t in range(e.size):
         cost += e[t] * e[t]
@@ -857,84 +912,147 @@ def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) ->
     return Place(stable, model, x, e, signals, cost if np.isfinite(cost) else np.inf, start)
 
 
-@_compiled
+@_inner
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The matrix a b, summed in a fixed order."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+    return out
+
+
+@_inlined
 def diagonalise(gradient: FloatArray, hessian: FloatArray, basis: FloatArray) -> Quadratic:
     """The cost around a point, cost + 2 gᵀδ + δᵀHδ, in the eigenvectors of the Hessian in `basis`."""
     across = np.ascontiguousarray(basis.T)
-    curvatures, axes = np.linalg.eigh(np.dot(across, np.dot(hessian, basis)))
-    turned = np.dot(basis, np.ascontiguousarray(axes))
-    return Quadratic(np.dot(np.ascontiguousarray(turned.T), gradient), curvatures, turned)
+    curvatures, axes = np.linalg.eigh(product(across, product(hessian, basis)))
+    turned = product(basis, np.ascontiguousarray(axes))
+    along = np.zeros(gradient.size)
+    for i in range(gradient.size):
+        for j in range(gradient.size):
+            along[j] += turned[i, j] * gradient[i]
+    return Quadratic(along, curvatures, turned)
 
 
-@_compiled
+@_inner
 def damped_step(quadratic: Quadratic, damping: float) -> tuple[FloatArray, float]:
     """The damped step and the gain it promises; downhill along axes of negative curvature too."""
     gradient, curvatures, basis = quadratic
-    sizes = np.abs(curvatures)
-    floor = max(EPSILON * np.max(sizes), 1e-300) if sizes.size else 1.0
-    along = -gradient / (np.maximum(sizes, floor) + damping)
-    gain = -np.sum(along * (2.0 * gradient + curvatures * along))
-    return np.dot(basis, along), gain
+    greatest, gain = 0.0, 0.0
+    for j in range(gradient.size):
+        greatest = max(greatest, abs(curvatures[j]))
+    floor = max(EPSILON * greatest, 1e-300)
+    step = np.zeros(gradient.size)
+    for j in range(gradient.size):
+        along = -gradient[j] / (max(abs(curvatures[j]), floor) + damping)
+        gain -= along * (2.0 * gradient[j] + curvatures[j] * along)
+        for i in range(gradient.size):
+            step[i] += basis[i, j] * along
+    return step, gain
 
 
-@_compiled
-def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadratic:
+@_inlined
+def quadratic_at(task: Task, place: Place, newton: bool, exact: bool, weighed: Weighed) -> Quadratic:
     """The quadratic model of the cost at a place; where θ slides along the boundary, in the axes of that."""
-    R = linearise(task, place, exact)
-    linear, size = R.shape[0] - 1 - place.theta.size, R.shape[0] - 1
-    block = R[linear:size, linear:size].copy()
-    gradient = np.dot(np.ascontiguousarray(block.T), R[linear:size, size].copy())
-    hessian = curvature(task, place, R) if newton else np.dot(np.ascontiguousarray(block.T), block)
-    scale = column_norms(block) + 1e-6 * column_norms(R)[linear:size]
-    basis = np.zeros((scale.size, scale.size))
-    for i in range(scale.size):
-        basis[i, i] = 1.0 / scale[i] if scale[i] > 0.0 else 1.0
+    R = linearise(task, place, exact, weighed)
+    count, size = place.theta.size, R.shape[0] - 1
+    linear = size - count
+    gradient, hessian, basis = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
+    for k in range(count):
+        row = R[linear + k, linear:]
+        for i in range(k, count):
+            gradient[i] += row[i] * row[count]
+            for j in range(k, count):
+                hessian[i, j] += row[i] * row[j]
+    norms = column_norms(R)
+    for i in range(count):
+        scale = np.sqrt(hessian[i, i]) + 1e-6 * norms[linear + i]
+        basis[i, i] = 1.0 / scale if scale > 0.0 else 1.0
+    if newton:
+        hessian = curvature(task, place, R)
     normals = outward(task, place)
     for _ in range(2):
         quadratic = diagonalise(gradient, hessian, basis)
         if normals.shape[0] == 0:
             break
         step, _ = damped_step(quadratic, 0.0)
-        leaving = normals[np.dot(normals, step) > 0.0]
-        if leaving.shape[0] == 0:
+        if not slide(basis, normals, step):
             break
-        basis = without_rows(basis, np.dot(leaving, basis))  # slide along: only steps that leave |z| as it is
     return quadratic
 
 
-@_compiled
-def without_rows(basis: FloatArray, rows: FloatArray) -> FloatArray:
-    """The basis with the directions in which `rows` differ from zero projected out of it."""
-    kept = basis.copy()
-    for k in range(rows.shape[0]):
-        row = rows[k]
+@_inner
+def slide(basis: FloatArray, normals: FloatArray, step: FloatArray) -> bool:
+    """Leave in `basis` only steps along the boundary where `step` would leave it; whether any does."""
+    leaving = np.empty(normals.shape)
+    found = 0
+    for k in range(normals.shape[0]):
+        if inner(normals[k], step) > 0.0:
+            for j in range(step.size):  # by the axes of the basis
+                total = 0.0
+                for i in range(step.size):
+                    total += normals[k, i] * basis[i, j]
+                leaving[found, j] = total
+            found += 1
+    largest = 0.0
+    for i in range(step.size):
+        for j in range(step.size):
+            largest = max(largest, abs(basis[i, j]))
+    for k in range(found):
+        row = leaving[k]
         for j in range(k):
-            row -= np.dot(rows[j], row) * rows[j]
-        size = np.sqrt(np.dot(row, row))
-        row *= 1.0 / size if size > 1e-10 * np.max(np.abs(basis)) else 0.0
-        for i in range(kept.shape[0]):
-            kept[i] -= np.dot(kept[i], row) * row
-    return kept
+            take_out(leaving[j], row)
+        size = np.sqrt(inner(row, row))
+        for j in range(row.size):
+            row[j] = row[j] / size if size > 1e-10 * largest else 0.0
+        for i in range(step.size):
+            take_out(row, basis[i])
+    return found > 0
 
 
-@_compiled
+@_inner
+def inner(a: FloatArray, b: FloatArray) -> float:
+    """Inner product of two short vectors."""
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * b[i]
+    return total
+
+
+@_inner
+def take_out(unit: FloatArray, row: FloatArray) -> None:
+    """Project the unit vector out of the row."""
+    part = inner(unit, row)
+    for i in range(row.size):
+        row[i] -= part * unit[i]
+
+
+@_inlined
 def outward(task: Task, place: Place) -> FloatArray:
     """Normals that point out of the stable region where a root touches its boundary, as rows."""
     rows = np.zeros((place.theta.size, place.theta.size))
     first = found = 0
     for k in range(3):
         polynomial = place.model[1] if k == 0 else place.model[2] if k == 1 else place.model[3]
-        last = first + polynomial.size - 1
-        for normal in boundary_normals(polynomial, task.radii[k]):
-            rows[found, first:last] = normal
+        normals = boundary_normals(polynomial, task.radii[k])
+        for i in range(normals.shape[0]):
+            copy_into(normals[i], rows[found, first:])
             found += 1
-        first = last
+        first += polynomial.size - 1
     return rows[:found]
 
 
 @_compiled
 def descend(
-    task: Task, theta: FloatArray, exact: bool, iterations: int, rival: float, settled: float
+    task: Task,
+    theta: FloatArray,
+    exact: bool,
+    iterations: int,
+    rival: float,
+    settled: float,
+    weighed: Weighed,
 ) -> tuple[Place, bool, int]:
     """Descend from θ until nothing is left to gain; the cost never grows on the way.
 
@@ -957,13 +1075,14 @@ def descend(
     """
     used = np.zeros((ROWS, task.pad + task.u.size))
     spare = np.zeros((ROWS, task.pad + task.u.size))
-    place = evaluate(task, theta, used, exact)
-    floor = NOISE_FREE * np.sum(task.y**2)
-    damping, newton, idle = 1e-3, False, 0
+    place = evaluate(task, theta, used, exact, weighed)
+    floor = NOISE_FREE * dot(task.y, task.y)
+    weighs = weighed is not None
+    damping, newton, idle = 1e-3, iterations < 0, 0
     for iteration in range(iterations):
         if place.cost <= floor or theta.size == 0:
             return place, True, iteration
-        quadratic = quadratic_at(task, place, newton, exact)
+        quadratic = quadratic_at(task, place, newton, exact, weighed)
         hope = damped_step(quadratic, 0.0)[1]
         if hope <= settled * place.cost:
             return place, True, iteration
@@ -971,17 +1090,17 @@ def descend(
             return place, False, iteration
         while True:
             delta, promised = damped_step(quadratic, damping)
-            trial = evaluate(task, place.theta + delta, spare, exact)
+            trial = evaluate(task, place.theta + delta, spare, exact, weighed)
             gained = place.cost - trial.cost
             if gained > 0.0:
                 break
             damping *= 8.0
-            newton = not task.weighed
+            newton = not weighs
             if damping > STIFF:
                 return place, True, iteration
         ratio = gained / promised if promised > 0.0 else 0.0
         damping = max(damping * (0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0), 1e-12)
-        newton = newton or not (task.weighed or 0.5 < ratio < 2.0)
+        newton = newton or not (weighs or 0.5 < ratio < 2.0)
         idle = idle + 1 if gained < FLAT * settled * place.cost else 0
         place = trial
         used, spare = spare, used

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from twinmatch.identification.errors import IdentificationError
-from twinmatch.identification.kernels import LARGEST_ROOT, Task
+from twinmatch.identification.kernels import LARGEST_ROOT, Task, Weighed
 from twinmatch.identification.order import Order
 from twinmatch.signals import FloatArray
 
@@ -26,10 +26,11 @@ __all__ = ["INITIALS", "MEMORY", "linear_size", "task_of", "unknowns"]
 
 INITIALS = ("estimate", "zero", "backcast")
 MEMORY = 6.0
-"""The predictor must forget its initial conditions to e^−MEMORY by the end of the window: roots of C stay
-below 1 − MEMORY/N. Nearer the unit circle C and the free initial conditions conspire to cancel chance
-sinusoids: measured on the rig, a few parts in a thousand off the loss and far worse predictions of the
-next window."""
+"""Predictor and noise must forget their initial conditions to e^−MEMORY by the end of the window: roots of
+C and D stay below 1 − MEMORY/N. Nearer the unit circle C and the free initial conditions conspire to cancel
+chance sinusoids: measured on the rig, a few parts in a thousand off the loss and far worse predictions of
+the next window. And noise that never returns to its mean is free to carry the levels which the set-point
+commands; B/F then have a static gain of any size and sign, and the ν-gap sees two different plants."""
 
 
 def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate") -> Task:
@@ -48,22 +49,21 @@ def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate
         u=u,
         y=y,
         counts=np.array(order, dtype=np.int64),
-        radii=np.array([1.0 - MEMORY / u.size, LARGEST_ROOT, LARGEST_ROOT]),
+        radii=np.array([1.0 - MEMORY / u.size, 1.0 - MEMORY / u.size, LARGEST_ROOT]),
         spans=np.array(spans, dtype=np.int64),
         # Second derivatives are delayed by the delays of both coefficients.
         pad=max(nb + nk, states, nc + 1, nd + 1, nf + 1) + max(nc, nd, nf),
-        weighed=initial == "backcast",
     )
 
 
-def linear_size(task: Task) -> int:
+def linear_size(task: Task, weighed: Weighed = None) -> int:
     """Coefficients of B and initial conditions."""
     order = Order(*(int(n) for n in task.counts))
-    if task.weighed:
+    if weighed:
         return order.nb + order.process_state + max(order.nc, order.nd)
     return order.nb + int(task.spans[1, 2])
 
 
-def unknowns(task: Task) -> int:
+def unknowns(task: Task, weighed: Weighed = None) -> int:
     """Everything that is free: coefficients and initial conditions."""
-    return linear_size(task) + int(task.counts[1:4].sum())
+    return linear_size(task, weighed) + int(task.counts[1:4].sum())

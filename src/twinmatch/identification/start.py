@@ -21,8 +21,8 @@ from twinmatch.identification.kernels import (
     correlate,
     errors_of,
     fir,
-    reflect,
     ridge_solve,
+    stabilise,
 )
 from twinmatch.identification.order import Order
 from twinmatch.signals import FloatArray
@@ -58,7 +58,7 @@ def regression(signals: list[FloatArray], columns: list[tuple[int, int, int]], f
     pad = max(delay + count for _, delay, count in columns) + 1
     padded = np.zeros((len(signals), pad + signals[0].size))
     padded[:, pad:] = signals
-    R = cholesky(correlate(padded, pad, np.array([*columns, (0, 0, 1)], dtype=np.int64), first))
+    R = cholesky(correlate(padded, pad + first, np.array([*columns, (0, 0, 1)], dtype=np.int64)))
     size = R.shape[0] - 1
     damping = RIDGE * column_norms(R)[:size]
     return ridge_solve(R[:size, :size].copy(), R[:size, size].copy(), damping)
@@ -77,7 +77,7 @@ def arx_denominator(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
         return np.ones(1)
     spans = [(0, 1, order.nf), (1, order.nk, order.nb)]
     found = regression([y, u], spans, max(order.nf, order.nk + order.nb - 1))
-    return reflect(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT)
+    return stabilise(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT, 1.0)
 
 
 def steiglitz_mcbride(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
@@ -91,7 +91,7 @@ def steiglitz_mcbride(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
     for _ in range(ROUNDS):
         signals = [np.asarray(all_pole(F, x)) for x in (y, u, impulse)]
         found = regression(signals, spans, 0)
-        previous, F = F, reflect(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT)
+        previous, F = F, stabilise(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT, 1.0)
         if previous.size == F.size and np.max(np.abs(F - previous)) < 1e-4:
             break
     return F
@@ -120,4 +120,4 @@ def hannan_rissanen(v: FloatArray, nc: int, nd: int) -> tuple[FloatArray, FloatA
     found = regression([v, innovations], [(0, 1, nd), (1, 1, nc)], length + nc)
     C = np.concatenate((np.ones(1), found[nd:]))
     D = np.concatenate((np.ones(1), -found[:nd]))
-    return reflect(C, 0.98), reflect(D, 0.999)
+    return stabilise(C, 0.98, 1.0), stabilise(D, 0.999, 1.0)
