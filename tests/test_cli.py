@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
+import os
+import pty
+import re
+import struct
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +19,13 @@ import pytest
 import scipy.io
 
 from twinmatch.cli import main
+from twinmatch.plant import Pid, PlantState, RigParameters, advance
 from twinmatch.sessions import samples_of, write_session
-from twinmatch.signals import Window
+from twinmatch.signals import KELVIN, Sample, Window
 
 PROJECT = Path(__file__).resolve().parents[1]
+TERMINAL_VARIABLES = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
+"""Of whoever runs the tests; they would change what a terminal is shown."""
 SHIPPED = PROJECT / "bags" / "four_setpoints"
 
 
@@ -229,3 +239,116 @@ def test_unknown_words_on_the_command_line(capsys: pytest.CaptureFixture[str]) -
         main(["replya"])
     assert ending.value.code == 2
     assert "replya" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def fault_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve minutes, in the eleventh of which the drive is lost."""
+    rig, pid, state = (
+        RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0),
+        Pid(),
+        PlantState(296.0, 296.0),
+    )
+    noise = np.random.default_rng(5).normal(0.0, 0.1, 720)
+    samples = []
+    for k, error in enumerate(noise):
+        r = (40.0, 70.0, 45.0, 80.0)[k // 200]
+        y = state.plate - KELVIN + float(error)
+        u = pid.step(r, y)
+        samples.append(Sample(k, k * 10**9, r, y, u))
+        state = advance(rig, state, 0.0 if k >= 640 else u)
+    return write_session(tmp_path_factory.mktemp("fault") / "drive_lost", samples)
+
+
+def run_on_terminal(*arguments: object, width: int, **environment: str) -> tuple[int, str, str]:
+    """Exit code, all that was written to a pseudo-terminal of this width, and what still stands on it."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 60, width, 0, 0))
+    kept = {k: v for k, v in os.environ.items() if k not in TERMINAL_VARIABLES}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twinmatch.cli", *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=theirs,
+        stderr=theirs,
+        env={**kept, "TERM": "xterm-256color", **environment},
+    )
+    os.close(theirs)
+    written = b""
+    try:
+        while chunk := os.read(ours, 65536):
+            written += chunk
+    except OSError as error:  # how Linux tells that the other side was closed
+        if error.errno != errno.EIO:
+            raise
+    finally:
+        os.close(ours)
+    text = written.decode().replace("\r\n", "\n")
+    stands = re.split(r"\x1b\[1A\x1b\[2K", text)[-1]
+    return process.wait(120), text, re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", stands)
+
+
+def test_a_terminal_shows_the_run_and_ends_with_the_sentence() -> None:
+    code, written, stands = run_on_terminal("replay", SHIPPED, width=160)
+    assert code == 0
+    assert len(re.findall(r"four_setpoints.* \d+ %, ", written)) > 2  # drawn while it went on
+    assert re.search(r"\x1b\[[0-9;]*32[0-9;]*m TRUSTED ", written)
+    assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1  # the cursor comes back
+    lines = stands.splitlines()
+    assert "100 %, 0:33:20 of 0:33:20 h" in lines[0]
+    header = next(line for line in lines if line.startswith("candidate"))
+    assert header.split() == [
+        *("candidate", "°C", "mV/K", "W/K", "J/K", "order", "characters", "nAIC", "BIC", "°C²+PWM²"),
+        *("sum", "interval", "nominal", "b(P,", "C)"),
+    ]
+    assert lines[-1].startswith("Nominal: ")
+    assert "trust it between" in lines[-1]
+
+
+def test_a_narrow_terminal_without_colours_cuts_no_number(fault_session: Path) -> None:
+    code, written, stands = run_on_terminal("replay", fault_session, width=60, NO_COLOR="1")
+    assert code == 0
+    assert not re.search(r"\x1b\[(?:[0-9]+;)*(?:3[0-8]|4[0-8]|9[0-7])[;m]", written)
+    lines = stands.splitlines()
+    assert max(len(line.rstrip()) for line in lines) <= 60
+    rows = [line for line in lines if re.match(r"[▶ ] \d+ °C", line)]
+    assert len(rows) >= 2
+    for row in rows:
+        cells = re.split(r" {2,}", row[2:].strip())
+        assert all(re.fullmatch(r"−?\d+(\.\d+)?\*?|\d\d\d\d1|–", cell) for cell in cells[1:]), row
+    words = " ".join(" ".join(lines).split())
+    assert "fault drive-lost since" in words
+    assert "do not trust it now: the plant shows drive-lost" in words.split("Nominal: ")[1]
+
+
+def test_a_pipe_gets_plain_lines_and_the_sentence_last(fault_session: Path) -> None:
+    result = run("replay", fault_session)
+    assert result.returncode == 0
+    assert result.stderr == ""
+    assert "\x1b" not in result.stdout
+    header, *lines = result.stdout.splitlines()
+    assert header.startswith("t / s")
+    verdicts = [line for line in lines if re.match(r"\d+ ", line)]
+    columns = header.index("why")
+    assert all(len(line) > columns and line[columns - 2 : columns] == "  " for line in verdicts)
+    told = next(line for line in verdicts if " fault " in line[:columns])
+    assert 640 <= int(told.split()[0]) < 660  # at once, not at the next trigger
+    assert told[columns:].startswith("drive-lost: ")
+    assert len({line[:columns].split()[0] for line in verdicts}) == len(verdicts)
+    assert lines[-1].startswith("Nominal: ")
+    assert lines[-1].endswith(").")
+    assert "do not trust it now: the plant shows drive-lost" in lines[-1]
+
+
+def test_a_dumb_terminal_gets_plain_lines(small_session: Path) -> None:
+    code, written, _ = run_on_terminal("replay", small_session, width=80, TERM="dumb")
+    assert code == 0
+    assert "\x1b" not in written
+    assert written.startswith("t / s")
+    assert written.splitlines()[-1].startswith("No nominal twin")
+
+
+def test_an_error_on_a_terminal_is_one_line(tmp_path: Path) -> None:
+    code, written, _ = run_on_terminal("replay", tmp_path / "absent", width=80)
+    assert code == 2
+    assert len(written.splitlines()) == 1
+    assert "absent" in written

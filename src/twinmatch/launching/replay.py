@@ -172,6 +172,7 @@ def _watch_class(
             self._changed = time.monotonic()
             view.take_verdict(verdict)
             if verdict.sample >= triggers[-1]:
+                view.advance(len(session.samples))
                 self.exit_code = 0
 
         def _on_match(self, message: Match) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import fields
+from math import isfinite
 from typing import IO, TYPE_CHECKING
 
 from twinmatch.discrimination import Verdict
@@ -128,10 +129,10 @@ def _columns(cells: tuple[str, ...]) -> str:
 
 
 def _rig(verdict: Verdict) -> str:
-    """Its parameters in brackets, each with its unit; one that is zero says that it is not part of it."""
+    """Its parameters in brackets, each with its unit; one that is 0 or ∞ is no part of it."""
     rig = verdict.structure_parameters
     if rig is None:
         return ""
     known = [(quantity(f.name), getattr(rig, f.name)) for f in fields(rig)]
-    shown = [f"{q.symbol} {q.text(value)} {q.unit}" for q, value in known if value]
+    shown = [f"{q.symbol} {q.text(value)} {q.unit}" for q, value in known if value and isfinite(value)]
     return f" ({', '.join(shown)})"

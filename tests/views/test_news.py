@@ -1,0 +1,42 @@
+"""Which verdicts are worth a line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.views import news
+
+STANDS = Verdict(
+    sample=0,
+    first=0,
+    last=0,
+    level=TrustLevel.FAULT,
+    stands=True,
+    nominal="50 °C",
+    reason="",
+    decimals=2,
+    candidates=(),
+    order=None,
+    nu_gap=(),
+    residual_y=0.5,
+    residual_u=7.0,
+    decided=True,
+    fault="unexplained",
+)
+
+
+def test_another_fault_at_the_same_level_and_a_choice_no_longer_sure_are_news() -> None:
+    story = [
+        STANDS,
+        STANDS,
+        replace(STANDS, fault="drive-lost"),
+        replace(STANDS, fault="drive-lost"),
+        replace(STANDS, fault="drive-lost", decided=False),
+        replace(STANDS, fault="", decided=False),
+        replace(STANDS, fault="", decided=False, nominal="70 °C"),
+        replace(STANDS, fault="", decided=False, nominal="70 °C", level=TrustLevel.TRUSTED),
+        replace(STANDS, fault="", decided=False, nominal="70 °C", level=TrustLevel.TRUSTED, stands=False),
+    ]
+    told = [replace(v, sample=place) for place, v in enumerate(story)]
+    assert [v.sample for v in news(told)] == [0, 2, 4, 5, 6, 7, 8]
