@@ -8,6 +8,7 @@ import json
 import os
 import pty
 import re
+import signal
 import struct
 import subprocess
 import sys
@@ -19,6 +20,7 @@ import pytest
 import scipy.io
 
 from twinmatch.cli import main
+from twinmatch.cli_interrupt import held_interrupts
 from twinmatch.plant import Pid, PlantState, RigParameters, advance
 from twinmatch.sessions import samples_of, write_session
 from twinmatch.signals import KELVIN, Sample, Window
@@ -352,3 +354,34 @@ def test_an_error_on_a_terminal_is_one_line(tmp_path: Path) -> None:
     assert code == 2
     assert len(written.splitlines()) == 1
     assert "absent" in written
+
+
+def test_ctrl_c_ends_a_replay_with_one_line_and_its_code() -> None:
+    command = [sys.executable, "-m", "twinmatch.cli", "replay", str(SHIPPED)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("t / s")  # judging has begun
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert complaint == "twinmatch: interrupted\n"
+
+
+def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end() -> None:
+    reached = []
+
+    def work(*, ask: bool) -> None:
+        with held_interrupts() as check:
+            check()
+            signal.raise_signal(signal.SIGINT)
+            reached.append("held")
+            if ask:
+                check()
+            reached.append("end")
+
+    with pytest.raises(KeyboardInterrupt):
+        work(ask=True)
+    with pytest.raises(KeyboardInterrupt):
+        work(ask=False)
+    assert reached == ["held", "held", "end"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twinmatch.cli_interrupt import held_interrupts
 from twinmatch.cli_progress import Progress
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.twin_parameters import at_period, read_settings
@@ -51,7 +52,7 @@ def _judge(path: Path, options: argparse.Namespace) -> Judgement:
     matches: list[MatchReport] = []
     verdicts: list[Verdict] = []
     told = _Told(session)
-    with told:
+    with held_interrupts() as check_interrupt, told:
         twin = Twin(settings, given)
         for done, sample in enumerate(session.samples, start=1):
             outcome = twin.push(sample)
@@ -59,9 +60,10 @@ def _judge(path: Path, options: argparse.Namespace) -> Judgement:
                 matches.append(outcome.match)
             verdicts += outcome.verdicts
             told.advance(done, outcome.match, outcome.verdicts)
-    summary = summarise(
-        session.samples, matches, verdicts, settings.gains, session.notes, limits=settings.limits
-    )
+            check_interrupt()
+        summary = summarise(
+            session.samples, matches, verdicts, settings.gains, session.notes, limits=settings.limits
+        )
     for line in closing_lines(summary, verdicts[-1] if verdicts else None):
         told.say(line)
     return Judgement(session.name, session.samples, settings, tuple(matches), tuple(verdicts), summary)

@@ -139,6 +139,8 @@ class Screen:
         for event in self._events[: -MOST_EVENTS - 1 : -1]:
             lines = console.render_lines(_event_line(event, self._period), options, pad=False)
             if len(shown) + len(lines) > room and not self._over:
+                if not shown:  # a word of the newest one is better than nothing
+                    shown = lines[: max(room, 0)]
                 break
             shown = lines + shown
         return [[], *shown] if shown else []
