@@ -11,7 +11,7 @@ normal matrix from a few correlations (twenty times faster, half the digits), an
 into the same triangle. Signals carry zeros in front, `pad` of them, so that a delay needs no test.
 """
 
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
+# ruff: noqa: PLR0912, PLR0917 (loops written out have many branches, kernels take arrays in a row)
 
 from __future__ import annotations
 
@@ -231,32 +231,6 @@ def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> No
             o5, o4, o3, o2, o1 = o4, o3, o2, o1, total
 
 
-@_inner
-def both_poles_into(C: FloatArray, F: FloatArray, x: FloatArray, out: FloatArray) -> None:
-    """Filter x by 1/(C F) from rest into `out`, which may be x: two recursions take as long as one."""
-    if max(C.size, F.size) > TAPS:
-        all_pole_into(C, x, out)
-        all_pole_into(F, out, out)
-        return
-    c, f = np.zeros(TAPS), np.zeros(TAPS)
-    copy_into(C, c)
-    copy_into(F, f)
-    c1, c2, c3, c4, c5 = c[1], c[2], c[3], c[4], c[5]
-    f1, f2, f3, f4, f5 = f[1], f[2], f[3], f[4], f[5]
-    v1 = v2 = v3 = v4 = v5 = o1 = o2 = o3 = o4 = o5 = 0.0
-    for start in range(0, x.size, CHUNK):
-        if abs(v1) + abs(v2) + abs(v3) + abs(v4) + abs(v5) < VANISHED:
-            v1 = v2 = v3 = v4 = v5 = 0.0
-        if abs(o1) + abs(o2) + abs(o3) + abs(o4) + abs(o5) < VANISHED:
-            o1 = o2 = o3 = o4 = o5 = 0.0
-        for t in range(start, min(start + CHUNK, x.size)):
-            v = (x[t] - (c5 * v5 + c4 * v4)) - (c3 * v3 + c2 * v2) - c1 * v1
-            total = (v - (f5 * o5 + f4 * o4)) - (f3 * o3 + f2 * o2) - f1 * o1
-            out[t] = total
-            v5, v4, v3, v2, v1 = v4, v3, v2, v1, v
-            o5, o4, o3, o2, o1 = o4, o3, o2, o1, total
-
-
 @_compiled
 def fir(numerator: FloatArray, x: FloatArray) -> FloatArray:
     """Filter x by a polynomial in q⁻¹ from rest; shape (N,)."""
@@ -331,7 +305,27 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
         Normal matrix, shape (p, p); what lies below the diagonal has no meaning.
     """
     corners = corners_of(spans)
-    width, groups, high = corners[-1], spans.shape[0], signals.shape[1]
+    width, groups = corners[-1], spans.shape[0]
+    leads = np.zeros((groups, width))
+    rows = np.empty((CHUNK, width))
+    high = signals.shape[1]
+    for start in range(low, high, CHUNK):
+        count = min(CHUNK, high - start)
+        delayed_rows(signals, spans, start, count, rows)
+        for p in range(groups):
+            if spans[p, 2] == 0:
+                continue
+            lead = leads[p]
+            corner = corners[p]
+            for t in range(0, count - 3, 4):
+                r0, r1, r2, r3 = rows[t], rows[t + 1], rows[t + 2], rows[t + 3]
+                a0, a1, a2, a3 = r0[corner], r1[corner], r2[corner], r3[corner]
+                for j in range(width):
+                    lead[j] += (a0 * r0[j] + a1 * r1[j]) + (a2 * r2[j] + a3 * r3[j])
+            for t in range(count // 4 * 4, count):
+                row = rows[t]
+                for j in range(width):
+                    lead[j] += row[corner] * row[j]
     G = np.zeros((width, width))
     for p in range(groups):
         for q in range(p, groups):
@@ -340,8 +334,10 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
                 da = spans[p, 1] + i
                 for j in range(i if p == q else 0, spans[q, 2]):
                     db = spans[q, 1] + j
-                    if i == 0 or j == 0:
-                        value = dot(a[low - da : high - da], b[low - db :])
+                    if i == 0:
+                        value = leads[p, corners[q] + j]
+                    elif j == 0:
+                        value = leads[q, corners[p] + i]
                     else:
                         value = G[corners[p] + i - 1, corners[q] + j - 1]
                         value += a[low - da] * b[low - db] - a[high - da] * b[high - db]
@@ -664,12 +660,14 @@ def project(
     pad = task.pad
     by_b, by_m, rest = signals[0, pad:], signals[1, pad:], signals[8, pad:]
     fir_into(model.D, task.u, by_b)
-    both_poles_into(model.C, model.F, by_b, by_b)
+    all_pole_into(model.C, by_b, by_b)
+    all_pole_into(model.F, by_b, by_b)
     for t in range(by_b.size):
         by_b[t] = -by_b[t]
         by_m[t] = 0.0
     by_m[0] = 1.0
-    both_poles_into(model.C, model.F, by_m, by_m)
+    all_pole_into(model.C, by_m, by_m)
+    all_pole_into(model.F, by_m, by_m)
     fir_into(model.D, task.y, rest)
     all_pole_into(model.C, rest, rest)
     spans = task.spans[:3].copy()
@@ -714,7 +712,8 @@ def linearise(task: Task, place: Place, exact: bool, weighed: Weighed) -> FloatA
         by_d[t] -= driven[t]
     all_pole_into(F, by_f, by_f)
     all_pole_into(C, by_c, by_c)
-    both_poles_into(C, F, by_d, by_d)
+    all_pole_into(C, by_d, by_d)
+    all_pole_into(F, by_d, by_d)
     copy_into(e, signals[5, pad:])
     R = triangularise(signals, pad, task.spans) if exact else cholesky(correlate(signals, pad, task.spans))
     if weighed is not None:
@@ -733,7 +732,8 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     _, model, _, e, signals, _, _ = place
     pad, spans = task.pad, task.spans
     driven = signals[6, pad:]
-    both_poles_into(model.C, model.F, task.u, driven)
+    all_pole_into(model.C, task.u, driven)
+    all_pole_into(model.F, driven, driven)
     fir_into(model.B, driven, signals[7, pad:])
     weights = np.empty((3, e.size))
     filtered = np.empty((2, e.size))
