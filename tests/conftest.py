@@ -19,7 +19,10 @@ PROJECT = Path(__file__).resolve().parents[1]
 RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "shared" / "rig_recordings"))
 """Hours of the real rig. They have no licence for copying, so they stay outside the project."""
 
-ON_WALL_CLOCKS = ("camera_server", "dashboard", "emulation", "foxglove", "launching", "links", "nodes", "system")
+ON_WALL_CLOCKS = (
+    *("camera_server", "dashboard", "emulation", "foxglove"),
+    *("launching", "links", "nodes", "system"),
+)
 """Folders whose tests wait for other processes; see docs/decisions/0006."""
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)

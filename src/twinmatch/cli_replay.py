@@ -12,11 +12,11 @@ from twinmatch.cli_interrupt import held_interrupts
 from twinmatch.cli_progress import Progress
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.twin_parameters import at_period, read_settings
-from twinmatch.replay import Judgement
+from twinmatch.replay import Judgement, judge_samples
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.candidates import read_candidates
-from twinmatch.twin import MatchReport, Twin
-from twinmatch.views import document, summarise
+from twinmatch.twin import MatchReport, Outcome
+from twinmatch.views import document
 from twinmatch.views.line import Lines, closing_lines, redraws
 
 if TYPE_CHECKING:
@@ -49,24 +49,20 @@ def _judge(path: Path, options: argparse.Namespace) -> Judgement:
     settings = read_settings(options.config)
     session = open_any(path)
     settings = at_period(settings, session.period, options.config)
-    matches: list[MatchReport] = []
-    verdicts: list[Verdict] = []
-    told = _Told(session)
-    with held_interrupts() as check_interrupt, told:
-        twin = Twin(settings, given)
-        for done, sample in enumerate(session.samples, start=1):
-            outcome = twin.push(sample)
-            if outcome.match is not None:
-                matches.append(outcome.match)
-            verdicts += outcome.verdicts
-            told.advance(done, outcome.match, outcome.verdicts)
+    shown = _Told(session)
+    with held_interrupts() as check_interrupt, shown:
+
+        def told(done: int, outcome: Outcome) -> None:
+            shown.advance(done, outcome.match, outcome.verdicts)
             check_interrupt()
-        summary = summarise(
-            session.samples, matches, verdicts, settings.gains, session.notes, limits=settings.limits
+
+        judgement = judge_samples(
+            session.name, session.samples, settings, given=given, notes=session.notes, told=told
         )
-    for line in closing_lines(summary, verdicts[-1] if verdicts else None):
-        told.say(line)
-    return Judgement(session.name, session.samples, settings, tuple(matches), tuple(verdicts), summary)
+    verdicts = judgement.verdicts
+    for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
+        shown.say(line)
+    return judgement
 
 
 class _Told:

@@ -11,7 +11,7 @@ from twinmatch.nodes.twin_parameters import at_period, read_settings
 from twinmatch.sessions import open_any
 from twinmatch.sessions.candidates import read_candidates
 from twinmatch.signals import Sample
-from twinmatch.twin import MatchReport, Twin, TwinSettings
+from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
 from twinmatch.views import Summary, summarise
 
 __all__ = ["Judgement", "judge_on", "judge_samples", "judge_session"]
@@ -86,8 +86,12 @@ def judge_samples(
     given: Sequence[Candidate] = (),
     notes: Sequence[str] = (),
     watch: Callable[[int, int], None] | None = None,
+    told: Callable[[int, Outcome], None] | None = None,
 ) -> Judgement:
-    """Push samples through a twin, one by one, as the live nodes do."""
+    """Push samples through a twin, one by one, as the live nodes do.
+
+    `watch` is called now and then, `told` after every sample with its number, from 1, and what came of it.
+    """
     twin = Twin(settings, given)
     matches: list[MatchReport] = []
     verdicts: list[Verdict] = []
@@ -96,6 +100,8 @@ def judge_samples(
         if outcome.match is not None:
             matches.append(outcome.match)
         verdicts += outcome.verdicts
+        if told is not None:
+            told(done + 1, outcome)
         if watch is not None and done % 50 == 0:
             watch(done, len(samples))
     summary = summarise(samples, matches, verdicts, settings.gains, notes, limits=settings.limits)
