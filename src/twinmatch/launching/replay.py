@@ -33,6 +33,8 @@ READERS = "twin_simulator matcher discriminator"
 """Nodes that must have every sample."""
 POLL = 0.2
 """Seconds between two looks at the children."""
+LAST_WORDS = 1.0
+"""Seconds that a verdict on the last samples may take to come."""
 STALLED = 120.0
 """Seconds without a verdict, after the last sample was played, that are an error."""
 
@@ -171,9 +173,6 @@ def _watch_class(
             replay.verdicts.append(verdict)
             self._changed = time.monotonic()
             view.take_verdict(verdict)
-            if verdict.sample >= triggers[-1]:
-                view.advance(len(session.samples))
-                self.exit_code = 0
 
         def _on_match(self, message: Match) -> None:
             replay.matches.append(match_from(message))
@@ -191,9 +190,14 @@ def _watch_class(
                 if name == "twin" or code != 0:
                     msg = f"replay: {name} ended with code {code}; its own words are above"
                     raise LaunchError(msg)
-            if not triggers and "player" in ended:
-                self.exit_code = 0
-            elif "player" in ended and time.monotonic() - self._changed > STALLED:
+            if "player" not in ended:
+                return
+            silence = time.monotonic() - self._changed
+            if not triggers or (replay.verdicts and replay.verdicts[-1].sample >= triggers[-1]):
+                if silence > LAST_WORDS:  # a fault after the last trigger is told, too
+                    view.advance(len(session.samples))
+                    self.exit_code = 0
+            elif silence > STALLED:
                 came = _judged(triggers, replay.verdicts)
                 msg = f"replay: only {came} came; look at /diagnostics"
                 raise LaunchError(msg)
