@@ -47,7 +47,7 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_go
     assert [s["session"] for s in found["sessions"]] == list(paths) == sorted(kept, reverse=True)
     for name, path in paths.items():
         alone = judge_session(path)
-        expected = json.loads(json.dumps(document(name, alone.verdicts, alone.summary)))
+        expected = json.loads(json.dumps(document(name, alone.verdicts, alone.summary, alone.matches)))
         assert {key: kept[name]["result"][key] for key in expected} == expected
         rows = [row for row in found["candidates"] if row["session"] == name]
         assert [row["name"] for row in rows] == [c.name for c in alone.verdicts[-1].candidates]
