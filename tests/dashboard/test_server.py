@@ -17,7 +17,8 @@ from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from twinmatch.dashboard import DashboardError
-from twinmatch.dashboard.server import PageServer, is_loopback
+from twinmatch.dashboard.server import PageServer
+from twinmatch.nodes.serving import is_loopback
 
 
 def fill(document: Document) -> None:

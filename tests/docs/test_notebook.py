@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,7 @@ def test_it_is_shipped_executed_with_its_pictures_and_stays_small(shown: Any) ->
 
 def test_no_path_of_a_machine_is_in_it() -> None:
     text = NOTEBOOK.read_text(encoding="utf-8")
-    for folder in ("/home/", "/root/", "/work/", "/Users/", "/tmp/"):
-        assert folder not in text
+    assert not re.search("/(home|root|work|Users|tmp)/", text)
 
 
 def test_every_cell_runs_without_a_warning(run: Any) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from twinmatch.foxglove.errors import FoxgloveError
-from twinmatch.foxglove.server import BACKLOG, GraphServer, is_loopback
+from twinmatch.foxglove.server import BACKLOG, GraphServer
+from twinmatch.nodes.serving import is_loopback
 
 TEXT = "float64 data\n"
 

@@ -17,13 +17,14 @@ from sensor_msgs.msg import Image
 from twinmatch.dashboard.page import Page
 from twinmatch.dashboard.requests import Requests
 from twinmatch.dashboard.sentence import say
-from twinmatch.dashboard.server import PageServer, is_loopback
+from twinmatch.dashboard.server import PageServer
 from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.conversions import match_from, sample_from, verdict_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch_msgs.msg import LoopSample, Match, ModelScore, PwmApplied, TwinState
 

@@ -8,7 +8,6 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from ipaddress import ip_address
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
@@ -20,23 +19,14 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 
 from twinmatch.dashboard.errors import DashboardError
+from twinmatch.nodes.serving import is_loopback
 
-__all__ = ["PageServer", "is_loopback"]
+__all__ = ["PageServer"]
 
 PATIENCE = 20.0
 """Seconds the server has to start."""
 LARGEST_MESSAGE = 1 << 20
 """Bytes a browser may send at once; clicks are a few hundred."""
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches an address."""
-    if address == "localhost":
-        return True
-    try:
-        return ip_address(address).is_loopback
-    except ValueError:
-        return False
 
 
 class PageServer:

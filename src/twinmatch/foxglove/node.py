@@ -11,13 +11,14 @@ from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from twinmatch.foxglove.clock import StreamTime
-from twinmatch.foxglove.server import GraphServer, is_loopback
+from twinmatch.foxglove.server import GraphServer
 from twinmatch.foxglove.topics import ELSEWHERE, TOPICS
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.plant_clock import CLOCK
 from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
+from twinmatch.nodes.serving import is_loopback
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.installed import schema_of
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-from ipaddress import ip_address
 from typing import NamedTuple
 
 from foxglove import Channel, Context, Schema, set_log_level, start_server
@@ -12,22 +11,12 @@ from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from twinmatch.foxglove.errors import FoxgloveError
 
-__all__ = ["GraphServer", "is_loopback"]
+__all__ = ["GraphServer"]
 
 BACKLOG = 1024
 """Messages that wait for a slow viewer before its oldest are dropped; a thermal image has 77 kB."""
 LARGEST_KEPT = 4_000_000
 """Bytes of a message that is kept for whoever comes later."""
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches an address."""
-    if address == "localhost":
-        return True
-    try:
-        return ip_address(address).is_loopback
-    except ValueError:
-        return False
 
 
 class _Last(NamedTuple):
