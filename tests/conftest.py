@@ -58,6 +58,18 @@ def ros_domain() -> Iterator[int]:
 
 
 @pytest.fixture(scope="session")
+def ros(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> None:  # noqa: ARG001
+    """The environment of all ROS in this process and its children, in the domain of this worker."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+    pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+    from twinmatch.nodes import network
+
+    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+    os.environ.pop(network.VARIABLE, None)
+    network.prepare()
+
+
+@pytest.fixture(scope="session")
 def recordings() -> dict[int, Path]:
     """Paths of the real rig's recordings by their number."""
     found = {int(p.name[6:].split("_")[0]): p for p in sorted(RECORDINGS.glob("BMData*_*.mat"))}

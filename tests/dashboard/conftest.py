@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import signal
@@ -98,18 +97,6 @@ def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     yield start
     codes = [(page.end(), page.text) for page in started]
     assert all(code == 0 and "Traceback" not in text for code, text in codes), codes
-
-
-@pytest.fixture(scope="session")
-def ros(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> None:  # noqa: ARG001
-    """The environment of all ROS in this process and its children."""
-    pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-    pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
-    from twinmatch.nodes import network
-
-    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
-    os.environ.pop(network.VARIABLE, None)
-    network.prepare()
 
 
 class Browser:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import struct
@@ -147,18 +146,6 @@ class ServerProcess:
         if self.process.poll() is None:
             self.process.send_signal(number)
         return self.process.wait(20)
-
-
-@pytest.fixture(scope="session")
-def ros(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> None:  # noqa: ARG001
-    """The environment of all ROS in this process and its children, in the domain of this worker."""
-    pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-    pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
-    from twinmatch.nodes import network
-
-    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
-    os.environ.pop(network.VARIABLE, None)
-    network.prepare()
 
 
 @pytest.fixture
