@@ -91,7 +91,7 @@ $(STAMPS)/browser: .ci/browser_tools.sh | $(STAMPS)/venv
 	@touch $@
 
 # numba keeps what it compiles; done here, no first run has to wait for it.
-$(STAMPS)/compiled: $(shell grep -rl njit src/twinmatch --include=*.py) $(STAMPS)/messages
+$(STAMPS)/compiled: $(shell grep -rl compiled src/twinmatch --include=*.py) $(STAMPS)/messages
 	@echo "setup: compiling the inner loops (a minute)"
 	@$(RUN) -m twinmatch.cli replay bags/four_setpoints >/dev/null
 	@touch $@

@@ -16,14 +16,14 @@ import math
 
 import numpy as np
 
+from twinmatch.compiled import compiled
 from twinmatch.discrimination import double_double as dd
-from twinmatch.discrimination.kernels import kernel
 from twinmatch.signals import FloatArray
 
 __all__ = ["exact_distance", "minors", "squared_distance", "value", "with_derivatives", "with_powers_of_j"]
 
 
-@kernel
+@compiled
 def with_powers_of_j(rows: FloatArray) -> FloatArray:
     """Coefficients times the sign of j^k: + + − −."""
     signed = rows.copy()
@@ -33,7 +33,7 @@ def with_powers_of_j(rows: FloatArray) -> FloatArray:
     return signed
 
 
-@kernel
+@compiled
 def with_derivatives(signed: FloatArray) -> FloatArray:
     """Stack of value, dp/dt as used up to Ω = 1, and d(p/Ω^n)/dt as used above, shape (3, rows, n + 1)."""
     rows, width = signed.shape
@@ -45,7 +45,7 @@ def with_derivatives(signed: FloatArray) -> FloatArray:
     return stack
 
 
-@kernel
+@compiled
 def minors(
     high1: FloatArray, low1: FloatArray, high2: FloatArray, low2: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -67,7 +67,7 @@ def minors(
     return high, low
 
 
-@kernel
+@compiled
 def value(row: FloatArray, x: float, above: bool) -> tuple[float, float]:
     """Real and imaginary part of one row at Ω = x, or, above 1, at Ω = 1/x."""
     even, odd = 0.0, 0.0
@@ -86,7 +86,7 @@ def value(row: FloatArray, x: float, above: bool) -> tuple[float, float]:
     return (even * x, odd) if degree % 2 else (even, odd * x)
 
 
-@kernel
+@compiled
 def _square_and_slope(stack: FloatArray, x: float, weight: float, above: bool) -> tuple[float, float]:
     """Σ |weight·p|² over the rows and its derivative by t."""
     derivative = 2 if above else 1
@@ -101,7 +101,7 @@ def _square_and_slope(stack: FloatArray, x: float, weight: float, above: bool) -
     return square, slope
 
 
-@kernel
+@compiled
 def squared_distance(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, t: float
 ) -> tuple[float, float]:
@@ -115,7 +115,7 @@ def squared_distance(
     return square, slope - square * (slope1 / size1 + slope2 / size2)
 
 
-@kernel
+@compiled
 def _horner(high: FloatArray, low: FloatArray, x: float) -> float:
     """Value of a polynomial in x², highest power first."""
     y, y_low = dd.scale(x, 0.0, x)
@@ -126,7 +126,7 @@ def _horner(high: FloatArray, low: FloatArray, x: float) -> float:
     return a
 
 
-@kernel
+@compiled
 def _exact_square(high: FloatArray, low: FloatArray, t: float, weight: float) -> float:
     """Σ |weight·p|² with every p evaluated in double-double."""
     x = math.exp(-abs(t))
@@ -142,7 +142,7 @@ def _exact_square(high: FloatArray, low: FloatArray, t: float, weight: float) ->
     return square
 
 
-@kernel
+@compiled
 def exact_distance(
     pair1: tuple[FloatArray, FloatArray],
     pair2: tuple[FloatArray, FloatArray],

@@ -5,19 +5,19 @@ Dekker's and Knuth's exact sum and product; they rely on IEEE rounding, so never
 
 from __future__ import annotations
 
-from twinmatch.discrimination.kernels import kernel
+from twinmatch.compiled import compiled
 
 __all__ = ["add", "multiply", "scale"]
 
 
-@kernel
+@compiled
 def _two_sum(a: float, b: float) -> tuple[float, float]:
     s = a + b
     v = s - a
     return s, (a - (s - v)) + (b - v)
 
 
-@kernel
+@compiled
 def _two_product(a: float, b: float) -> tuple[float, float]:
     p = a * b
     t = 134217729.0 * a
@@ -29,7 +29,7 @@ def _two_product(a: float, b: float) -> tuple[float, float]:
     return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
 
 
-@kernel
+@compiled
 def add(a: float, a_low: float, b: float, b_low: float) -> tuple[float, float]:
     """Sum; both parts of both operands are summed exactly before the last rounding."""
     s, e = _two_sum(a, b)
@@ -38,14 +38,14 @@ def add(a: float, a_low: float, b: float, b_low: float) -> tuple[float, float]:
     return _two_sum(s, e + f)
 
 
-@kernel
+@compiled
 def multiply(a: float, a_low: float, b: float, b_low: float) -> tuple[float, float]:
     """Product."""
     p, e = _two_product(a, b)
     return _two_sum(p, e + (a * b_low + a_low * b))
 
 
-@kernel
+@compiled
 def scale(a: float, a_low: float, b: float) -> tuple[float, float]:
     """Product with one float."""
     p, e = _two_product(a, b)

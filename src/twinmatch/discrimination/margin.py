@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from twinmatch.compiled import compiled
 from twinmatch.discrimination import chordal, peak
 from twinmatch.discrimination import double_double as dd
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.discrimination.graph_symbol import GraphSymbol, graph_symbol, spectral_roots
 from twinmatch.discrimination.hurwitz import is_hurwitz
-from twinmatch.discrimination.kernels import kernel
 from twinmatch.discrimination.nu_gap import common_period
 from twinmatch.discrimination.polynomials import multiply
 from twinmatch.signals import FloatArray
@@ -71,7 +71,7 @@ def _transposed(controller: Any) -> Any:
     return type(controller)(numerators, denominators, controller.dt)
 
 
-@kernel
+@compiled
 def _smallest(
     plant: tuple[FloatArray, FloatArray],
     controller: tuple[FloatArray, FloatArray],
@@ -95,7 +95,7 @@ def _smallest(
     return chordal.exact_distance(signed_plant, signed_controller, (high, low), place)
 
 
-@kernel
+@compiled
 def _inner(
     high1: FloatArray, low1: FloatArray, high2: FloatArray, low2: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -112,7 +112,7 @@ def _inner(
     return high, low
 
 
-@kernel
+@compiled
 def _products(rows1: FloatArray, rows2: FloatArray) -> FloatArray:
     """Every polynomial of the one times every one of the other, shape (m1 m2, n1 + n2 + 1)."""
     products = np.zeros((rows1.shape[0] * rows2.shape[0], rows1.shape[1] + rows2.shape[1] - 1))

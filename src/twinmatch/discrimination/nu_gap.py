@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twinmatch.compiled import compiled
 from twinmatch.discrimination import chordal, peak, winding
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.discrimination.graph_symbol import GraphSymbol, graph_symbol
-from twinmatch.discrimination.kernels import kernel
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def common_period(g1: GraphSymbol, g2: GraphSymbol) -> float | bool | None:
     raise DiscriminationError(msg)
 
 
-@kernel
+@compiled
 def _compare(  # noqa: PLR0917
     pair1: tuple[FloatArray, FloatArray],
     pair2: tuple[FloatArray, FloatArray],
@@ -139,7 +139,7 @@ def _compare(  # noqa: PLR0917
     return kappa, winding.turns(signed1[0], signed2[0], roots1, roots2, grid)
 
 
-@kernel
+@compiled
 def _polished(
     signed1: tuple[FloatArray, FloatArray],
     signed2: tuple[FloatArray, FloatArray],
@@ -164,7 +164,7 @@ def _polished(
     return best
 
 
-@kernel
+@compiled
 def _distances(
     pair1: tuple[FloatArray, FloatArray],
     pair2: tuple[FloatArray, FloatArray],

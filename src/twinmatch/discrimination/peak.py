@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twinmatch.compiled import compiled
 from twinmatch.discrimination.chordal import squared_distance
-from twinmatch.discrimination.kernels import kernel
 from twinmatch.signals import FloatArray
 
 __all__ = ["frequency_grid", "highest"]
@@ -33,7 +33,7 @@ SHORTEST = 1e-10
 MOST_HALVINGS = 20_000
 
 
-@kernel
+@compiled
 def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128]) -> FloatArray:
     """Nodes t, increasing; at least the two ends of what has any feature."""
     count = roots1.size + roots2.size
@@ -52,7 +52,7 @@ def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128
     return np.array(nodes)
 
 
-@kernel
+@compiled
 def _clearance(where: FloatArray, off: FloatArray, t: float) -> float:
     """Distance from t to the nearest pole."""
     nearest = math.inf
@@ -61,7 +61,7 @@ def _clearance(where: FloatArray, off: FloatArray, t: float) -> float:
     return math.sqrt(nearest)
 
 
-@kernel
+@compiled
 def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
     """Largest value of a Hermite cubic on [0, 1]."""
     top = max(f, f_end)
@@ -79,7 +79,7 @@ def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
     return top
 
 
-@kernel
+@compiled
 def highest(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, grid: FloatArray
 ) -> tuple[float, float]:

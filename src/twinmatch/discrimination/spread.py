@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.discrimination.kernels import kernel
+from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
 __all__ = ["directions", "disturbed_pair", "estimates", "failing_draws", "fitting_scales"]
@@ -24,7 +24,7 @@ HALVINGS = 7
 """Of the interval that holds a scale: finer than a hundred draws make it."""
 
 
-@kernel
+@compiled
 def directions(responses: Complex) -> Complex:
     """Columns [1; P] of length 1, (n, frequencies, 1 + outputs), for P of shape (n, frequencies, outputs)."""
     n, points, outputs = responses.shape
@@ -41,7 +41,7 @@ def directions(responses: Complex) -> Complex:
     return columns
 
 
-@kernel
+@compiled
 def disturbed_pair(
     still1: Complex, still2: Complex, moved1: Complex, moved2: Complex
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -73,7 +73,7 @@ def disturbed_pair(
     return a, b, c
 
 
-@kernel
+@compiled
 def winding_fails(direction1: Complex, direction2: Complex) -> bool:
     """Whether the inner product of two stable models' directions turns around zero over the frequencies."""
     turn, before = 0.0, 0j
@@ -88,7 +88,7 @@ def winding_fails(direction1: Complex, direction2: Complex) -> bool:
     return abs(turn) > 0.5 * math.pi
 
 
-@kernel
+@compiled
 def failing_draws(
     a: FloatArray, c: FloatArray, moved1: Complex, moved2: Complex, failed: bool
 ) -> NDArray[np.bool_]:
@@ -104,7 +104,7 @@ def failing_draws(
     return fails
 
 
-@kernel
+@compiled
 def estimates(
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float
 ) -> FloatArray:
@@ -120,7 +120,7 @@ def estimates(
     return total
 
 
-@kernel
+@compiled
 def _reaching(  # noqa: PLR0917
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float, seen: float
 ) -> int:
@@ -137,7 +137,7 @@ def _reaching(  # noqa: PLR0917
     return count
 
 
-@kernel
+@compiled
 def fitting_scales(
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, tail: float
 ) -> tuple[float, float]:

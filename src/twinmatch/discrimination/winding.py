@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twinmatch.compiled import compiled
 from twinmatch.discrimination.chordal import value
-from twinmatch.discrimination.kernels import kernel
 from twinmatch.signals import FloatArray
 
 __all__ = ["inner_product", "turns"]
@@ -27,7 +27,7 @@ CURVATURE = 3.0
 DEPTH = 60
 
 
-@kernel
+@compiled
 def _direction(roots: NDArray[np.complex128], t: float) -> complex:
     """Π (jΩ + root) with every factor scaled to length 1 or less and 0.7 or more."""
     product = 1 + 0j
@@ -42,7 +42,7 @@ def _direction(roots: NDArray[np.complex128], t: float) -> complex:
     return product
 
 
-@kernel
+@compiled
 def inner_product(
     signed1: FloatArray,
     signed2: FloatArray,
@@ -64,7 +64,7 @@ def inner_product(
     return inner * smooth * (1 / abs(smooth)) * (1 / math.sqrt(size1)) * (1 / math.sqrt(size2))
 
 
-@kernel
+@compiled
 def _clearance(a: complex, b: complex) -> float:
     """Distance from zero to the chord from a to b."""
     step = b - a
@@ -73,7 +73,7 @@ def _clearance(a: complex, b: complex) -> float:
     return abs(a + min(1.0, max(0.0, along)) * step)
 
 
-@kernel
+@compiled
 def turns(
     signed1: FloatArray,
     signed2: FloatArray,

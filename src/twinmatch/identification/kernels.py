@@ -22,6 +22,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
 __all__ = [
@@ -104,11 +105,6 @@ CURVATURES = np.array(
 )
 """Second derivatives that are not zero: two spans of (b, m, c, d, f), what e is filtered by (0 nothing,
 1 by 1/C, 2 by 1/F), the signal it meets, and the factor."""
-
-
-def _compiled(function: _Function) -> _Function:
-    # No fastmath, so that bits repeat. Division follows IEEE, it does not raise.
-    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def _inner(function: _Function) -> _Function:
@@ -231,7 +227,7 @@ def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> No
             o5, o4, o3, o2, o1 = o4, o3, o2, o1, total
 
 
-@_compiled
+@compiled
 def fir(numerator: FloatArray, x: FloatArray) -> FloatArray:
     """Filter x by a polynomial in q⁻¹ from rest; shape (N,)."""
     out = np.empty(x.size)
@@ -239,7 +235,7 @@ def fir(numerator: FloatArray, x: FloatArray) -> FloatArray:
     return out
 
 
-@_compiled
+@compiled
 def all_pole(denominator: FloatArray, x: FloatArray) -> FloatArray:
     """Filter x by 1/denominator from rest; the denominator is monic in q⁻¹; shape (N,)."""
     out = np.empty(x.size)
@@ -288,7 +284,7 @@ def corners_of(spans: Spans) -> Spans:
     return corners
 
 
-@_compiled
+@compiled
 def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
     """Upper triangle of the normal matrix of delayed signals.
 
@@ -345,7 +341,7 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
     return G
 
 
-@_compiled
+@compiled
 def cholesky(G: FloatArray) -> FloatArray:
     """Upper triangle R with RᵀR = G; rows of columns that depend on earlier ones are zero."""
     size = G.shape[0]
@@ -401,7 +397,7 @@ def fold(R: FloatArray, rows: FloatArray, count: int, work: FloatArray) -> None:
                 rows[t, j] -= a * work[j]
 
 
-@_compiled
+@compiled
 def triangularise(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
     """Triangle of the QR factorisation of delayed signals; arguments as for `correlate`."""
     width = corners_of(spans)[-1]
@@ -423,7 +419,7 @@ def triangle_of(matrix: FloatArray) -> FloatArray:
     return R
 
 
-@_compiled
+@compiled
 def ridge_solve(R: FloatArray, rhs: FloatArray, damping: FloatArray) -> FloatArray:
     """The x that minimises ‖R x − rhs‖² + ‖damping ∘ x‖² for an upper triangle R.
 
@@ -453,7 +449,7 @@ def ridge_solve(R: FloatArray, rhs: FloatArray, damping: FloatArray) -> FloatArr
     return x
 
 
-@_compiled
+@compiled
 def column_norms(R: FloatArray) -> FloatArray:
     """Euclidean norms of the columns of R."""
     out = np.zeros(R.shape[1])
@@ -463,7 +459,7 @@ def column_norms(R: FloatArray) -> FloatArray:
     return np.sqrt(out)
 
 
-@_compiled
+@compiled
 def is_stable(polynomial: FloatArray, radius: float) -> bool:
     """Whether all roots of 1 + a₁q⁻¹ + … lie strictly inside |z| = radius (Schur–Cohn recursion)."""
     a = polynomial.copy()
@@ -482,7 +478,7 @@ def is_stable(polynomial: FloatArray, radius: float) -> bool:
     return True
 
 
-@_compiled
+@compiled
 def continue_outputs(B: FloatArray, F: FloatArray, u: FloatArray, outputs: FloatArray) -> FloatArray:
     """F w = B u from the first sample after `outputs`, which are kept; shape (N,).
 
@@ -500,7 +496,7 @@ def continue_outputs(B: FloatArray, F: FloatArray, u: FloatArray, outputs: Float
     return w
 
 
-@_compiled
+@compiled
 def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -> FloatArray:
     """Prediction errors for the given initial conditions m of the predictor; shape (N,)."""
     rest, driven, e = np.empty(y.size), np.empty(y.size), np.empty(y.size)
@@ -540,7 +536,7 @@ def solve_triangle(R: FloatArray) -> FloatArray:
     return ridge_solve(R[:size, :size].copy(), rhs, damping)
 
 
-@_compiled
+@compiled
 def best_start(u: FloatArray, y: FloatArray, model: Polynomials, count: int) -> FloatArray:
     """The `count` initial conditions m of the predictor that leave the smallest errors."""
     signals = np.zeros((2, count + u.size))
@@ -552,7 +548,7 @@ def best_start(u: FloatArray, y: FloatArray, model: Polynomials, count: int) -> 
     return solve_triangle(triangularise(signals, count, np.array([[0, 0, count], [1, 0, 1]])))
 
 
-@_compiled
+@compiled
 def noise_factor(C: FloatArray, D: FloatArray) -> FloatArray:
     """L, lower triangular: the state n of C/D driven by white noise of variance 1 is L z, z white."""
     size = max(C.size, D.size) - 1
@@ -692,7 +688,7 @@ def project(
     return x, e, start
 
 
-@_compiled
+@compiled
 def linearise(task: Task, place: Place, exact: bool, weighed: Weighed) -> FloatArray:
     """QR triangle of the derivatives of e by (b, m, c, d, f), with the rotated e as last column.
 
@@ -721,7 +717,7 @@ def linearise(task: Task, place: Place, exact: bool, weighed: Weighed) -> FloatA
     return R
 
 
-@_compiled
+@compiled
 def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     """Half the second derivative of Σ e² by θ = (c, d, f), with x = (b, m) following as its minimiser.
 
@@ -823,7 +819,7 @@ def is_finite(values: FloatArray) -> bool:
     return True
 
 
-@_compiled
+@compiled
 def stabilise(polynomial: FloatArray, radius: float, mirror: float) -> FloatArray:
     """Pull roots beyond `radius` back to it along their ray; what is not finite becomes 1.
 
@@ -850,7 +846,7 @@ def stabilise(polynomial: FloatArray, radius: float, mirror: float) -> FloatArra
     return stable
 
 
-@_compiled
+@compiled
 def boundary_normals(polynomial: FloatArray, radius: float) -> FloatArray:
     """Gradients of |z| by the free coefficients for the simple roots z that touch the boundary, as rows."""
     degree = polynomial.size - 1
@@ -877,7 +873,7 @@ def boundary_normals(polynomial: FloatArray, radius: float) -> FloatArray:
     return normals[:found]
 
 
-@_compiled
+@compiled
 def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool, weighed: Weighed) -> Place:
     """The best linear coefficients at θ and the errors they leave.
 
@@ -1044,7 +1040,7 @@ def outward(task: Task, place: Place) -> FloatArray:
     return rows[:found]
 
 
-@_compiled
+@compiled
 def descend(
     task: Task,
     theta: FloatArray,

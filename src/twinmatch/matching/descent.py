@@ -12,16 +12,14 @@ pretend.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, NamedTuple, Protocol, TypeVar, cast
+from typing import Final, NamedTuple, Protocol
 
-import numba
 import numpy as np
 
+from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = ["LEAST_DAMPING", "Descended", "Point", "box_step", "compiled", "descend"]
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
+__all__ = ["LEAST_DAMPING", "Descended", "Point", "box_step", "descend"]
 
 _TOLERANCE = 1e-9
 """Promised decrease, in units of the sum of squares, below which the search ends."""
@@ -112,11 +110,6 @@ def _in_valley(found: Descended, values: FloatArray, cost: float) -> bool:
     way = values - found.values
     rise = float(way @ found.hessian @ way)
     return found.converged and rise <= _NEAR * found.cost and abs(cost - found.cost - rise) <= _ALIKE * rise
-
-
-def compiled(function: _Function) -> _Function:
-    """Compile a kernel of small matrices; division follows IEEE, it does not raise."""
-    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 @compiled

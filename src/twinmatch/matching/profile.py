@@ -9,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.matching.descent import box_step, compiled, descend
+from twinmatch.compiled import compiled
+from twinmatch.matching.descent import box_step, descend
 from twinmatch.matching.problem import Evaluation, Problem
 from twinmatch.signals import FloatArray
 

@@ -1,0 +1,158 @@
+"""How numeric kernels are compiled, and kept on disk for as long as their sources stay what they were.
+
+numba keeps what it compiles beside the source file, under a stamp of that one file. A kernel holds
+the code of all kernels that it calls and the values of all constants that it uses, wherever these were
+written: after an upgrade of another file, numba alone runs the old mathematics. The stamp here is made from
+everything that a kernel can reach: the files of the kernels and classes it names, theirs in turn,
+and the values of constants.
+
+A module that is made at run time is kept like any other if it stands in `sys.modules` under its name.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import pickle
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any, TypeVar, cast
+
+import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.dispatcher import Dispatcher
+
+__all__ = ["compiled"]
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile a function at its first call, and keep the result on disk; the interpreter lock is released.
+
+    No `fastmath`: the same input gives the same bits every time. Division follows IEEE, it does not raise.
+    """
+    kernel = numba.njit(nogil=True, error_model="numpy")(function)
+    kernel._cache = _Cache(function)
+    return cast(_Function, kernel)
+
+
+class _Cache:
+    """numba's cache of a kernel, made when it is first asked: by then all that the kernel names is there."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    @functools.cached_property
+    def _kept(self) -> Any:
+        try:
+            return _KernelCache(self._function)
+        except RuntimeError:  # no folder to write to, neither beside the source nor in the user's home
+            return NullCache()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._kept, name)
+
+
+class _KernelFiles(CompileResultCacheImpl):
+    def __init__(self, function: FunctionType) -> None:
+        super().__init__(function)
+        self._locator: Any = _Stamped(super().locator, function)
+
+
+class _KernelCache(FunctionCache):
+    _impl_class = _KernelFiles
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        # Arguments that are named tuples go by the names of their classes; their fields are theirs to change.
+        return (*super()._index_key(sig, codegen), tuple(_fields(sig)))
+
+
+class _Stamped:
+    """Where numba keeps a kernel, with our stamp."""
+
+    def __init__(self, locator: Any, function: FunctionType) -> None:
+        self._locator = locator
+        self._function = function
+
+    def get_source_stamp(self) -> str:
+        return _stamp(self._function)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._locator, name)
+
+
+def _fields(kind: Any) -> Iterator[tuple[str, ...]]:
+    """Fields of all named tuples in a signature or a type."""
+    if isinstance(kind, numba.types.BaseNamedTuple):
+        yield tuple(kind.fields)
+    members = kind if isinstance(kind, (tuple, numba.types.BaseTuple)) else getattr(kind, "args", ())
+    for member in members:
+        yield from _fields(member)
+
+
+def _stamp(function: FunctionType) -> str:
+    """One hash of all source files and constants that a kernel is made from."""
+    files: set[str] = set()
+    constants: set[bytes] = set()
+    seen: set[int] = set()
+    waiting = [function]
+    while waiting:
+        current = waiting.pop()
+        if id(current) in seen:
+            continue
+        seen.add(id(current))
+        files.add(current.__code__.co_filename)
+        for name, value in _named(current):
+            if isinstance(value, Dispatcher):
+                waiting.append(value.py_func)
+            elif isinstance(value, FunctionType):
+                waiting.append(value)
+            elif isinstance(value, type):
+                files.add(getattr(sys.modules.get(value.__module__), "__file__", None) or value.__qualname__)
+            else:
+                constants.add(name.encode() + b"=" + _bytes_of(value))
+    parts = sorted([*constants, *(_hash(file) for file in files)])
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
+
+
+def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """What a function's code may mean by the names in it; of modules, what it may take from them."""
+    names = set(_names(function.__code__))
+    cells = function.__closure__ or ()
+    scope = function.__globals__ | {
+        n: c.cell_contents for n, c in zip(function.__code__.co_freevars, cells, strict=True)
+    }
+    for name in names | set(function.__code__.co_freevars):
+        value = scope.get(name)
+        if isinstance(value, ModuleType):
+            # numpy's functions are numba's own code, and go by its version.
+            if value.__name__.partition(".")[0] not in {"numpy", "math", "numba"}:
+                yield from ((n, getattr(value, n)) for n in names if hasattr(value, n))
+        elif name in scope:
+            yield name, value
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):  # a comprehension
+            yield from _names(constant)
+
+
+def _bytes_of(value: object) -> bytes:
+    try:
+        return pickle.dumps(value)
+    except (pickle.PicklingError, TypeError, AttributeError):
+        return repr(type(value)).encode()
+
+
+@functools.cache
+def _hash(path: str) -> bytes:
+    """Of a file's content; of its name where it cannot be read."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).digest()
+    except OSError:
+        return path.encode()

@@ -1,0 +1,163 @@
+"""Kernels on disk: kept while their sources stay, never run after one of them has changed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+OURS = "from twinmatch.compiled import compiled"
+NUMBAS = "import numba\ncompiled = numba.njit(cache=True)"
+
+CALLEE = """
+{decorator}
+from shape import FACTOR, Point
+
+@compiled
+def scaled(point):
+    return FACTOR * point.x
+
+@compiled
+def placed(x):
+    return Point(x, 10.0).x
+"""
+ENTRY = """
+{decorator}
+import callee
+from callee import scaled
+from shape import Point
+
+@compiled
+def entry(point):
+    return scaled(point) + callee.placed(1.0)
+
+print(entry(Point(2.0, 5.0)), "kept" if entry.stats.cache_hits else "compiled")
+"""
+SHAPE = """
+from typing import NamedTuple
+FACTOR = 3.0
+
+class Point(NamedTuple):
+    x: float
+    y: float
+"""
+FIELDS = ("    x: float\n    y: float", "    y: float\n    x: float")
+
+
+def write(folder: Path, decorator: str = OURS) -> None:
+    (folder / "shape.py").write_text(SHAPE)
+    (folder / "callee.py").write_text(CALLEE.format(decorator=decorator))
+    (folder / "entry.py").write_text(ENTRY.format(decorator=decorator))
+
+
+def change(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+def run(folder: Path, home: Path | None = None) -> str:
+    """What the entry of a new process gives, and whether it had to be compiled."""
+    keep = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA")}
+    keep |= {"HOME": str(home or folder), "XDG_CACHE_HOME": str((home or folder) / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-B", "entry.py"],
+        cwd=folder,
+        env=keep | {"PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_numba_alone_runs_old_mathematics(tmp_path: Path) -> None:
+    """Why there is `compiled`: when this fails, numba has learnt it and ours can go."""
+    write(tmp_path, NUMBAS)
+    assert run(tmp_path) == "7.0 compiled"
+    change(tmp_path / "callee.py", "FACTOR * point.x", "FACTOR + point.x * 100.0")
+    assert run(tmp_path) == "7.0 kept"
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "value"),
+    [
+        pytest.param(
+            "callee.py", "FACTOR * point.x", "FACTOR + point.x * 100.0", "204.0", id="called kernel"
+        ),
+        pytest.param("callee.py", "Point(x, 10.0)", "Point(x + 1.0, 10.0)", "8.0", id="kernel of a module"),
+        pytest.param("shape.py", "FACTOR = 3.0", "FACTOR = 5.0", "11.0", id="constant of a called kernel"),
+        pytest.param(
+            "shape.py", "    x: float\n    y: float", "    y: float\n    x: float", "25.0", id="fields"
+        ),
+    ],
+)
+def test_whatever_a_kernel_is_made_from_is_compiled_anew(
+    tmp_path: Path, file: str, old: str, new: str, value: str
+) -> None:
+    write(tmp_path)
+    assert run(tmp_path) == "7.0 compiled"
+    assert run(tmp_path) == "7.0 kept"
+    change(tmp_path / file, old, new)
+    assert run(tmp_path) == f"{value} compiled"
+    assert run(tmp_path) == f"{value} kept"
+
+
+def test_fields_of_an_argument_need_not_be_named_in_the_kernel(tmp_path: Path) -> None:
+    (tmp_path / "shape.py").write_text(SHAPE)
+    (tmp_path / "kernel.py").write_text(f"{OURS}\n@compiled\ndef first(point):\n    return point.x\n")
+    (tmp_path / "entry.py").write_text(
+        "from kernel import first\nfrom shape import Point\nprint(first(Point(2.0, 5.0)))"
+    )
+    assert run(tmp_path) == "2.0"
+    change(tmp_path / "shape.py", *FIELDS)
+    assert run(tmp_path) == "5.0"
+
+
+def test_what_a_kernel_does_not_use_may_change(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "other.py").write_text("VALUE = 1")
+    change(tmp_path / "entry.py", "import callee", "import callee, other")
+    assert run(tmp_path) == "7.0 compiled"
+    (tmp_path / "other.py").write_text("VALUE = 2")
+    assert run(tmp_path) == "7.0 kept"
+
+
+def test_files_generated_outside_of_the_package_are_kept_too(tmp_path: Path) -> None:
+    (tmp_path / "generated").mkdir()
+    write(tmp_path)
+    (tmp_path / "generated" / "plant.py").write_text(
+        f"{OURS}\nfrom callee import scaled\n@compiled\ndef step(point):\n    return scaled(point) + 1.0\n"
+    )
+    (tmp_path / "entry.py").write_text(
+        "import importlib.util, sys\n"
+        "from shape import Point\n"
+        "spec = importlib.util.spec_from_file_location('plant_1a2b', 'generated/plant.py')\n"
+        "plant = importlib.util.module_from_spec(spec)\n"
+        "sys.modules[spec.name] = plant\n"
+        "spec.loader.exec_module(plant)\n"
+        "print(plant.step(Point(2.0, 5.0)), 'kept' if plant.step.stats.cache_hits else 'compiled')"
+    )
+    assert run(tmp_path) == "7.0 compiled"
+    assert run(tmp_path) == "7.0 kept"
+    change(tmp_path / "callee.py", "FACTOR * point.x", "FACTOR + point.x * 100.0")
+    assert run(tmp_path) == "204.0 compiled"
+    assert list((tmp_path / "generated").rglob("*.nbi"))
+
+
+@pytest.mark.parametrize("home", ["writable", "read-only"])
+def test_an_installation_that_cannot_be_written(tmp_path: Path, home: str) -> None:
+    sources, where = tmp_path / "sources", tmp_path / "home"
+    sources.mkdir()
+    where.mkdir()
+    write(sources)
+    # A file where the folder should be stops root, too.
+    (sources / "__pycache__").write_text("")
+    if home == "read-only":
+        (where / "cache").write_text("")
+    assert run(sources, where) == "7.0 compiled"
+    assert run(sources, where) == ("7.0 kept" if home == "writable" else "7.0 compiled")
