@@ -29,7 +29,7 @@ def four_setpoints() -> Window:
     reference = np.repeat(np.array(SET_POINTS, dtype=float), HOLD)
     camera = Camera().realise(len(reference), 1.0, seed=30507090)
     run = simulate_closed_loop(RICH_RIG, reference, plate=22.0 + KELVIN, camera=camera)
-    return Window(reference, run.temperature, run.pwm)
+    return Window(reference, run.output, run.input)
 
 
 if __name__ == "__main__":

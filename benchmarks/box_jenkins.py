@@ -70,7 +70,7 @@ def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
 
 def _pairs(samples: Sequence[Sample]) -> list[tuple[str, FloatArray, FloatArray]]:
     """Set-point to temperature and, one tick early, to control, as deviations from the start."""
-    r, y, u = np.array([(s.reference, s.temperature, s.pwm) for s in samples]).T
+    r, y, u = np.array([(s.reference, s.output, s.input) for s in samples]).T
     ahead = np.append(r[1:], r[-1]) - r[0]
     return [(f"r → y, N = {r.size}", r - r[0], y - r[0]), (f"r → u, N = {r.size}", ahead, u - u[0])]
 

@@ -52,7 +52,7 @@ def record(samples: int, seed: int = 7) -> Window:
     reference = np.repeat([LEVELS[k % len(LEVELS)] for k in range(count)], 240)[:samples].astype(np.float64)
     camera = Camera(resolution=0.0, flat_field_period=None).realise(samples, GAINS.period, seed)
     response = simulate_closed_loop(TRUTH, reference, plate=LEVELS[0] + KELVIN, camera=camera, gains=GAINS)
-    return Window(reference, response.temperature, response.pwm)
+    return Window(reference, response.output, response.input)
 
 
 def pose(window: Window) -> Problem:
@@ -125,8 +125,8 @@ def _by_differences(problem: Problem, outputs: Callable[[Problem, Array], tuple[
         temperature, pwm = outputs(problem, values)
         return np.concatenate(
             [
-                (problem.temperature - temperature) / NOISE.temperature,
-                (problem.pwm - pwm) / NOISE.pwm,
+                (problem.output - temperature) / NOISE.output,
+                (problem.input - pwm) / NOISE.input,
             ]
         )
 
@@ -141,7 +141,7 @@ def _numba_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
         np.array(GAINS.constants),
         DRIVER.volts_per_count,
         problem.window.reference[2:],
-        float(problem.window.temperature[2]) + KELVIN,
+        float(problem.window.output[2]) + KELVIN,
         state.integral,
         state.previous_error,
     )
@@ -190,7 +190,7 @@ def _solve_ivp_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
     a, k, c = values.tolist()
     p, i, d, back, period, limit = GAINS.constants
     integral, previous = problem.controller.integral, problem.controller.previous_error
-    plate = float(problem.window.temperature[2]) + KELVIN
+    plate = float(problem.window.output[2]) + KELVIN
     total, ambient = START.resistance + DRIVER.bridge_resistance, START.ambient
     temperature, pwm = [], []
 
@@ -240,17 +240,17 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
         after = after + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     following = casadi.vertcat(after, integral + period * (i * error + back * (u - wanted)), error)
     outputs = casadi.vertcat(
-        (plate - KELVIN) / NOISE.temperature,
-        u / NOISE.pwm,
+        (plate - KELVIN) / NOISE.output,
+        u / NOISE.input,
     )
     tick = casadi.Function("tick", [state, reference, values], [following, outputs])
-    size = problem.temperature.size
+    size = problem.output.size
     loop = tick.mapaccum("loop", size)
     free = casadi.MX.sym("p", 3)
     known = problem.controller
-    start = casadi.DM([float(problem.window.temperature[2]) + KELVIN, known.integral, known.previous_error])
+    start = casadi.DM([float(problem.window.output[2]) + KELVIN, known.integral, known.previous_error])
     _, simulated = loop(start, problem.window.reference[2:].reshape(1, -1), casadi.repmat(free, 1, size))
-    measured = np.stack([problem.temperature / NOISE.temperature, problem.pwm / NOISE.pwm])
+    measured = np.stack([problem.output / NOISE.output, problem.input / NOISE.input])
     left = casadi.vec(casadi.DM(measured) - simulated)
     both = casadi.Function("both", [free], [left, casadi.jacobian(left, free)])
 

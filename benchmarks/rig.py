@@ -31,4 +31,4 @@ def recorded(samples: int, seed: int = 5) -> list[Sample]:
     reference = np.repeat(levels, REGIME)[:samples]
     camera = Camera().realise(samples, 1.0, seed)
     run = simulate_closed_loop(SINK, reference, plate=296.0, camera=camera)
-    return list(samples_of(Window(reference, run.temperature, run.pwm)))
+    return list(samples_of(Window(reference, run.output, run.input)))

@@ -46,12 +46,12 @@ def judged(fitted: StructureFit, hour: Window, half: int) -> Figures:
     run = simulate_closed_loop(
         fitted.parameters,
         hour.reference[2:],
-        plate=float(hour.temperature[2]) + KELVIN,
+        plate=float(hour.output[2]) + KELVIN,
         sink=fitted.sink_starts[0],
         controller=controller_state(hour),
     )
-    y = nrmse(hour.temperature[half:], run.temperature[half - 2 :])
-    return y, nrmse(hour.pwm[half:], run.pwm[half - 2 :])
+    y = nrmse(hour.output[half:], run.output[half - 2 :])
+    return y, nrmse(hour.input[half:], run.input[half - 2 :])
 
 
 def watched(hour: Window) -> str:

@@ -1,14 +1,15 @@
 """Samples and windows: the only data that travel between the rooms of this package.
 
-A `Sample` is one tick of the control loop. At tick k the reference r[k] and the temperature y[k] are
-read and the PWM u[k] is computed from them; u[k] then drives the plant until tick k+1.
-A `Window` is a run of consecutive samples as arrays.
+A `Sample` is one tick of the control loop. At tick k the reference r[k], the output y[k] of the plant and
+its disturbances are read and the input u[k] is computed from them; u[k] then drives the plant until tick
+k+1. A `Window` is a run of consecutive samples as arrays. The units are the plant's: on the Peltier rig
+the output is the plate's temperature in °C and the input the PWM command, −255 to 255.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ KELVIN = 273.15
 PWM_LIMIT = 255.0
 """Largest magnitude of a PWM command; its sign is the direction, positive heats the plate."""
 
+_NONE: FloatArray = np.empty((0, 0))
+"""Stands for the disturbances of a window that was given none."""
+
 
 class SignalError(TwinmatchError):
     """Arrays that are no window: unequal lengths, not one-dimensional, not finite, no period."""
@@ -39,11 +43,13 @@ class Sample:
     stamp: int
     """Time of the tick in nanoseconds since the epoch of its clock."""
     reference: float
-    """Set-point r, °C."""
-    temperature: float
-    """Measured plate temperature y, °C."""
-    pwm: float
-    """Command u computed at this tick, −255 to 255."""
+    """Set-point r, in the output's unit."""
+    output: float
+    """Measured output y of the plant."""
+    input: float
+    """Command u computed at this tick."""
+    disturbances: tuple[float, ...] = ()
+    """Measured disturbances of the plant, in its order; the rig has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,46 +57,62 @@ class Window:
     """Consecutive samples as read-only float64 arrays of one length N."""
 
     reference: FloatArray
-    """Set-point r, °C, shape (N,)."""
-    temperature: FloatArray
-    """Measured temperature y, °C, shape (N,)."""
-    pwm: FloatArray
-    """Command u, −255 to 255, shape (N,)."""
+    """Set-point r, in the output's unit, shape (N,)."""
+    output: FloatArray
+    """Measured output y, shape (N,)."""
+    input: FloatArray
+    """Command u, shape (N,)."""
     first: int = 0
     """Index of the first sample in its session."""
     period: float = 1.0
     """Sample time, s."""
+    disturbances: FloatArray = field(default_factory=lambda: _NONE)
+    """Measured disturbances, shape (N, m); by default none, m = 0."""
 
     def __post_init__(self) -> None:
         lengths = set()
-        for name in ("reference", "temperature", "pwm"):
+        for name in ("reference", "output", "input"):
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.ndim != 1:
                 msg = f"window: {name} has shape {values.shape}; give one value per sample"
                 raise SignalError(msg)
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                msg = (
-                    f"window: {name} is {values[bad[0]]} at sample {self.first + int(bad[0])}; "
-                    "only finite values can be used"
-                )
-                raise SignalError(msg)
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+            self._keep(name, values)
             lengths.add(values.size)
         if len(lengths) != 1:
-            msg = f"window: reference, temperature and pwm have lengths {sorted(lengths)}; they must be equal"
+            msg = f"window: reference, output and input have lengths {sorted(lengths)}; they must be equal"
             raise SignalError(msg)
+        given = np.empty((len(self), 0)) if self.disturbances is _NONE else self.disturbances
+        disturbances = np.array(given, dtype=np.float64)
+        if disturbances.ndim != 2 or len(disturbances) != len(self):
+            msg = (
+                f"window: disturbances have shape {disturbances.shape}; "
+                f"give one row for each of the {len(self)} samples"
+            )
+            raise SignalError(msg)
+        self._keep("disturbances", disturbances)
         if not (np.isfinite(self.period) and self.period > 0):
             msg = f"window: the period is {self.period} s; it must be positive"
             raise SignalError(msg)
+
+    def _keep(self, name: str, values: FloatArray) -> None:
+        """Hold finite values as a read-only field."""
+        bad = np.argwhere(~np.isfinite(values))
+        if bad.size:
+            msg = (
+                f"window: {name} is {values[tuple(bad[0])]} at sample {self.first + int(bad[0][0])}; "
+                "only finite values can be used"
+            )
+            raise SignalError(msg)
+        values.flags.writeable = False
+        object.__setattr__(self, name, values)
 
     @classmethod
     def from_samples(cls, samples: Sequence[Sample], period: float = 1.0) -> Window:
         """Gather consecutive samples.
 
         Raises:
-            SignalError: there is no sample, or their indices are not consecutive.
+            SignalError: there is no sample, their indices are not consecutive, or they have different
+                numbers of disturbances.
         """
         if not samples:
             raise SignalError("window: there is no sample to gather")
@@ -100,12 +122,21 @@ class Window:
             before, after = indices[gaps[0]], indices[gaps[0] + 1]
             msg = f"window: sample {after} follows sample {before}; a window has no gaps"
             raise SignalError(msg)
+        number = len(samples[0].disturbances)
+        for sample in samples:
+            if len(sample.disturbances) != number:
+                msg = (
+                    f"window: sample {sample.index} has {len(sample.disturbances)} disturbances, "
+                    f"sample {samples[0].index} has {number}; they must be equal"
+                )
+                raise SignalError(msg)
         return cls(
             reference=_array(s.reference for s in samples),
-            temperature=_array(s.temperature for s in samples),
-            pwm=_array(s.pwm for s in samples),
+            output=_array(s.output for s in samples),
+            input=_array(s.input for s in samples),
             first=int(indices[0]),
             period=period,
+            disturbances=np.array([s.disturbances for s in samples]).reshape(len(samples), number),
         )
 
     def __len__(self) -> int:
@@ -133,7 +164,12 @@ class Window:
             raise SignalError(msg)
         span = slice(first - self.first, last - self.first + 1)
         return Window(
-            self.reference[span], self.temperature[span], self.pwm[span], first=first, period=self.period
+            self.reference[span],
+            self.output[span],
+            self.input[span],
+            first=first,
+            period=self.period,
+            disturbances=self.disturbances[span],
         )
 
 

@@ -28,7 +28,7 @@ def _make(folder: Path, *, seed: int, seebeck: float) -> Path:
     reference = np.repeat([30.0, 50.0, 65.0], [40, 130, 130])
     run = simulate_closed_loop(rig, reference, plate=296.0)
     noise = np.random.default_rng(seed).normal(scale=CAMERA, size=reference.size)
-    return write_session(folder, samples_of(Window(reference, run.temperature + noise, run.pwm)))
+    return write_session(folder, samples_of(Window(reference, run.output + noise, run.input)))
 
 
 @pytest.fixture(scope="session")

@@ -27,8 +27,8 @@ def test_recorded_control_is_reproduced(recorded_hour, number):
     window = recorded_hour(number)
     loop = Loop(state=PidState())
     for k in range(len(window)):
-        sample = tick(loop, k, float(window.reference[k]), float(window.temperature[k]))
-        assert sample.pwm == pytest.approx(window.pwm[k], abs=1e-9)
+        sample = tick(loop, k, float(window.reference[k]), float(window.output[k]))
+        assert sample.input == pytest.approx(window.input[k], abs=1e-9)
         assert sample.index == k
     assert (loop.missed, loop.idle) == (0, 0)
 
@@ -38,18 +38,18 @@ def test_each_tick_is_one_step_of_the_pid(signals):
     loop, pid = Loop(state=PidState()), Pid()
     for k, (reference, temperature) in enumerate(signals):
         sample = tick(loop, k, reference, temperature)
-        assert sample.pwm == loop.pwm == pid.step(reference, temperature)
-        assert (sample.reference, sample.temperature, sample.stamp) == (reference, temperature, k * SECOND)
+        assert sample.input == loop.input == pid.step(reference, temperature)
+        assert (sample.reference, sample.output, sample.stamp) == (reference, temperature, k * SECOND)
 
 
 def test_the_first_output_is_zero_and_the_integral_carries_on():
     loop = Loop()
-    assert tick(loop, 0, 40.0, 25.0).pwm == 0
+    assert tick(loop, 0, 40.0, 25.0).input == 0
     # From here on the state is the one the two first samples fix.
     pid = Pid()
     pid.follow(40.0, 25.0, 0.0)
     pid.state = PidState(-PidGains().proportional * 15.0 + PidGains().integral * 15.0, 15.0)
-    assert tick(loop, 1, 40.0, 25.5).pwm == pytest.approx(pid.step(40.0, 25.5), abs=1e-9)
+    assert tick(loop, 1, 40.0, 25.5).input == pytest.approx(pid.step(40.0, 25.5), abs=1e-9)
 
 
 def test_the_set_point_is_asked_for_at_times_of_the_grid():
@@ -88,17 +88,17 @@ def test_a_stale_temperature_switches_off_and_leaves_a_gap():
     assert tick(loop, 7) is None
     assert tick(loop, 8) is None
     assert "the newest temperature is 4.0 s old" in loop.trouble
-    assert (loop.pwm, loop.running, loop.idle) == (0.0, False, 2)
+    assert (loop.input, loop.running, loop.idle) == (0.0, False, 2)
     again = tick(loop, 9, 30.0, 25.0)
     assert again.index == 9
-    assert again.pwm == pytest.approx(0.0, abs=1e-9)
+    assert again.input == pytest.approx(0.0, abs=1e-9)
     assert loop.time == 9
 
 
 def test_temperatures_that_are_no_numbers_age():
     loop = Loop(max_age=1.0)
     tick(loop, 0, 30.0, 29.0)
-    assert tick(loop, 1, 30.0, math.nan).temperature == 29.0
+    assert tick(loop, 1, 30.0, math.nan).output == 29.0
     assert tick(loop, 2, 30.0, math.inf) is None
     assert loop.refused == 2
 
@@ -106,11 +106,11 @@ def test_temperatures_that_are_no_numbers_age():
 def test_a_missed_tick_is_counted_and_the_output_continues():
     loop = Loop()
     for k in range(10):
-        before = tick(loop, k, 30.0, 29.5).pwm
+        before = tick(loop, k, 30.0, 29.5).input
     late = tick(loop, 12.2, 30.0, 28.0)
     assert (late.index, loop.missed) == (12, 2)
     assert loop.jitter == pytest.approx(0.2)
-    assert late.pwm == pytest.approx(before, abs=1e-9)
+    assert late.input == pytest.approx(before, abs=1e-9)
     assert tick(loop, 13, 30.0, 28.0).index == 13
     assert loop.missed == 2
 
@@ -133,7 +133,7 @@ def test_a_clock_set_back_begins_anew_behind_a_gap():
     for k in range(5):
         tick(loop, 100 + k, 30.0, 29.0)
     assert tick(loop, 50) is None, "the temperature is of a time that is to come"
-    assert loop.pwm == 0
+    assert loop.input == 0
     assert tick(loop, 51, 30.0, 29.0).index == 7
     assert tick(loop, 52, 30.0, 29.0).index == 8
 
@@ -151,11 +151,11 @@ def test_an_index_is_a_place_on_the_grid(calls, late):
         due += skip
         sample = tick(loop, due + late_now, 30.0, 29.0 if measured else None)
         if sample is None:
-            assert loop.running or loop.pwm == 0
+            assert loop.running or loop.input == 0
             continue
         assert last < sample.index <= due
         assert sample.index >= due + late_now - late - 1 - 1e-6
-        assert abs(sample.pwm) <= 255
+        assert abs(sample.input) <= 255
         last = sample.index
 
 
@@ -171,7 +171,7 @@ def test_a_second_call_at_once_is_no_tick():
     late = tick(loop, 2.1, 30.0, 28.0)
     assert (late.index, loop.missed) == (2, 1)
     assert tick(loop, 2.1, 30.0, 28.0) is None
-    assert (loop.pwm, loop.running, loop.missed, loop.idle) == (late.pwm, True, 1, 0)
+    assert (loop.input, loop.running, loop.missed, loop.idle) == (late.input, True, 1, 0)
     assert tick(loop, 3.0, 30.0, 28.0).index == 3
 
 
@@ -179,8 +179,8 @@ def test_a_second_call_at_once_is_no_tick():
 def test_the_controller_goes_on_from_the_output_that_stands(pwm, reference, temperature):
     loop = Loop()
     tick(loop, 0, reference, temperature)
-    loop.pwm = pwm
-    assert tick(loop, 3, reference, temperature).pwm == pytest.approx(pwm, abs=1e-9)
+    loop.input = pwm
+    assert tick(loop, 3, reference, temperature).input == pytest.approx(pwm, abs=1e-9)
 
 
 @pytest.mark.parametrize("age", [0.0, -1.0, math.nan])

@@ -40,7 +40,7 @@ def scored(name: str, rig: RigParameters, operating_point: float | None = None) 
 @cache
 def models() -> tuple[SimoModel, ...]:
     run = simulate_closed_loop(RIGS["50 °C"], REFERENCE, plate=30.0 + KELVIN)
-    window = Window(REFERENCE, run.temperature, run.pwm)
+    window = Window(REFERENCE, run.output, run.input)
     twins = (twin_response(rig, window, PidGains(), Camera(), k) for k, rig in enumerate(RIGS.values()))
     return tuple(identify(twin, ["22221"])[0] for twin in twins)
 

@@ -90,7 +90,7 @@ def test_a_table_of_any_shape_is_a_sum_and_an_empty_one_costs_nothing() -> None:
 
 def test_recorded_temperatures_cost_what_was_published(recorded_hour: Callable[[int], Window]) -> None:
     for number in (1, 2, 5, 9, 14, 20):
-        kelvin = recorded_hour(number).temperature + KELVIN
+        kelvin = recorded_hour(number).output + KELVIN
         assert 5.87 <= code_length(kelvin, 2) / kelvin.size <= 5.94
 
 

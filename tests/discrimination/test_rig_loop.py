@@ -80,12 +80,12 @@ def test_the_plant_answers_a_small_pulse_as_the_simulation_does(rig: RigParamete
     expected = lfilter(n, d, np.eye(1, 41)[0])
     settle = np.full(4000, 60.0)
     at_rest = simulate_closed_loop(rig, settle, plate=60.0 + KELVIN)
-    assert at_rest.temperature[-1] == pytest.approx(60.0, abs=1e-6)
+    assert at_rest.output[-1] == pytest.approx(60.0, abs=1e-6)
     ran = []
     for pulse in (0.5, -0.5):
-        pwm = np.full(4000 + 41, at_rest.pwm[-1])
+        pwm = np.full(4000 + 41, at_rest.input[-1])
         pwm[4000] += pulse
-        ran.append(simulate_driven(rig, pwm, plate=60.0 + KELVIN).temperature[4000:])
+        ran.append(simulate_driven(rig, pwm, plate=60.0 + KELVIN).output[4000:])
     np.testing.assert_allclose(ran[0] - ran[1], expected, atol=1e-5 * np.abs(expected).max())
 
 
@@ -98,7 +98,7 @@ def test_the_controller_is_the_pid_that_runs() -> None:
     assert nu_gap(symbol, by_hand) < 1e-12
     errors = np.random.default_rng(1).normal(0, 0.3, 60)
     pid = Pid(gains)
-    ran = [pid.step(reference=float(e), temperature=0.0) for e in errors]
+    ran = [pid.step(reference=float(e), output=0.0) for e in errors]
     assert np.abs(ran).max() < gains.limit
     np.testing.assert_allclose(control.forced_response(by_hand, U=errors).outputs, ran, rtol=1e-9, atol=1e-9)
 
@@ -134,7 +134,7 @@ def test_the_margin_ends_where_the_simulated_loop_does() -> None:
         """How much larger the last movements are than earlier ones, after a nudge of 1 mK."""
         reference = np.full(3000, 50.0)
         reference[2200:] += 1e-3
-        run = simulate_closed_loop(rig, reference, plate=50.0 + KELVIN, gains=gains(k)).pwm
+        run = simulate_closed_loop(rig, reference, plate=50.0 + KELVIN, gains=gains(k)).input
         return float(np.ptp(run[2500:2600]) / np.ptp(run[2300:2400]))
 
     assert swing(0.97 * low) < 1.0 < swing(1.03 * high)

@@ -30,7 +30,7 @@ REFERENCE = np.repeat([30.0, 50.0, 70.0], [60, 120, 150])
 def measured(rig: RigParameters = RIG, seed: int = 1) -> Window:
     camera = Camera().realise(len(REFERENCE), 1.0, seed)
     run = simulate_closed_loop(rig, REFERENCE, plate=30.0 + KELVIN, camera=camera)
-    return Window(REFERENCE, run.temperature, run.pwm)
+    return Window(REFERENCE, run.output, run.input)
 
 
 def criteria(gain: int, naic: float, bic: float, mdl: float) -> Criteria:
@@ -92,8 +92,8 @@ def test_more_noise_free_information_is_explained_by_the_right_model_than_by_a_w
 def test_lengths_are_those_of_the_tables() -> None:
     window = measured()
     scored = score(identify(window)[0], window, decimals=1)
-    assert scored.y.trivial_length == code_length(window.temperature + KELVIN, 1) + 15
-    assert scored.u.trivial_length == code_length(window.pwm, 1) + 15
+    assert scored.y.trivial_length == code_length(window.output + KELVIN, 1) + 15
+    assert scored.u.trivial_length == code_length(window.input, 1) + 15
     assert scored.total.gain == scored.y.gain + scored.u.gain
 
 
@@ -119,7 +119,7 @@ def test_the_twin_response_repeats_with_its_seed_only() -> None:
     window = measured()
 
     def run(seed: int) -> Any:
-        return twin_response(RIG, window, PidGains(), Camera(), seed).temperature
+        return twin_response(RIG, window, PidGains(), Camera(), seed).output
 
     np.testing.assert_array_equal(run(5), run(5))
     assert not np.array_equal(run(5), run(6))

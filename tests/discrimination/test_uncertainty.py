@@ -45,7 +45,7 @@ def truth() -> tuple[SimoModel, ...]:
 def seen(rig: RigParameters, seed: int) -> Window:
     camera = Camera().realise(len(REFERENCE), 1.0, seed)
     run = simulate_closed_loop(rig, REFERENCE, plate=30.0 + KELVIN, camera=camera)
-    return Window(REFERENCE, run.temperature, run.pwm)
+    return Window(REFERENCE, run.output, run.input)
 
 
 def identified_again(rng: np.random.Generator) -> tuple[SimoModel, ...]:

@@ -51,7 +51,7 @@ def test_orders_are_weighed_by_the_aic_of_both_outputs() -> None:
     rig = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     camera = Camera().realise(len(reference), 1.0, 3)
     run = simulate_closed_loop(rig, reference, plate=30.0 + KELVIN, camera=camera)
-    window = Window(reference, run.temperature, run.pwm)
+    window = Window(reference, run.output, run.input)
     models = identify(window)
     scores = score_orders(models, window)
     totals = []

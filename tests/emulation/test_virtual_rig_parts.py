@@ -108,7 +108,7 @@ def test_the_plant_is_that_of_the_plant_room() -> None:
     plant = VirtualPlant()
     for _ in range(500):
         plant.advance(Drive(0.0, 100.0, enabled=True), 0.02)
-    exact = simulate_driven(RICH_RIG, [100.0, 0.0], plate=RICH_RIG.ambient, period=10.0).temperature[1]
+    exact = simulate_driven(RICH_RIG, [100.0, 0.0], plate=RICH_RIG.ambient, period=10.0).output[1]
     assert plant.plate == pytest.approx(exact, abs=1e-5)
 
 

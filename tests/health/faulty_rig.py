@@ -109,7 +109,7 @@ def visible_after(
 ) -> int | None:
     """Samples from the break until plate or reading are 1 °C (15 times the noise) from what they would be."""
     away = np.abs(truth - other)
-    away = np.maximum(away, [abs(a.temperature - b.temperature) for a, b in zip(samples, whole, strict=True)])
+    away = np.maximum(away, [abs(a.output - b.output) for a, b in zip(samples, whole, strict=True)])
     found = np.flatnonzero(away[start:] > 1.0)
     return int(found[0]) if found.size else None
 

@@ -18,7 +18,7 @@ def test_nothing_is_left_of_the_twin_itself() -> None:
     pwm = np.random.default_rng(1).uniform(-255, 255, 200)
     run = simulate_driven(RIG, pwm, plate=310.0)
     balance = Balance(RIG, 1.0)
-    for u, (y, after) in zip(pwm, itertools.pairwise(run.temperature), strict=False):
+    for u, (y, after) in zip(pwm, itertools.pairwise(run.output), strict=False):
         movement = balance.step(float(y), float(u), float(after))
         assert abs(movement.unexplained) < 1e-9
         assert movement.drive * u >= 0
@@ -33,7 +33,7 @@ def test_an_error_of_drive_and_losses_is_learned(rig: Any) -> None:
     balance = Balance(RIG, 1.0)
     early, late = [], []
     for k in range(len(reference) - 1):
-        movement = balance.step(float(run.temperature[k]), float(run.pwm[k]), float(run.temperature[k + 1]))
+        movement = balance.step(float(run.output[k]), float(run.input[k]), float(run.output[k + 1]))
         full = balance.block()
         if full is not None:
             balance.learn(*full, healthy=True)

@@ -143,7 +143,7 @@ def test_what_is_mended_is_healthy_again_and_stays_in_the_record(kind: str, rig:
 def test_healthy_steps_saturation_and_corrections_of_the_camera_are_no_fault(rig: Any) -> None:
     for seed in range(3):
         samples, _ = rig.run(rig.profile(seed, 2400), rig=rig.some_rig(seed), seed=seed)
-        assert max(abs(s.pwm) for s in samples) == 255.0
+        assert max(abs(s.input) for s in samples) == 255.0
         monitor, _ = rig.watch(samples)
         assert monitor.alarms == ()
 
@@ -167,7 +167,7 @@ def test_a_nominal_twin_is_taken_where_the_own_one_is_rough(rig: Any) -> None:
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -273.15, 400.0])
 def test_an_impossible_reading_is_told_at_once(value: float, rig: Any) -> None:
     samples = holding(rig, 60.0, None, 400)
-    samples[3] = dataclasses.replace(samples[3], temperature=value)
+    samples[3] = dataclasses.replace(samples[3], output=value)
     monitor, healths = rig.watch(samples)
     assert healths[3].news is not None
     assert healths[3].fault is Fault.SENSOR_IMPLAUSIBLE

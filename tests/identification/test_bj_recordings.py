@@ -24,7 +24,7 @@ SPANS = [
 
 
 @pytest.mark.parametrize(("number", "first", "last"), SPANS)
-@pytest.mark.parametrize("output", ["temperature", "pwm"])
+@pytest.mark.parametrize("output", ["output", "input"])
 def test_loss_never_grows_up_the_ladder(
     recorded_hour: Hour, number: int, first: int, last: int, output: str
 ) -> None:
@@ -45,7 +45,7 @@ def test_the_estimated_start_brings_the_loss_near_the_noise(
 ) -> None:
     window = recorded_hour(1).part(0, last)
     loss = {
-        how: estimate(window.reference, window.temperature, "22221", initial=how).variance
+        how: estimate(window.reference, window.output, "22221", initial=how).variance
         for how in ("estimate", "zero")
     }
     assert loss["estimate"] < bound
@@ -54,7 +54,7 @@ def test_the_estimated_start_brings_the_loss_near_the_noise(
 
 def test_closed_loop_gain_is_one(recorded_hour: Hour) -> None:
     window = recorded_hour(5)
-    model = estimate(window.reference, window.temperature, "33331")
+    model = estimate(window.reference, window.output, "33331")
     # The PID integrates: what is left is the noise of an hour over steps of some ten degrees.
     assert model.B.sum() / model.F.sum() == pytest.approx(1.0, abs=0.01)
 
@@ -62,8 +62,6 @@ def test_closed_loop_gain_is_one(recorded_hour: Hour) -> None:
 def test_a_model_judges_itself_on_the_next_window(recorded_hour: Hour) -> None:
     hour = recorded_hour(5)
     here, there = hour.part(200, 1400), hour.part(1401, 2600)
-    model: BoxJenkins = estimate(here.reference, here.temperature, "22221")
-    assert model.loss(there.reference, there.temperature) < 1.5 * model.variance
-    assert model.loss(there.reference, there.temperature, "zero") > model.loss(
-        there.reference, there.temperature
-    )
+    model: BoxJenkins = estimate(here.reference, here.output, "22221")
+    assert model.loss(there.reference, there.output) < 1.5 * model.variance
+    assert model.loss(there.reference, there.output, "zero") > model.loss(there.reference, there.output)

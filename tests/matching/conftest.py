@@ -31,7 +31,7 @@ def record() -> Recorder:
                 reference.size, 1.0, seed
             )
         response = simulate_closed_loop(rig, reference, plate=levels[0] + 273.15, camera=camera)
-        whole = Window(reference, response.temperature, response.pwm, first=1000)
+        whole = Window(reference, response.output, response.input, first=1000)
         return whole.part(1060, whole.last)
 
     return run

@@ -83,7 +83,7 @@ def test_any_rig_is_found_from_the_default_start(
 def test_an_independent_program_finds_the_same(record: Recorder) -> None:
     """The plant by a general integrator, the PID spelled out, derivatives by scipy: one short window."""
     window = record(TRUTH, levels=(40.0, 48.0), seed=3, samples=30)
-    r, y, u = window.reference, window.temperature, window.pwm
+    r, y, u = window.reference, window.output, window.input
     noise = Noise()
 
     def simulate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +108,7 @@ def test_an_independent_program_finds_the_same(record: Recorder) -> None:
 
     def residuals(values: np.ndarray) -> np.ndarray:
         temperature, pwm = simulate(values)
-        return np.concatenate([(y[2:] - temperature) / noise.temperature, (u[2:] - pwm) / noise.pwm])
+        return np.concatenate([(y[2:] - temperature) / noise.output, (u[2:] - pwm) / noise.input])
 
     theirs = least_squares(residuals, [0.07, 0.5, 28.0], x_scale=[0.1, 0.5, 30.0], diff_step=1e-6)
     posed = problem(window)

@@ -74,7 +74,7 @@ def test_the_suggested_step_keeps_its_promise(small_step: Match) -> None:
         response = simulate_closed_loop(
             TRUTH, reference, plate=309.15, controller=PidState(integral=40.0), camera=camera
         )
-        after = match(Window(reference, response.temperature, response.pwm), start=TRUTH)
+        after = match(Window(reference, response.output, response.input), start=TRUTH)
         found.append(before / after.standard_errors[place])
     assert promised > 2.0
     assert np.median(found) == pytest.approx(promised, rel=0.5)

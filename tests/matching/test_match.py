@@ -91,15 +91,15 @@ def test_a_handful_of_samples_is_no_excitation(size: int) -> None:
 def test_a_lost_drive_is_suspected(record: Recorder) -> None:
     window = record(TRUTH, seed=4)
     lost = np.where(np.arange(len(window)) > 180, 30.0 + 25.0 * np.exp(-np.arange(len(window)) / 80), 0.0)
-    temperature = np.where(lost > 0.0, lost, window.temperature)
-    result = match(Window(window.reference, temperature, window.pwm, first=window.first))
+    temperature = np.where(lost > 0.0, lost, window.output)
+    result = match(Window(window.reference, temperature, window.input, first=window.first))
     assert result.status is Status.PLANT_FAULT_SUSPECTED
     assert "the plant did something" in result.reason
 
 
 def test_a_frozen_camera_is_suspected_without_a_step(record: Recorder) -> None:
     window = record(TRUTH, levels=(30.0, 30.0), seed=4)
-    temperature, pwm = window.temperature.copy(), window.pwm.copy()
+    temperature, pwm = window.output.copy(), window.input.copy()
     temperature[50:80] = temperature[50]
     pwm[50:80] += np.linspace(0.0, 60.0, 30)
     result = match(Window(window.reference, temperature, pwm, first=window.first))
@@ -173,7 +173,7 @@ def test_other_periods_are_matched_as_well() -> None:
     gains = PidGains(proportional=20.0, back_calculation=2.0, period=0.5)
     reference = np.repeat([30.0, 50.0, 40.0], 150)
     whole = simulate_closed_loop(TRUTH, reference, plate=303.15, gains=gains)
-    window = Window(reference, whole.temperature, whole.pwm, period=0.5)
+    window = Window(reference, whole.output, whole.input, period=0.5)
     result = match(window, gains=gains)
     assert result.parameters.heat_capacity == pytest.approx(30.0, rel=1e-6)
     with pytest.raises(
@@ -200,8 +200,8 @@ def test_questions_without_meaning_are_refused(record: Recorder) -> None:
         match(window, bounds={"conductance": (1.0, 0.0)})
     with pytest.raises(PlantError, match=r"conductance is -1\.0; it must be finite and 0 or more"):
         match(window, bounds={"conductance": (-1.0, 1.0)})
-    with pytest.raises(MatchingError, match=r"noise: pwm is 0\.0; it must be finite and positive"):
-        Noise(pwm=0.0)
+    with pytest.raises(MatchingError, match=r"noise: input is 0\.0; it must be finite and positive"):
+        Noise(input=0.0)
 
 
 def two_regime_windows(hour: Window) -> Iterator[Window]:

@@ -34,7 +34,7 @@ def recorded(
     if seed is not None:
         camera = Camera().realise(reference.size, 1.0, seed)
     run = simulate_closed_loop(rig, reference, plate=295.0, sink=sink, camera=camera)
-    return Window(reference, run.temperature, run.pwm)
+    return Window(reference, run.output, run.input)
 
 
 def test_the_truth_is_found_without_noise() -> None:
@@ -66,9 +66,9 @@ def test_two_windows_share_the_rig_and_not_the_start_of_the_sink() -> None:
 
 def test_kicks_of_the_camera_hardly_move_the_parameters() -> None:
     clean = recorded(TRUTH, seed=4)
-    temperature = clean.temperature.copy()
+    temperature = clean.output.copy()
     temperature[150::180] += 5.0
-    kicked = Window(clean.reference, temperature, clean.pwm)
+    kicked = Window(clean.reference, temperature, clean.input)
     one, other = (fit_structure([w], BY_NAME["held sink"]).parameters for w in (clean, kicked))
     # Least squares of the same would move by as much as the six kicks of 50 σ ask: a tenth and more.
     assert other.heat_capacity == pytest.approx(one.heat_capacity, rel=0.03)
@@ -76,7 +76,7 @@ def test_kicks_of_the_camera_hardly_move_the_parameters() -> None:
 
 def test_the_first_samples_are_not_judged() -> None:
     window = recorded(TRUTH)
-    frozen = window.temperature.copy()
+    frozen = window.output.copy()
     fitted = fit_structure([window], FULL)
     assert fitted.measured[0].shape == fitted.simulated[0].shape == (2, len(window) - 2 - SETTLE)
     np.testing.assert_array_equal(fitted.measured[0][0], frozen[2 + SETTLE :])

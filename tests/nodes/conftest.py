@@ -173,7 +173,7 @@ def steps() -> list[Sample]:
     parameters = RigParameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
     camera = Camera().realise(reference.size, 1.0, 7)
     response = simulate_closed_loop(parameters, reference, plate=296.0, camera=camera)
-    return samples_of(Window(reference=reference, temperature=response.temperature, pwm=response.pwm))
+    return samples_of(Window(reference=reference, output=response.output, input=response.input))
 
 
 @pytest.fixture(scope="session")

@@ -99,9 +99,9 @@ def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Any], benc
     samples = [sample_from(message) for message in bench.samples]
     pid = Pid()
     for sample in samples[:2]:
-        pid.follow(sample.reference, sample.temperature, sample.pwm)
+        pid.follow(sample.reference, sample.output, sample.input)
     for sample in samples[2:]:
-        assert sample.pwm == pytest.approx(pid.step(sample.reference, sample.temperature), abs=1e-9)
+        assert sample.input == pytest.approx(pid.step(sample.reference, sample.output), abs=1e-9)
 
 
 def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(

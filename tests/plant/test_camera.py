@@ -39,7 +39,7 @@ def test_corrections_come_once_a_period() -> None:
 def test_a_frozen_camera_repeats_itself_in_the_loop() -> None:
     camera = Camera(flat_field_period=30.0, flat_field_duration=3.0).realise(300, 1.0, 4)
     response = simulate_closed_loop(RigParameters(), np.full(300, 60.0), plate=296.0, camera=camera)
-    again = np.diff(response.temperature) == 0.0
+    again = np.diff(response.output) == 0.0
     assert camera.frozen.sum() >= 27
     assert again[camera.frozen[1:]].all()
 
@@ -57,7 +57,7 @@ def test_a_reading_is_a_multiple_of_the_resolution_next_to_the_plate(
 def test_a_camera_frozen_from_the_start_shows_the_plate_once() -> None:
     camera = CameraRealisation(np.zeros(3), np.ones(3, dtype=bool), 0.0)
     response = simulate_closed_loop(RigParameters(), [60.0] * 3, plate=300.0, camera=camera)
-    np.testing.assert_array_equal(response.temperature, np.full(3, 300.0 - 273.15))
+    np.testing.assert_array_equal(response.output, np.full(3, 300.0 - 273.15))
     assert camera.reading(0, 300.0) == 300.0 - 273.15
     assert camera.reading(2, 310.0, last=12.0) == 12.0
 

@@ -31,8 +31,8 @@ def test_every_recorded_command_is_reproduced(
 ) -> None:
     for number in recordings:
         window, pid = recorded_hour(number), Pid()
-        pwm = [pid.step(r, y) for r, y in zip(window.reference, window.temperature, strict=True)]
-        np.testing.assert_allclose(pwm, window.pwm, atol=1e-4)
+        pwm = [pid.step(r, y) for r, y in zip(window.reference, window.output, strict=True)]
+        np.testing.assert_allclose(pwm, window.input, atol=1e-4)
         assert np.max(np.abs(pwm)) == 255.0  # saturation was among them
 
 
@@ -43,8 +43,8 @@ def test_a_controller_picked_up_anywhere_in_a_recording_goes_on(
     for first in range(0, len(hour) - 20, 37):  # steps, saturated stretches and rest alike
         window = hour.part(first, first + 19)
         pid = Pid(state=controller_state(window))
-        pwm = [pid.step(window.reference[k], window.temperature[k]) for k in range(2, 20)]
-        np.testing.assert_allclose(pwm, window.pwm[2:], atol=1e-3)
+        pwm = [pid.step(window.reference[k], window.output[k]) for k in range(2, 20)]
+        np.testing.assert_allclose(pwm, window.input[2:], atol=1e-3)
 
 
 def test_a_hand_calculation() -> None:
@@ -109,24 +109,24 @@ def test_a_simulation_from_a_found_state_goes_on_where_the_first_left_off() -> N
     rig, reference = RigParameters(), np.repeat([30.0, 70.0, 40.0], 60)
     camera = Camera(noise=0.0, resolution=0.0, flat_field_period=None).realise(180, 1.0, 0)
     whole = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
-    window = Window(reference, whole.temperature, whole.pwm).part(100, 179)
+    window = Window(reference, whole.output, whole.input).part(100, 179)
     rest = simulate_closed_loop(
         rig,
         window.reference[2:],
-        plate=window.temperature[2] + 273.15,
+        plate=window.output[2] + 273.15,
         controller=controller_state(window),
     )
-    np.testing.assert_allclose(rest.temperature, window.temperature[2:], atol=1e-9)
-    np.testing.assert_allclose(rest.pwm, window.pwm[2:], atol=1e-7)
+    np.testing.assert_allclose(rest.output, window.output[2:], atol=1e-9)
+    np.testing.assert_allclose(rest.input, window.input[2:], atol=1e-7)
 
 
 def test_what_is_no_number_is_refused_and_changes_nothing() -> None:
     pid = Pid(state=PidState(3.0, 1.0))
-    with pytest.raises(PlantError, match="PID: temperature is nan"):
+    with pytest.raises(PlantError, match="PID: output is nan"):
         pid.step(40.0, math.nan)
     with pytest.raises(PlantError, match="PID: reference is inf"):
         pid.step(math.inf, 30.0)
-    with pytest.raises(PlantError, match="PID: pwm is nan"):
+    with pytest.raises(PlantError, match="PID: input is nan"):
         pid.follow(40.0, 30.0, math.nan)
     assert pid.state == PidState(3.0, 1.0)
     with pytest.raises(PlantError, match="holds a value that is not finite"):

@@ -157,24 +157,24 @@ def test_the_camera_sees_the_lag_in_the_loop() -> None:
     lagging = simulate_driven(RigParameters(sensor_lag=4.0), np.full(200, 100.0), plate=296.0)
     sharp = simulate_driven(RigParameters(), np.full(200, 100.0), plate=296.0)
     # A slow ramp arrives τ late; at rest both agree.
-    assert np.all(np.diff(sharp.temperature) > 0)
-    late = np.interp(np.arange(30.0, 60.0) - 4.0, np.arange(200.0), sharp.temperature)
-    np.testing.assert_allclose(lagging.temperature[30:60], late, atol=0.3)
-    assert lagging.temperature[-1] == pytest.approx(sharp.temperature[-1], abs=1e-3)
+    assert np.all(np.diff(sharp.output) > 0)
+    late = np.interp(np.arange(30.0, 60.0) - 4.0, np.arange(200.0), sharp.output)
+    np.testing.assert_allclose(lagging.output[30:60], late, atol=0.3)
+    assert lagging.output[-1] == pytest.approx(sharp.output[-1], abs=1e-3)
 
 
 def test_a_sink_of_huge_mass_is_a_held_sink() -> None:
     held = simulate_closed_loop(RigParameters(), STEPS, plate=296.0)
     heavy = simulate_closed_loop(RigParameters(sink_heat_capacity=1e12), STEPS, plate=296.0)
-    np.testing.assert_allclose(heavy.temperature, held.temperature, atol=1e-6)
-    np.testing.assert_allclose(heavy.pwm, held.pwm, atol=1e-4)
+    np.testing.assert_allclose(heavy.output, held.output, atol=1e-6)
+    np.testing.assert_allclose(heavy.input, held.input, atol=1e-4)
 
 
 @pytest.mark.parametrize("rig", [RigParameters(conductance=0.1), WITH_SINK])
 def test_without_current_the_plate_tends_to_the_sink(rig: RigParameters) -> None:
     response = simulate_driven(rig, np.zeros(8000), plate=350.0)
-    assert np.all(np.diff(response.temperature) <= 0.0)
-    assert response.temperature[-1] == pytest.approx(rig.ambient - KELVIN, abs=1e-6)
+    assert np.all(np.diff(response.output) <= 0.0)
+    assert response.output[-1] == pytest.approx(rig.ambient - KELVIN, abs=1e-6)
 
 
 @given(rig=rigs, plate=st.floats(270.0, 380.0), pwm=st.tuples(pwms, pwms))
@@ -198,23 +198,23 @@ def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: RigParameter
     pid, state, last = Pid(), PlantState(296.0, 300.0), None
     for k, reference in enumerate(STEPS):
         last = state.sensor - KELVIN if camera is None else camera.reading(k, state.sensor, last)
-        assert last == response.temperature[k]
+        assert last == response.output[k]
         pwm = pid.step(reference, last)
-        assert pwm == response.pwm[k]
+        assert pwm == response.input[k]
         state = advance(rig, state, pwm)
 
 
 @pytest.mark.parametrize("rig", STRUCTURES)
 def test_driven_by_its_own_pwm_the_plant_repeats_the_closed_loop(rig: RigParameters) -> None:
     closed = simulate_closed_loop(rig, STEPS, plate=296.0)
-    again = simulate_driven(rig, closed.pwm, plate=296.0)
-    np.testing.assert_array_equal(again.temperature, closed.temperature)
-    np.testing.assert_array_equal(again.pwm, closed.pwm)
+    again = simulate_driven(rig, closed.input, plate=296.0)
+    np.testing.assert_array_equal(again.output, closed.output)
+    np.testing.assert_array_equal(again.input, closed.input)
 
 
 def test_the_loop_settles_on_its_reference() -> None:
     response = simulate_closed_loop(RigParameters(), np.full(1500, 60.0), plate=296.0)
-    assert response.temperature[-1] == pytest.approx(60.0, abs=1e-6)
+    assert response.output[-1] == pytest.approx(60.0, abs=1e-6)
 
 
 def test_noise_feeds_back_through_the_controller() -> None:
@@ -223,7 +223,7 @@ def test_noise_feeds_back_through_the_controller() -> None:
     quiet = simulate_closed_loop(RigParameters(), reference, plate=313.15)
     noisy = simulate_closed_loop(RigParameters(), reference, plate=313.15, camera=camera)
     # White noise of 0.1 °C through P + D = 45.2 and D = 6.7 alone gives 4.6 PWM; the loop adds to it.
-    assert 4.5 < np.std((noisy.pwm - quiet.pwm)[200:]) < 9.0
+    assert 4.5 < np.std((noisy.input - quiet.input)[200:]) < 9.0
 
 
 @pytest.mark.parametrize("rig", STRUCTURES)
@@ -239,8 +239,8 @@ def test_the_noise_sensitivity_is_the_derivative_of_the_closed_loop(rig: RigPara
             simulate_closed_loop(rig, reference, camera=CameraRealisation(sign * bump, never, 0.0), **start)
             for sign in (1.0, -1.0)
         )
-        np.testing.assert_allclose(derivative[k, 0], (up.temperature - down.temperature) / 2e-4, atol=1e-3)
-        np.testing.assert_allclose(derivative[k, 1], (up.pwm - down.pwm) / 2e-4, atol=1e-2)
+        np.testing.assert_allclose(derivative[k, 0], (up.output - down.output) / 2e-4, atol=1e-3)
+        np.testing.assert_allclose(derivative[k, 1], (up.input - down.input) / 2e-4, atol=1e-2)
     assert not np.any(derivative[np.tril_indices(40, -1)[0], :, np.tril_indices(40, -1)[1]])
 
 
@@ -248,11 +248,11 @@ def test_other_periods_describe_the_same_rig() -> None:
     pwm = np.repeat([100.0, -50.0, 255.0], 60)
     coarse = simulate_driven(RigParameters(), pwm, plate=296.0)
     fine = simulate_driven(RigParameters(), np.repeat(pwm, 4), plate=296.0, period=0.25)
-    np.testing.assert_allclose(fine.temperature[::4], coarse.temperature, rtol=1e-12)
+    np.testing.assert_allclose(fine.output[::4], coarse.output, rtol=1e-12)
 
 
 def test_an_empty_run_is_empty() -> None:
-    assert simulate_closed_loop(RigParameters(), [], plate=296.0).temperature.size == 0
+    assert simulate_closed_loop(RigParameters(), [], plate=296.0).output.size == 0
 
 
 def test_what_cannot_be_run_is_refused() -> None:

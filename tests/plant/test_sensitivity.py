@@ -23,7 +23,7 @@ def outputs(rig: RigParameters, reference: np.ndarray, driver: Driver) -> np.nda
     response = simulate_closed_loop(
         rig, reference, plate=PLATE, controller=PidState(20.0, 0.3), driver=driver
     )
-    return np.stack([response.temperature, response.pwm])
+    return np.stack([response.output, response.input])
 
 
 def loop(names: tuple[str, ...], reference: np.ndarray, driver: Driver) -> LoopSensitivity:
@@ -86,7 +86,7 @@ def test_fast_and_slow_plates_have_derivatives_too(time_scale: float) -> None:
         change = [
             simulate_closed_loop(
                 rig.replace(**{name: getattr(rig, name) + sign * size}), reference, plate=PLATE, gains=gains
-            ).temperature
+            ).output
             for sign in (1, -1)
         ]
         differences = (change[0] - change[1]) / (2 * size)
@@ -122,8 +122,8 @@ def test_noise_goes_round_the_loop_as_in_the_plant(levels: tuple[float, ...]) ->
     sums, mean_square = noise_scores(found, weighed, (1.0, 0.1 / 7.0), gains)
     response = noise_sensitivity(rig, reference, plate=PLATE)
     starts = [simulate_closed_loop(rig, reference, plate=PLATE + size) for size in (1e-3, 0.0)]
-    response[0, 0] -= (starts[0].temperature - starts[1].temperature) / 1e-3
-    response[0, 1] -= (starts[0].pwm - starts[1].pwm) / 1e-3
+    response[0, 0] -= (starts[0].output - starts[1].output) / 1e-3
+    response[0, 1] -= (starts[0].input - starts[1].input) / 1e-3
     left = response * np.array([1.0, 0.1 / 7.0])[:, None]
     expected = np.einsum("kcj,cjp->kp", left, weighed)
     np.testing.assert_allclose(sums, expected, atol=2e-4 * np.max(np.abs(expected)))

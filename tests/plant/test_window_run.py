@@ -21,7 +21,7 @@ REFERENCE = np.repeat([40.0, 70.0], 60)
 
 def window() -> Window:
     run = simulate_closed_loop(RIG, REFERENCE, plate=296.0)
-    return Window(REFERENCE, run.temperature, run.pwm)
+    return Window(REFERENCE, run.output, run.input)
 
 
 def test_the_twin_takes_up_a_run_where_it_stands() -> None:
@@ -30,12 +30,12 @@ def test_the_twin_takes_up_a_run_where_it_stands() -> None:
         part = whole.part(first, whole.last)
         taken_up = simulate_window(RIG, part, gains=PidGains())
         # Celsius and back cost a rounding, and the controller's state is recovered from two samples.
-        np.testing.assert_allclose(taken_up.temperature, part.temperature[2:], atol=1e-9)
-        np.testing.assert_allclose(taken_up.pwm, part.pwm[2:], atol=1e-6)
+        np.testing.assert_allclose(taken_up.output, part.output[2:], atol=1e-9)
+        np.testing.assert_allclose(taken_up.input, part.input[2:], atol=1e-6)
 
 
 def test_a_camera_is_realised_with_its_seed() -> None:
-    runs = [simulate_window(RIG, window(), camera=Camera(), seed=seed).temperature for seed in (1, 1, 2)]
+    runs = [simulate_window(RIG, window(), camera=Camera(), seed=seed).output for seed in (1, 1, 2)]
     np.testing.assert_array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0], runs[2])
 

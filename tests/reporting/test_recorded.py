@@ -48,7 +48,7 @@ def record(tmp_path: Path) -> Callable[..., Path]:
         camera = Camera().realise(reference.size, 1.0, 3)
         rig = RigParameters(seebeck=0.07, conductance=0.5, heat_capacity=27.0)
         run = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
-        samples = samples_of(Window(reference, run.temperature, run.pwm))
+        samples = samples_of(Window(reference, run.output, run.input))
         values = check("twin", TWIN_PARAMETERS, {"decimals": 1})
         twin = Twin(settings_from(values))
         outcomes = [twin.push(sample) for sample in samples]

@@ -213,7 +213,7 @@ def rig(reference: np.ndarray, **changes: float) -> Window:
     parameters = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0).replace(**changes)
     camera = Camera().realise(reference.size, 1.0, 5)
     run = simulate_closed_loop(parameters, reference, plate=296.0, camera=camera)
-    return Window(reference, run.temperature, run.pwm)
+    return Window(reference, run.output, run.input)
 
 
 @pytest.mark.parametrize(
@@ -239,9 +239,9 @@ def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> No
     """The plant ignores its control half the way: no parameters explain that."""
     reference = np.repeat([30.0, 60.0, 30.0], [60, 260, 260])
     window = rig(reference)
-    temperature = window.temperature.copy()
+    temperature = window.output.copy()
     temperature[150:] = 20.0 + 0.01 * np.random.default_rng(1).normal(size=temperature.size - 150)
-    samples = samples_of(Window(reference, temperature, window.pwm))
+    samples = samples_of(Window(reference, temperature, window.input))
     samples = samples[:20] + samples[30:]
     with SessionWriter(tmp_path / "odd") as writer:
         writer.add_topic(SAMPLE)
@@ -261,7 +261,7 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["time", "reference", "temperature", "pwm"])
-        writer.writerows(zip(window.time, window.reference, window.temperature, window.pwm, strict=True))
+        writer.writerows(zip(window.time, window.reference, window.output, window.input, strict=True))
     report = make_report(path)
     assert report.nominal is not None
     assert "holds no recorded verdicts" in report.html()

@@ -35,9 +35,7 @@ def header(stamp: int, frame: str):
 @given(samples, frames)
 def test_samples_are_encoded_as_rosbags_does(sample, frame):
     theirs = STORE.serialize_cdr(
-        LoopSample(
-            header(sample.stamp, frame), sample.index, sample.reference, sample.temperature, sample.pwm
-        ),
+        LoopSample(header(sample.stamp, frame), sample.index, sample.reference, sample.output, sample.input),
         LOOP_SAMPLE.name,
     )
     assert encode_sample(sample, frame) == bytes(theirs)
@@ -46,9 +44,7 @@ def test_samples_are_encoded_as_rosbags_does(sample, frame):
 @given(samples, frames, st.booleans())
 def test_samples_are_decoded_from_what_rosbags_encodes(sample, frame, little):
     theirs = STORE.serialize_cdr(
-        LoopSample(
-            header(sample.stamp, frame), sample.index, sample.reference, sample.temperature, sample.pwm
-        ),
+        LoopSample(header(sample.stamp, frame), sample.index, sample.reference, sample.output, sample.input),
         LOOP_SAMPLE.name,
         little_endian=little,
     )
@@ -78,8 +74,8 @@ def test_numbers_are_encoded_as_rosbags_does(value):
 
 def test_a_not_a_number_keeps_its_place():
     sample = decode_sample(encode_sample(Sample(1, 2, 3.0, math.nan, 5.0)))
-    assert math.isnan(sample.temperature)
-    assert (sample.reference, sample.pwm) == (3.0, 5.0)
+    assert math.isnan(sample.output)
+    assert (sample.reference, sample.input) == (3.0, 5.0)
 
 
 @pytest.mark.parametrize("stamp", [-1, 2**31 * 10**9])

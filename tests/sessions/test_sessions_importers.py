@@ -35,8 +35,8 @@ CSV = "time,reference,temperature,pwm\n0,30,25.5,-1\n1,30,26,2\n2,31,26.5,3.5\n"
 
 def check_small(window):
     assert window.reference.tolist() == [30, 30, 31]
-    assert window.temperature.tolist() == [25.5, 26, 26.5]
-    assert window.pwm.tolist() == [-1, 2, 3.5]
+    assert window.output.tolist() == [25.5, 26, 26.5]
+    assert window.input.tolist() == [-1, 2, 3.5]
     assert (window.first, window.period) == (0, 1.0)
 
 
@@ -44,7 +44,7 @@ def test_the_rig_recordings_are_read_to_the_last_bit(recordings, recorded_hour):
     for number, path in recordings.items():
         window, plain = read_recording(path), recorded_hour(number)
         assert window.period == 1.0
-        for name in ("reference", "temperature", "pwm"):
+        for name in ("reference", "output", "input"):
             assert np.array_equal(getattr(window, name), getattr(plain, name))
 
 
@@ -55,8 +55,8 @@ def test_a_mat_file_is_read(tmp_path, compress):
         scipy.io.savemat(file, {"simout": matrix(), "tout": np.arange(20.0)}, do_compression=compress)
     window = read_recording(path)
     u, y, _, r = matrix().T
-    assert np.array_equal(window.pwm, u)
-    assert np.array_equal(window.temperature, y)
+    assert np.array_equal(window.input, u)
+    assert np.array_equal(window.output, y)
     assert np.array_equal(window.reference, r)
 
 
@@ -165,7 +165,7 @@ def test_a_damaged_mat_file_gives_our_error_or_numbers(tmp_path_factory, damage,
     except RecordingError as error:
         assert path.name in str(error)  # noqa: PT017 - either outcome is right
     else:
-        assert np.isfinite(window.temperature).all()
+        assert np.isfinite(window.output).all()
 
 
 @pytest.mark.parametrize("content", [b"", b"garbage", bytes(500), b"MATLAB 5", os.urandom(0) + b"\xff" * 900])

@@ -98,7 +98,7 @@ def test_rosbags_reads_folder_metadata_and_messages(tmp_path):
     ] == samples
     assert {m.header.frame_id for m in stored} == {"plate"}
     readings = [m for topic, *_, m in theirs if topic == "/plant/temperature"]
-    assert [(m.temperature, m.variance) for m in readings] == [(s.temperature, 0.0) for s in samples]
+    assert [(m.temperature, m.variance) for m in readings] == [(s.output, 0.0) for s in samples]
     changes = [(stamp, m.data) for topic, stamp, _, m in theirs if topic == "/plant/reference"]
     assert changes == [(EPOCH, 30.0), (EPOCH + 600 * 10**9, 50.0)]
 
@@ -160,7 +160,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     [
         ([], "there is no sample"),
         ([Sample(0, 0, 1.0, 2.0, 3.0), Sample(2, 2, 1.0, 2.0, 3.0)], "sample 2 follows sample 0"),
-        ([Sample(5, 0, 1.0, float("nan"), 3.0)], "temperature of sample 5 is nan"),
+        ([Sample(5, 0, 1.0, float("nan"), 3.0)], "output of sample 5 is nan"),
         ([Sample(5, -1, 1.0, 2.0, 3.0)], "negative time"),
         ([Sample(5, 2**61, 1.0, 2.0, 3.0)], "outside 1970 to 2038"),
     ],

@@ -17,7 +17,7 @@ REFERENCE = np.repeat([40.0, 70.0, 30.0], 120)
 
 def plant_run() -> Window:
     run = simulate_closed_loop(RIG, REFERENCE, plate=296.0)
-    return Window(REFERENCE, run.temperature, run.pwm)
+    return Window(REFERENCE, run.output, run.input)
 
 
 def test_with_the_plants_own_parameters_nothing_is_left() -> None:
@@ -33,8 +33,8 @@ def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
     window, other = plant_run(), RigParameters(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
     mirror = Mirror(other)
     driven = [mirror.push(s).driven_temperature for s in samples_of(window)]
-    simulated = simulate_driven(other, window.pwm, plate=window.temperature[0] + KELVIN)
-    np.testing.assert_array_equal(driven, simulated.temperature)
+    simulated = simulate_driven(other, window.input, plate=window.output[0] + KELVIN)
+    np.testing.assert_array_equal(driven, simulated.output)
 
 
 def test_new_parameters_take_over_without_a_jump() -> None:

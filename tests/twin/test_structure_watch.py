@@ -22,7 +22,7 @@ def hour() -> Window:
     reference = np.repeat([50.0, 30.0, 75.0, 45.0, 60.0], 200)
     camera = Camera().realise(reference.size, 1.0, 8)
     run = simulate_closed_loop(PLAIN, reference, plate=295.0, camera=camera)
-    return Window(reference, run.temperature, run.pwm)
+    return Window(reference, run.output, run.input)
 
 
 def test_it_looks_every_so_many_samples(hour: Window) -> None:
@@ -45,7 +45,7 @@ def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
         first, last = choice.samples
         assert last - first == 299
         measured = choice.score.fitted.measured[0]
-        np.testing.assert_array_equal(measured[1], hour.pwm[first + 62 : last + 1])
+        np.testing.assert_array_equal(measured[1], hour.input[first + 62 : last + 1])
 
 
 def test_a_replay_chooses_the_same(hour: Window) -> None:

@@ -34,7 +34,7 @@ def recorded(rig: RigParameters, seed: int, samples: int = 200) -> Window:
     reference = np.repeat([50.0, 30.0, 75.0, 45.0, 90.0, 25.0], samples)
     camera = Camera().realise(reference.size, 1.0, seed)
     run = simulate_closed_loop(rig, reference, plate=295.0, camera=camera)
-    return Window(reference, run.temperature, run.pwm)
+    return Window(reference, run.output, run.input)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -96,12 +96,12 @@ def test_a_second_half_is_foretold_from_the_first(recorded_hour: Callable[[int],
         run = simulate_closed_loop(
             choice.parameters,
             hour.reference[2:],
-            plate=float(hour.temperature[2]) + KELVIN,
+            plate=float(hour.output[2]) + KELVIN,
             sink=fitted.sink_starts[0],
             controller=controller_state(hour),
         )
-        assert nrmse(hour.temperature[1801:], run.temperature[1799:]) > 0.990
-        assert nrmse(hour.pwm[1801:], run.pwm[1799:]) > 0.89
+        assert nrmse(hour.output[1801:], run.output[1799:]) > 0.990
+        assert nrmse(hour.input[1801:], run.input[1799:]) > 0.89
 
 
 def test_nothing_to_choose_from_is_refused() -> None:

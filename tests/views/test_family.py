@@ -26,7 +26,7 @@ def samples() -> list[Sample]:
     rig = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0)
     camera = Camera().realise(reference.size, 1.0, 11)
     run = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
-    return samples_of(Window(reference, run.temperature, run.pwm))
+    return samples_of(Window(reference, run.output, run.input))
 
 
 Judged = tuple[list[MatchReport], list[Verdict]]
@@ -78,9 +78,9 @@ def test_the_simulated_model_is_the_one_of_the_gain(members: tuple[Member, ...])
     """Its first samples are the measured ones, which the gain's table copies."""
     member = members[0]
     answer = member.simulated("33331")
-    assert answer.temperature.shape == answer.pwm.shape == (len(member.window) - 2,)
-    np.testing.assert_allclose(answer.temperature[:4], member.measured.temperature[:4])
-    assert np.sqrt(np.mean((answer.temperature - member.measured.temperature) ** 2)) < 1.0
+    assert answer.output.shape == answer.input.shape == (len(member.window) - 2,)
+    np.testing.assert_allclose(answer.output[:4], member.measured.output[:4])
+    assert np.sqrt(np.mean((answer.output - member.measured.output) ** 2)) < 1.0
 
 
 def test_a_candidate_from_before_the_recording_is_left_out(samples: list[Sample], judged: Judged) -> None:

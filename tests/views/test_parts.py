@@ -65,7 +65,7 @@ def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
     rig = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0)
     reference = np.repeat([30.0, 60.0], 150)
     run = simulate_closed_loop(rig, reference, plate=rig.ambient)
-    table = enumerate(zip(reference, run.temperature, run.pwm, strict=True))
+    table = enumerate(zip(reference, run.output, run.input, strict=True))
     samples = [Sample(k, k * 10**9, float(r), float(y), float(u)) for k, (r, y, u) in table]
     parts = compare(samples[:100] + samples[101:103] + samples[110:], rig, PidGains())
     assert [len(p.window) for p in parts] == [100, 190]

@@ -19,7 +19,7 @@ def run(levels: list[float], first: int = 0, hold: int = 240) -> list[Sample]:
     response = simulate_closed_loop(RIG, reference, plate=RIG.ambient)
     return [
         Sample(first + k, (first + k) * 10**9, float(r), float(y), float(u))
-        for k, (r, y, u) in enumerate(zip(reference, response.temperature, response.pwm, strict=True))
+        for k, (r, y, u) in enumerate(zip(reference, response.output, response.input, strict=True))
     ]
 
 
@@ -31,7 +31,7 @@ def test_the_right_twin_holds_wherever_the_plate_has_been() -> None:
     samples = run([40.0, 60.0, 80.0])
     found = trust_range(samples, candidate(RIG, 0, 200), PidGains())
     assert found is not None
-    temperatures = [s.temperature for s in samples]
+    temperatures = [s.output for s in samples]
     assert found.low == min(temperatures)
     assert found.high == max(temperatures)
 

@@ -46,8 +46,8 @@ class Loop:
         if not (math.isfinite(max_age) and max_age > 0):
             msg = f"loop: max_age is {max_age} s; it must be positive"
             raise ControlError(msg)
-        self.pwm = 0.0
-        """The output that stands, −255 to 255."""
+        self.input = 0.0
+        """The command to the plant that stands, in its unit (PWM on the rig)."""
         self.trouble = "no tick yet"
         """Why the output is off; empty while samples are made."""
         self.missed = 0
@@ -102,7 +102,7 @@ class Loop:
         reference = profile(number * self._pid.gains.period)
         trouble = self._doubt(now, reference)
         if trouble or reference is None:
-            self.trouble, self.pwm, self._restart = trouble, 0.0, True
+            self.trouble, self.input, self._restart = trouble, 0.0, True
             if self._number is not None:
                 self.idle += 1
                 self._number = number
@@ -114,8 +114,8 @@ class Loop:
         self._number, self.trouble = number, ""
         if self._restart:
             self._continue(reference)
-        self.pwm = self._pid.step(reference, self._temperature)
-        return Sample(number, now, reference, self._temperature, self.pwm)
+        self.input = self._pid.step(reference, self._temperature)
+        return Sample(number, now, reference, self._temperature, self.input)
 
     def _place(self, now: int) -> int | None:
         """Number of this tick on the grid; None if it is none."""
@@ -155,6 +155,6 @@ class Loop:
     def _continue(self, reference: float) -> None:
         """Give the controller the state in which its output is the one that stands."""
         error = reference - self._temperature
-        integral = self.pwm - self._pid.gains.proportional * error
+        integral = self.input - self._pid.gains.proportional * error
         self._pid.state = PidState(integral, error)
         self._restart = False

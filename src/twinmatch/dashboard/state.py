@@ -121,7 +121,7 @@ class DashboardState:
                 self._begin(previous.index, sample.index)
             elif previous is not None:
                 self._note_interval(sample, previous)
-            self.plant.push(sample.index, (sample.reference, sample.temperature, sample.pwm))
+            self.plant.push(sample.index, (sample.reference, sample.output, sample.input))
             self._previous, self.heard_at = sample, now
 
     def push_twin(self, index: int, row: TwinRow) -> None:

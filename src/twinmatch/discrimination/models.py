@@ -26,9 +26,9 @@ LEAD = 20
 class Level(NamedTuple):
     """The steady state a window starts from; models describe deviations from it."""
 
-    temperature: float
-    """°C, of reference and temperature alike: the integral action makes them equal at rest."""
-    pwm: float
+    output: float
+    """Of reference and output alike: the integral action makes them equal at rest."""
+    input: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +57,16 @@ def operating_level(window: Window) -> Level:
     """
     moved = np.flatnonzero(window.reference != window.reference[0])
     step = int(moved[0]) if moved.size else len(window)
-    lead = window.pwm[max(0, step - LEAD) : step]
+    lead = window.input[max(0, step - LEAD) : step]
     return Level(float(window.reference[0]), float(np.mean(lead)))
 
 
 def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Reference, temperature and control of a window as deviations from `level`, shape (N,) each."""
     return (
-        window.reference - level.temperature,
-        window.temperature - level.temperature,
-        window.pwm - level.pwm,
+        window.reference - level.output,
+        window.output - level.output,
+        window.input - level.input,
     )
 
 
@@ -105,5 +105,11 @@ def twin_response(
     It starts from the window's third sample: the first two give the controller's state.
     """
     response = simulate_window(parameters, window, gains=gains, camera=camera, seed=seed)
-    reference = window.reference[2:]
-    return Window(reference, response.temperature, response.pwm, window.first + 2, window.period)
+    return Window(
+        window.reference[2:],
+        response.output,
+        response.input,
+        window.first + 2,
+        window.period,
+        window.disturbances[2:],
+    )

@@ -42,10 +42,10 @@ MOST_STEPS = 30
 class Scales(NamedTuple):
     """What counts as 1 in margin and ν-gap of the rig's loop; only the ratio of the two matters."""
 
-    temperature: float
-    """°C"""
-    pwm: float
-    """PWM counts"""
+    output: float
+    """Of the output, on the rig °C."""
+    input: float
+    """Of the input, on the rig PWM counts."""
 
     @classmethod
     def of(cls, gains: PidGains) -> Scales:
@@ -118,7 +118,7 @@ def rig_margin(
 
 @lru_cache(maxsize=16)
 def _controller(gains: PidGains, scales: Scales) -> GraphSymbol:
-    ratio = scales.temperature / scales.pwm
+    ratio = scales.output / scales.input
     parts = [(np.array([gains.proportional]), np.array([1.0]))]
     if gains.integral != 0:
         parts.append((np.array([gains.integral * gains.period]), np.array([1.0, -1.0])))
@@ -142,7 +142,7 @@ def _plant(
     moves = [True, parameters.sink_has_mass, parameters.sensor_lag > 0]
     slopes = np.column_stack([_slope(rig, state, pwm, k) for k in range(4)])[moves]
     seen = np.zeros((1, len(slopes)))
-    seen[0, -1 if parameters.sensor_lag > 0 else 0] = scales.pwm / scales.temperature
+    seen[0, -1 if parameters.sensor_lag > 0 else 0] = scales.input / scales.output
     return GraphSymbol.of_state_space(
         slopes[:, [*moves, False]], slopes[:, 3:], seen, np.zeros((1, 1)), gains.period
     )

@@ -78,8 +78,8 @@ def score(model: SimoModel, window: Window, decimals: int = 2) -> OrderScore:
     """
     level = operating_level(window)
     r, y, u = deviations(window, level)
-    on_y = _criteria(model.y, r, y, level.temperature + KELVIN, decimals)
-    on_u = _criteria(model.u, ahead(r), u, level.pwm, decimals)
+    on_y = _criteria(model.y, r, y, level.output + KELVIN, decimals)
+    on_u = _criteria(model.u, ahead(r), u, level.input, decimals)
     return OrderScore(model.order, on_y, on_u, on_y + on_u)
 
 

@@ -25,7 +25,7 @@ class Finding(NamedTuple):
 def impossible(sample: Sample) -> Finding:
     """A sample that is none."""
     reason = (
-        f"the temperature is {sample.temperature:g} °C at PWM {sample.pwm:g} and set-point "
+        f"the temperature is {sample.output:g} °C at PWM {sample.input:g} and set-point "
         f"{sample.reference:g} °C, which cannot be: look at the camera"
     )
     return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
@@ -34,7 +34,7 @@ def impossible(sample: Sample) -> Finding:
 def leaping(before: Sample, sample: Sample, unexplained: float) -> Finding:
     """A step that no plate can make."""
     reason = (
-        f"the temperature went from {before.temperature:.1f} to {sample.temperature:.1f} °C at once, "
+        f"the temperature went from {before.output:.1f} to {sample.output:.1f} °C at once, "
         f"{abs(unexplained):.1f} °C from where the plate can be: look at the camera"
     )
     return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
@@ -43,7 +43,7 @@ def leaping(before: Sample, sample: Sample, unexplained: float) -> Finding:
 def frozen(sample: Sample, repeats: Repeats, period: float) -> Finding:
     """A sensor that stands still."""
     reason = (
-        f"the temperature stands still at {sample.temperature:g} °C for {repeats.count * period:g} s, in "
+        f"the temperature stands still at {sample.output:g} °C for {repeats.count * period:g} s, in "
         f"which the plate should have moved {repeats.expected:+.1f} °C and the reading shown its noise: "
         "look at the camera"
     )

@@ -120,9 +120,9 @@ class Monitor:
         before = self._before
         if before is None:
             return None
-        movement = self._balance.step(before.temperature, before.pwm, sample.temperature)
+        movement = self._balance.step(before.output, before.input, sample.output)
         stood = self._repeats.stands
-        self._repeats.push(sample.temperature - before.temperature, movement)
+        self._repeats.push(sample.output - before.output, movement)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plate went meanwhile
             self._restart_traces()
             return None
@@ -232,5 +232,5 @@ class Monitor:
 
 def _possible(sample: Sample) -> bool:
     """Whether the numbers are some that a rig can have."""
-    commanded = math.isfinite(sample.pwm) and math.isfinite(sample.reference)
-    return commanded and _COLDEST <= sample.temperature <= _HOTTEST
+    commanded = math.isfinite(sample.input) and math.isfinite(sample.reference)
+    return commanded and _COLDEST <= sample.output <= _HOTTEST

@@ -62,13 +62,14 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
     kept = window.part(window.first + first, window.last)
     ahead = Window(
         np.concatenate([kept.reference, np.full(_AFTER, level)]),
-        np.concatenate([kept.temperature, np.full(_AFTER, kept.temperature[-1])]),
-        np.concatenate([kept.pwm, np.zeros(_AFTER)]),
+        np.concatenate([kept.output, np.full(_AFTER, kept.output[-1])]),
+        np.concatenate([kept.input, np.zeros(_AFTER)]),
         period=window.period,
+        disturbances=np.concatenate([kept.disturbances, np.repeat(kept.disturbances[-1:], _AFTER, axis=0)]),
     )
     next_one = replace(problem, window=ahead)
     response = next_one.simulate(problem.parameters_at(values), problem.sink_start_at(values))
-    if not abs(response.temperature[-1] - level) <= _REACHED:
+    if not abs(response.output[-1] - level) <= _REACHED:
         return None
     return _scaled_inverse(problem, next_one.evaluate(values).normal[2])
 

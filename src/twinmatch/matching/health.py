@@ -27,26 +27,26 @@ def fault_in_signals(window: Window, limit: float) -> str | None:
 
     `limit` is the magnitude of the saturated PWM.
     """
-    impossible = np.flatnonzero((window.temperature < _COLDEST) | (window.temperature > _HOTTEST))
+    impossible = np.flatnonzero((window.output < _COLDEST) | (window.output > _HOTTEST))
     if impossible.size:
         k = int(impossible[0])
         return (
-            f"the temperature was {window.temperature[k]:g} °C at sample {window.first + k}, "
+            f"the temperature was {window.output[k]:g} °C at sample {window.first + k}, "
             "which no plate can be: look at the camera"
         )
-    for first, last in _stretches(np.diff(window.temperature) == 0.0):
-        if last - first + 1 >= _FROZEN_SAMPLES and np.std(window.pwm[first : last + 1]) > _FROZEN_PWM:
+    for first, last in _stretches(np.diff(window.output) == 0.0):
+        if last - first + 1 >= _FROZEN_SAMPLES and np.std(window.input[first : last + 1]) > _FROZEN_PWM:
             return (
-                f"the temperature stood still at {window.temperature[first]:g} °C from sample "
+                f"the temperature stood still at {window.output[first]:g} °C from sample "
                 f"{window.first + first} to {window.first + last} while the control moved: look at the camera"
             )
-    saturated = np.abs(window.pwm) >= limit
-    for first, last in _stretches(saturated[1:] & saturated[:-1] & (np.diff(window.pwm) == 0.0)):
-        change = float(window.temperature[last] - window.temperature[first])
-        against = -change * np.sign(window.pwm[first])
+    saturated = np.abs(window.input) >= limit
+    for first, last in _stretches(saturated[1:] & saturated[:-1] & (np.diff(window.input) == 0.0)):
+        change = float(window.output[last] - window.output[first])
+        against = -change * np.sign(window.input[first])
         if last - first + 1 >= _AGAINST_SAMPLES and against > _AGAINST_CHANGE:
             return (
-                f"the control was saturated at {window.pwm[first]:+.0f} from sample {window.first + first} "
+                f"the control was saturated at {window.input[first]:+.0f} from sample {window.first + first} "
                 f"to {window.first + last} while the plate went {change:+.1f} °C: look at the drive"
             )
     return None

@@ -119,7 +119,7 @@ def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits
         return not loose and not on_bounds(problem, values)
 
     found = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
-    held = split - (len(window) - problem.temperature.size)
+    held = split - (len(window) - problem.output.size)
     tested = problem.residuals(test.values).reshape(2, -1)[:, held:]
     standing = _residuals_of(problem, seen, rival)[:, held:]
     final, known, fit = found.estimate, found.known, _fit(problem, found.estimate.residuals)
@@ -185,9 +185,9 @@ def _residuals_of(problem: Problem, seen: Problem, rival: RigParameters) -> Floa
 def _fit(problem: Problem, residuals: FloatArray) -> Fit:
     """NRMSE over the last samples of the window, as many as there are residuals."""
     count = residuals.shape[1]
-    scales = (problem.noise.temperature, problem.noise.pwm)
+    scales = (problem.noise.output, problem.noise.input)
     figures = []
-    for measured, left, scale in zip((problem.temperature, problem.pwm), residuals, scales, strict=True):
+    for measured, left, scale in zip((problem.output, problem.input), residuals, scales, strict=True):
         values = measured[-count:]
         spread = float(np.linalg.norm(values - np.mean(values)))
         figures.append(1.0 - scale * float(np.linalg.norm(left)) / spread if spread > 0 else float("nan"))

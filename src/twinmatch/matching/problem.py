@@ -41,13 +41,13 @@ class Noise:
         MatchingError: one is not finite and positive.
     """
 
-    temperature: float = 0.1
-    """Of the temperature, °C."""
-    pwm: float = 7.0
-    """Of the PWM command."""
+    output: float = 0.1
+    """Of the output, on the rig the temperature, °C."""
+    input: float = 7.0
+    """Of the input, on the rig the PWM command."""
 
     def __post_init__(self) -> None:
-        for name, value in (("temperature", self.temperature), ("pwm", self.pwm)):
+        for name, value in (("output", self.output), ("input", self.input)):
             if not (math.isfinite(value) and value > 0):
                 msg = f"noise: {name} is {value}; it must be finite and positive"
                 raise MatchingError(msg)
@@ -83,7 +83,7 @@ class Problem:
         return LoopSensitivity(
             self.free,
             self.window.reference[_SKIPPED:],
-            plate=float(self.window.temperature[_SKIPPED]) + KELVIN,
+            plate=float(self.window.output[_SKIPPED]) + KELVIN,
             controller=self.controller,
             gains=self.gains,
             driver=self.driver,
@@ -91,13 +91,13 @@ class Problem:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """Of temperature and PWM, shape (2, 1)."""
-        return np.array([[1.0 / self.noise.temperature], [1.0 / self.noise.pwm]])
+        """Of output and input, shape (2, 1)."""
+        return np.array([[1.0 / self.noise.output], [1.0 / self.noise.input]])
 
     @cached_property
     def _measured(self) -> FloatArray:
-        """Temperature and PWM, shape (2, N − 2)."""
-        return np.stack([self.temperature, self.pwm])
+        """Output and input, shape (2, N − 2)."""
+        return np.stack([self.output, self.input])
 
     @cached_property
     def _rig(self) -> tuple[FloatArray, list[int]]:
@@ -106,14 +106,14 @@ class Problem:
         return fixed, [DIFFERENTIABLE.index(name) for name in self.free]
 
     @property
-    def temperature(self) -> FloatArray:
-        """Measured temperature against which the twin is held, °C, shape (N − 2,)."""
-        return self.window.temperature[_SKIPPED:]
+    def output(self) -> FloatArray:
+        """Measured output against which the twin is held, shape (N − 2,)."""
+        return self.window.output[_SKIPPED:]
 
     @property
-    def pwm(self) -> FloatArray:
-        """Measured command against which the twin is held, shape (N − 2,)."""
-        return self.window.pwm[_SKIPPED:]
+    def input(self) -> FloatArray:
+        """Measured input against which the twin is held, shape (N − 2,)."""
+        return self.window.input[_SKIPPED:]
 
     @cached_property
     def lower(self) -> FloatArray:
@@ -157,7 +157,7 @@ class Problem:
         return simulate_closed_loop(
             parameters,
             self.window.reference[_SKIPPED:],
-            plate=float(self.window.temperature[_SKIPPED]) + KELVIN if plate is None else plate,
+            plate=float(self.window.output[_SKIPPED]) + KELVIN if plate is None else plate,
             sink=sink_start,
             controller=self.controller,
             gains=self.gains,
@@ -165,10 +165,10 @@ class Problem:
         )
 
     def weigh(self, response: Response) -> FloatArray:
-        """Measured minus simulated in units of the noise, shape (2, N − 2): temperature, PWM."""
-        left = np.empty((2, self.temperature.size))
-        left[0] = self.temperature - response.temperature
-        left[1] = self.pwm - response.pwm
+        """Measured minus simulated in units of the noise, shape (2, N − 2): output, input."""
+        left = np.empty((2, self.output.size))
+        left[0] = self.output - response.output
+        left[1] = self.input - response.input
         left *= self.weights
         return left
 
@@ -193,7 +193,7 @@ class Problem:
         """Sum of squares, gradient and JᵀJ in one pass, where this rig is of the kind that has them."""
         if self._loop is None:
             return None
-        weights = 1.0 / self.noise.temperature, 1.0 / self.noise.pwm
+        weights = 1.0 / self.noise.output, 1.0 / self.noise.input
         return self._loop.normal_equations(self._rig_at(values), self._measured, weights)
 
     def _rig_at(self, values: FloatArray) -> FloatArray:
@@ -224,7 +224,7 @@ class Problem:
             return left @ evaluation.jacobian, float(np.sum(np.square(left))) / left.shape[1]
         weighed = evaluation.jacobian.reshape(2, -1, len(self.free))
         return noise_scores(
-            evaluation.tangents, weighed, (1.0, self.noise.temperature / self.noise.pwm), self.gains
+            evaluation.tangents, weighed, (1.0, self.noise.output / self.noise.input), self.gains
         )
 
     def noise_left(self, values: FloatArray) -> FloatArray:
@@ -233,7 +233,7 @@ class Problem:
         Noise of the first reading also misplaces the start of the twin, which knows no better.
         """
         parameters, sink = self.parameters_at(values), self.sink_start_at(values)
-        start = float(self.window.temperature[_SKIPPED]) + KELVIN
+        start = float(self.window.output[_SKIPPED]) + KELVIN
         loop = noise_sensitivity(
             parameters,
             self.window.reference[_SKIPPED:],
@@ -245,9 +245,9 @@ class Problem:
         )
         misplaced = self.simulate(parameters, sink, start + _NOISE_STEP)
         quiet = self.simulate(parameters, sink)
-        loop[0, 0] -= (misplaced.temperature - quiet.temperature) / _NOISE_STEP
-        loop[0, 1] -= (misplaced.pwm - quiet.pwm) / _NOISE_STEP
-        weights = np.array([1.0, self.noise.temperature / self.noise.pwm])
+        loop[0, 0] -= (misplaced.output - quiet.output) / _NOISE_STEP
+        loop[0, 1] -= (misplaced.input - quiet.input) / _NOISE_STEP
+        weights = np.array([1.0, self.noise.output / self.noise.input])
         return np.reshape(loop * weights[:, None], (loop.shape[0], -1))
 
 

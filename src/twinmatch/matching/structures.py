@@ -224,10 +224,10 @@ def _runs(windows: Sequence[Window], gains: PidGains | None) -> list[_Run]:
         runs.append(
             _Run(
                 reference=window.reference[_SKIPPED:],
-                plate=float(window.temperature[_SKIPPED]) + KELVIN,
+                plate=float(window.output[_SKIPPED]) + KELVIN,
                 controller=controller_state(window, own),
                 gains=own,
-                measured=np.stack([window.temperature, window.pwm])[:, _SKIPPED + SETTLE :],
+                measured=np.stack([window.output, window.input])[:, _SKIPPED + SETTLE :],
             )
         )
     return runs
@@ -238,7 +238,7 @@ class _Problem:
 
     def __init__(self, runs: Sequence[_Run], structure: Structure, noise: Noise, driver: Driver) -> None:
         self._runs, self._structure, self._driver = runs, structure, driver
-        self._weights = np.array([[1.0 / noise.temperature], [1.0 / noise.pwm]])
+        self._weights = np.array([[1.0 / noise.output], [1.0 / noise.input]])
         sinks = structure.n_parameters(len(runs)) - len(structure.free)
         names = (*structure.free, *(SINK_START,) * sinks)
         self._lower = np.array([BOUNDS[name][0] for name in names])
@@ -273,7 +273,7 @@ class _Problem:
                 gains=run.gains,
                 driver=self._driver,
             )
-            found.append(np.stack([response.temperature, response.pwm])[:, SETTLE:])
+            found.append(np.stack([response.output, response.input])[:, SETTLE:])
         return found
 
     def residuals(self, values: FloatArray) -> FloatArray:

@@ -84,7 +84,7 @@ class ControllerNode(TwinmatchNode):
     def report(self) -> Report:
         """Ticks, lateness, and why there are no samples."""
         loop = self._loop
-        self.health.set("output", loop.pwm)
+        self.health.set("output", loop.input)
         self.health.set("set-point", "none" if self._asked is None else f"{self._asked:g}")
         self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
         self.health.set("missed ticks", loop.missed)
@@ -122,7 +122,7 @@ class ControllerNode(TwinmatchNode):
         if self.exit_code is not None:
             return
         if sample is not None:
-            self._command(sample.pwm)
+            self._command(sample.input)
             self._samples.publish(sample_message(sample))
             self.health.set("sample", sample.index)
             self.health.say("ticking")
@@ -136,7 +136,7 @@ class ControllerNode(TwinmatchNode):
 
     def _on_repeat(self) -> None:
         if self._waiting_until is None and self.exit_code is None:
-            self._command(self._loop.pwm)
+            self._command(self._loop.input)
 
     def _reference(self, at: float) -> float | None:
         """The set-point at a time since sample 0; publishes it when it is another."""

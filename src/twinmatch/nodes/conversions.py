@@ -44,7 +44,7 @@ FRACTIONS = ("explanation", "naic", "bic", "mdl", "two_part_length")
 def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
     """A sample as `LoopSample`."""
     message = messages.LoopSample(
-        index=sample.index, reference=sample.reference, temperature=sample.temperature, pwm=sample.pwm
+        index=sample.index, reference=sample.reference, temperature=sample.output, pwm=sample.input
     )
     _stamp(message.header, sample.stamp)
     message.header.frame_id = frame

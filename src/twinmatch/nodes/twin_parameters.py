@@ -67,8 +67,8 @@ TWIN_PARAMETERS: tuple[Parameter, ...] = (
         0.0,
         1.0,
     ),
-    Parameter("noise.temperature", _N.temperature, "Noise of the temperature (1 σ).", "°C", 1e-4, 10.0),
-    Parameter("noise.pwm", _N.pwm, "Noise of the control (1 σ).", "PWM", 1e-3, 255.0),
+    Parameter("noise.output", _N.output, "Noise of the temperature (1 σ).", "°C", 1e-4, 10.0),
+    Parameter("noise.input", _N.input, "Noise of the control (1 σ).", "PWM", 1e-3, 255.0),
     Parameter(
         "pid.proportional", _G.proportional, "Proportional gain of the running PID.", "PWM/°C", 0.0, 1e4
     ),

@@ -78,25 +78,25 @@ class Pid:
         self.state = state or PidState()
         self._constants = self.gains.constants
 
-    def step(self, reference: float, temperature: float) -> float:
-        """Compute the PWM of one sample from set-point and temperature (°C).
+    def step(self, reference: float, output: float) -> float:
+        """Compute the input of one sample from set-point and output (on the rig PWM, °C and °C).
 
         Raises:
-            PlantError: reference or temperature is not finite; the state is left as it was.
+            PlantError: reference or output is not finite; the state is left as it was.
         """
-        _require_finite(reference=reference, temperature=temperature)
-        pwm, integral, error = kernels.pid_step(
+        _require_finite(reference=reference, output=output)
+        computed, integral, error = kernels.pid_step(
             self._constants,
             float(self.state.integral),
             float(self.state.previous_error),
             float(reference),
-            float(temperature),
+            float(output),
         )
         self.state = PidState(integral, error)
-        return pwm
+        return computed
 
-    def follow(self, reference: float, temperature: float, pwm: float) -> None:
-        """Adopt the state after a sample whose PWM another controller of the same gains computed.
+    def follow(self, reference: float, output: float, input: float) -> None:
+        """Adopt the state after a sample whose input another controller of the same gains computed.
 
         With Kb·Ts = 1 the sample and the error before it fix the new state. Otherwise they do so when
         the output was not limited; when it was, this controller's own integral is carried through the
@@ -105,10 +105,10 @@ class Pid:
         Raises:
             PlantError: a value is not finite; the state is left as it was.
         """
-        _require_finite(reference=reference, temperature=temperature, pwm=pwm)
-        error = reference - temperature
-        consistent = _consistent_integral(self.gains, error, self.state.previous_error, pwm)
-        inside = abs(pwm) < self.gains.limit
+        _require_finite(reference=reference, output=output, input=input)
+        error = reference - output
+        consistent = _consistent_integral(self.gains, error, self.state.previous_error, input)
+        inside = abs(input) < self.gains.limit
         before = consistent if inside else self.state.integral
         self.state = PidState(_next_integral(self.gains, before, consistent, error), error)
 
@@ -128,12 +128,12 @@ def controller_state(window: Window, gains: PidGains | None = None) -> PidState:
     if len(window) < 2:
         msg = f"controller state: the window holds {len(window)} sample; two are needed"
         raise PlantError(msg)
-    error = window.reference - window.temperature
+    error = window.reference - window.output
     kept = 1.0 - gains.back_calculation * gains.period
-    free = next((k for k in range(1, len(window)) if abs(window.pwm[k]) < gains.limit), None)
+    free = next((k for k in range(1, len(window)) if abs(window.input[k]) < gains.limit), None)
 
     def consistent(k: int) -> float:
-        return _consistent_integral(gains, float(error[k]), float(error[k - 1]), float(window.pwm[k]))
+        return _consistent_integral(gains, float(error[k]), float(error[k - 1]), float(window.input[k]))
 
     integral = consistent(1)
     if free is not None and free > 1 and abs(kept) ** (free - 1) * _MOST_AMPLIFICATION >= 1:
@@ -144,9 +144,9 @@ def controller_state(window: Window, gains: PidGains | None = None) -> PidState:
     return PidState(_next_integral(gains, integral, consistent(1), float(error[1])), float(error[1]))
 
 
-def _consistent_integral(gains: PidGains, error: float, previous_error: float, pwm: float) -> float:
-    """The integral with which the controller, unlimited, gives just this PWM."""
-    return pwm - gains.proportional * error - gains.derivative * (error - previous_error) / gains.period
+def _consistent_integral(gains: PidGains, error: float, previous_error: float, computed: float) -> float:
+    """The integral with which the controller, unlimited, computes just this input."""
+    return computed - gains.proportional * error - gains.derivative * (error - previous_error) / gains.period
 
 
 def _next_integral(gains: PidGains, integral: float, consistent: float, error: float) -> float:

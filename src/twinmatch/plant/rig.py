@@ -47,10 +47,10 @@ _NOISE_STEP = 1e-3
 class Response:
     """What a simulation gives, sample by sample."""
 
-    temperature: FloatArray
+    output: FloatArray
     """Temperature y, °C, shape (N,); as the camera reads it, if there is one."""
-    pwm: FloatArray
-    """Command u, −255 to 255, shape (N,)."""
+    input: FloatArray
+    """PWM command u, −255 to 255, shape (N,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ def simulate_window(
     return simulate_closed_loop(
         parameters,
         reference,
-        plate=float(window.temperature[2]) + KELVIN,
+        plate=float(window.output[2]) + KELVIN,
         controller=controller_state(window, gains),
         gains=gains,
         camera=None if camera is None else camera.realise(len(reference), window.period, seed),

@@ -139,7 +139,7 @@ def _picture(name: str, title: str, alt: str, figure: Figure) -> Picture:
 
 
 def _session_alt(j: Judgement) -> str:
-    low, high = min(s.temperature for s in j.samples), max(s.temperature for s in j.samples)
+    low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
     base = f"Time series of set-point, measured temperature ({low:.1f} to {high:.1f} °C) and control"
     if j.summary.nominal is None:
         return f"{base}; there is no nominal twin to compare them with."

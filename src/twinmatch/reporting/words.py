@@ -32,8 +32,8 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     """The session in figures."""
     samples, period = judgement.samples, judgement.settings.period
     reference = [s.reference for s in samples]
-    measured = [s.temperature for s in samples]
-    pwm = [s.pwm for s in samples]
+    measured = [s.output for s in samples]
+    pwm = [s.input for s in samples]
     facts = [
         ("samples", f"{len(samples)}, one every {period:g} s"),
         ("duration", duration((samples[-1].index - samples[0].index + 1) * period)),

@@ -51,9 +51,7 @@ def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
         SessionError: the stamp is negative or past 2038.
     """
     head = _header(sample.stamp, frame)
-    return _stamped(head[-1], "Qddd").pack(
-        *head, sample.index, sample.reference, sample.temperature, sample.pwm
-    )
+    return _stamped(head[-1], "Qddd").pack(*head, sample.index, sample.reference, sample.output, sample.input)
 
 
 def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME) -> bytes:

@@ -11,7 +11,7 @@ from twinmatch.signals import Sample
 
 __all__ = ["check_samples", "gaps_of", "period_of", "rounded_period"]
 
-VALUES = ("reference", "temperature", "pwm")
+VALUES = ("reference", "output", "input")
 
 
 def check_samples(samples: Sequence[Sample], place: str) -> None:

@@ -27,7 +27,7 @@ a clock at zero as "no time yet". So an imported session visibly carries a date 
 
 def samples_of(window: Window, start: int = EPOCH) -> list[Sample]:
     """The samples of a window, stamped `start` (ns) + index · period."""
-    columns = zip(window.reference.tolist(), window.temperature.tolist(), window.pwm.tolist(), strict=True)
+    columns = zip(window.reference.tolist(), window.output.tolist(), window.input.tolist(), strict=True)
     return [
         Sample(index, start + round(index * window.period * 1e9), *values)
         for index, values in enumerate(columns, start=window.first)

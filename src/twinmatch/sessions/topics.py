@@ -95,5 +95,5 @@ def plant_messages(samples: Iterable[Sample]) -> Iterator[Message]:
         if sample.reference != reference:
             reference = sample.reference
             yield Message(REFERENCE, at, at, encode_float64(reference))
-        yield Message(TEMPERATURE_READING, at, at, encode_temperature(at, sample.temperature))
+        yield Message(TEMPERATURE_READING, at, at, encode_temperature(at, sample.output))
         yield Message(SAMPLE, at, at, encode_sample(sample))

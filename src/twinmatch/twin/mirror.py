@@ -66,20 +66,20 @@ class Mirror:
             self._restart(sample)
         if self._started < 2:
             # The controller's state follows from two recorded samples; until then it is the plant's.
-            state = self._observe(sample, sample.pwm)
-            self._pid.follow(sample.reference, sample.temperature, sample.pwm)
+            state = self._observe(sample, sample.input)
+            self._pid.follow(sample.reference, sample.output, sample.input)
             self._started += 1
         else:
             closed = self._closed.sensor - KELVIN
             state = self._observe(sample, self._pid.step(sample.reference, closed))
         period = self._gains.period
         self._closed = advance(self.parameters, self._closed, state.closed_pwm, period)
-        self._driven = advance(self.parameters, self._driven, sample.pwm, period)
+        self._driven = advance(self.parameters, self._driven, sample.input, period)
         self._previous = sample
         return state
 
     def _restart(self, sample: Sample) -> None:
-        start = PlantState(plate=sample.temperature + KELVIN, sink=self.parameters.ambient)
+        start = PlantState(plate=sample.output + KELVIN, sink=self.parameters.ambient)
         self._closed = self._driven = start
         self._pid = Pid(self._gains)
         self._recent.clear()
@@ -87,7 +87,7 @@ class Mirror:
 
     def _observe(self, sample: Sample, closed_pwm: float) -> MirrorState:
         closed, driven = self._closed.sensor - KELVIN, self._driven.sensor - KELVIN
-        residual = (sample.temperature - closed, sample.pwm - closed_pwm, sample.temperature - driven)
+        residual = (sample.output - closed, sample.input - closed_pwm, sample.output - driven)
         self._recent.append(residual)
         rms_y, rms_u, rms_driven = np.sqrt(np.mean(np.square(self._recent), axis=0))
         return MirrorState(

@@ -25,16 +25,16 @@ def residuals(parameters: RigParameters, window: Window, gains: PidGains) -> Res
     """Run both twins over a window from its measured start (NaN if it has fewer than four samples)."""
     if len(window) < 4:
         return Residuals(float("nan"), float("nan"))
-    plate = float(window.temperature[2]) + KELVIN
-    driven = simulate_driven(parameters, window.pwm[2:], plate=plate, period=window.period)
+    plate = float(window.output[2]) + KELVIN
+    driven = simulate_driven(parameters, window.input[2:], plate=plate, period=window.period)
     closed = simulate_window(parameters, window, gains=gains)
-    return Residuals(_rms(window.temperature[2:] - driven.temperature), _rms(window.pwm[2:] - closed.pwm))
+    return Residuals(_rms(window.output[2:] - driven.output), _rms(window.input[2:] - closed.input))
 
 
 def closed_loop_fit(parameters: RigParameters, window: Window, gains: PidGains) -> tuple[float, float]:
     """NRMSE fit of temperature and control of the closed-loop twin over a window; 1 is perfect."""
     closed = simulate_window(parameters, window, gains=gains)
-    return nrmse(window.temperature[2:], closed.temperature), nrmse(window.pwm[2:], closed.pwm)
+    return nrmse(window.output[2:], closed.output), nrmse(window.input[2:], closed.input)
 
 
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float:

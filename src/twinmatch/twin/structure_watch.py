@@ -111,8 +111,9 @@ class StructureWatch:
 def _continued(window: Window, newer: Window) -> Window:
     return Window(
         reference=np.concatenate([window.reference, newer.reference]),
-        temperature=np.concatenate([window.temperature, newer.temperature]),
-        pwm=np.concatenate([window.pwm, newer.pwm]),
+        output=np.concatenate([window.output, newer.output]),
+        input=np.concatenate([window.input, newer.input]),
         first=window.first,
         period=window.period,
+        disturbances=np.concatenate([window.disturbances, newer.disturbances]),
     )

@@ -34,17 +34,17 @@ class Comparison:
     @property
     def residual_y(self) -> FloatArray:
         """Measured minus closed-loop-twin temperature, °C."""
-        return np.asarray(self.window.temperature[_SKIPPED:] - self.closed.temperature)
+        return np.asarray(self.window.output[_SKIPPED:] - self.closed.output)
 
     @property
     def residual_u(self) -> FloatArray:
         """Measured minus closed-loop-twin control, counts."""
-        return np.asarray(self.window.pwm[_SKIPPED:] - self.closed.pwm)
+        return np.asarray(self.window.input[_SKIPPED:] - self.closed.input)
 
     @property
     def residual_driven(self) -> FloatArray:
         """Measured minus driven-twin temperature, °C."""
-        return np.asarray(self.window.temperature[_SKIPPED:] - self.driven)
+        return np.asarray(self.window.output[_SKIPPED:] - self.driven)
 
 
 def compare(samples: Sequence[Sample], parameters: RigParameters, gains: PidGains) -> tuple[Comparison, ...]:
@@ -54,9 +54,9 @@ def compare(samples: Sequence[Sample], parameters: RigParameters, gains: PidGain
         if len(stretch) < _SKIPPED + 2:
             continue
         window = Window.from_samples(stretch, gains.period)
-        plate = float(window.temperature[_SKIPPED]) + KELVIN
-        driven = simulate_driven(parameters, window.pwm[_SKIPPED:], plate=plate, period=window.period)
-        found.append(Comparison(window, simulate_window(parameters, window, gains=gains), driven.temperature))
+        plate = float(window.output[_SKIPPED]) + KELVIN
+        driven = simulate_driven(parameters, window.input[_SKIPPED:], plate=plate, period=window.period)
+        found.append(Comparison(window, simulate_window(parameters, window, gains=gains), driven.output))
     return tuple(found)
 
 

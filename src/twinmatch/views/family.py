@@ -70,8 +70,8 @@ class Member:
         level = operating_level(self.measured)
         r, y, u = deviations(self.measured, level)
         return Response(
-            model.y.simulate(r, outputs=y[: len(model.y.F)]) + level.temperature,
-            model.u.simulate(ahead(r), outputs=u[: len(model.u.F)]) + level.pwm,
+            model.y.simulate(r, outputs=y[: len(model.y.F)]) + level.output,
+            model.u.simulate(ahead(r), outputs=u[: len(model.u.F)]) + level.input,
         )
 
 

@@ -56,7 +56,7 @@ def trust_range(
         stride: samples that are judged together.
     """
     limits = limits or TrustLimits()
-    matched = [s.temperature for s in samples if nominal.first <= s.index <= nominal.last]
+    matched = [s.output for s in samples if nominal.first <= s.index <= nominal.last]
     spans = list(_held(samples, nominal, gains, limits, stride))
     home = (min(matched), max(matched)) if matched else _nearest(spans, nominal.operating_point)
     return None if home is None else _joined(home, spans)
@@ -71,7 +71,7 @@ def _held(
             window = Window.from_samples(whole[begin : begin + stride], gains.period)
             found = residuals(nominal.parameters, window, gains)
             if found.y < limits.doubtful_y and found.u < limits.doubtful_u:
-                yield float(np.min(window.temperature)), float(np.max(window.temperature))
+                yield float(np.min(window.output)), float(np.max(window.output))
 
 
 def _nearest(spans: Sequence[tuple[float, float]], temperature: float) -> tuple[float, float] | None:

@@ -150,7 +150,7 @@ def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> N
 def test_cyclone_reads_the_temperatures(replayed: Replayed, session: Path) -> None:
     """Best effort: some may be missing, none may be changed or come twice or late."""
     samples = read_session(session).samples
-    measured = {sample.stamp: sample.temperature for sample in samples}
+    measured = {sample.stamp: sample.output for sample in samples}
     heard = [(stamp, temperature) for _, stamp, temperature in replayed.temperatures]
     assert all(measured[stamp] == temperature for stamp, temperature in heard)
     assert [stamp for stamp, _ in heard] == sorted({stamp for stamp, _ in heard})
@@ -170,7 +170,7 @@ def test_cyclone_reads_every_sample(programs: Any, session: Path) -> None:
     cyclone.wait_for(lambda text: f'["sample", {samples[-1].stamp},' in text)
     heard = [line for line in cyclone.json if line[0] == "sample"]
     assert heard == [
-        ["sample", s.stamp, s.index, s.reference, s.temperature, s.pwm] for s in samples[-len(heard) :]
+        ["sample", s.stamp, s.index, s.reference, s.output, s.input] for s in samples[-len(heard) :]
     ]
     assert len(heard) >= len(samples) - SETTLED
 

@@ -95,4 +95,4 @@ def test_nodes_and_messages_of_the_install_space(programs: Any, installed: Path,
     last = read_session(session).samples[-1]
     for reader in (ours, theirs):
         reader.wait_for(lambda text: f'"index": {last.index},' in text)
-        assert reader.json[-1]["temperature"] == last.temperature
+        assert reader.json[-1]["temperature"] == last.output

@@ -93,7 +93,7 @@ def test_temperatures(programs: Any, page: Path, session: Path) -> None:
     reader = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample")
     player = start_player(programs, session)
     assert player.wait() == 0, player.text
-    samples = {s.stamp // 10**9: s.temperature for s in read_session(session).samples}
+    samples = {s.stamp // 10**9: s.output for s in read_session(session).samples}
     heard = re.findall(r"^(\d+) s: (-?[\d.]+) °C\n", program.text, re.MULTILINE)
     assert len(heard) > 100
     assert all(value == f"{samples[int(second)]:.2f}" for second, value in heard)

@@ -52,12 +52,12 @@ def _draw_member(temperature: Axes, control: Axes, member: Member) -> None:
     twin, model = member.quiet_twin, member.simulated(order)
     time = window.time[_SKIPPED:]
     _draw_set_point(temperature, window)
-    temperature.plot(window.time, window.temperature, color=PLANT, lw=1.4, label="plant")
-    temperature.plot(time, twin.temperature, color=CLOSED, lw=1, label="twin")
-    temperature.plot(time, model.temperature, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
-    control.plot(window.time, window.pwm, color=PLANT, lw=0.9)
-    control.plot(time, twin.pwm, color=CLOSED, lw=0.9)
-    control.plot(time, model.pwm, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
+    temperature.plot(window.time, window.output, color=PLANT, lw=1.4, label="plant")
+    temperature.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
+    temperature.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
+    control.plot(window.time, window.input, color=PLANT, lw=0.9)
+    control.plot(time, twin.input, color=CLOSED, lw=0.9)
+    control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
     mark = ", nominal" if member.nominal else ""
     temperature.set_title(
         f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None
@@ -76,16 +76,16 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     axes = stack(figure, (3, 2, 1.5, 1.5))
     time = window.time[_SKIPPED:]
     _draw_set_point(axes[0], window)
-    axes[0].plot(window.time, window.temperature, color=PLANT, lw=2, label="plant")
-    axes[1].plot(window.time, window.pwm, color=PLANT, lw=1.6)
+    axes[0].plot(window.time, window.output, color=PLANT, lw=2, label="plant")
+    axes[1].plot(window.time, window.input, color=PLANT, lw=1.6)
     for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):
         style: dict[str, Any] = (
             {"color": CLOSED, "lw": 1.4} if member.nominal else {"color": colour, "lw": 0.9}
         )
         name = f"twin of {member.score.name}{' (nominal)' if member.nominal else ''}"
-        axes[0].plot(time, answer.temperature, label=name, zorder=3 if member.nominal else 2, **style)
-        axes[1].plot(time, answer.pwm, zorder=3 if member.nominal else 2, **style)
-    for place, name in ((2, "temperature"), (3, "pwm")):
+        axes[0].plot(time, answer.output, label=name, zorder=3 if member.nominal else 2, **style)
+        axes[1].plot(time, answer.input, zorder=3 if member.nominal else 2, **style)
+    for place, name in ((2, "output"), (3, "input")):
         table = np.stack([getattr(answer, name) for answer in answers])
         _draw_spread(axes[place], time, table, members)
     for each, label in zip(axes, _LABELS, strict=True):

@@ -81,15 +81,15 @@ def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool
         drawstyle="steps-post",
         label="set-point" if first else hidden,
     )
-    temperature.plot(window.time, window.temperature, color=PLANT, label="plant" if first else hidden)
-    control.plot(window.time, window.pwm, color=PLANT, lw=0.8, label="plant" if first else hidden)
+    temperature.plot(window.time, window.output, color=PLANT, label="plant" if first else hidden)
+    control.plot(window.time, window.input, color=PLANT, lw=0.8, label="plant" if first else hidden)
 
 
 def _draw_twins(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
     closed, driven = ("closed-loop twin", "driven twin") if first else ("_", "_")
-    temperature.plot(part.time, part.closed.temperature, color=CLOSED, lw=1, label=closed)
+    temperature.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
     temperature.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
-    control.plot(part.time, part.closed.pwm, color=CLOSED, lw=0.8, label=closed)
+    control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8, label=closed)
 
 
 def _draw_residuals(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:

@@ -65,14 +65,14 @@ def _draw_signals(
     temperature.plot(
         time, window.reference, color=SET_POINT, lw=1, ls="--", drawstyle="steps-post", label=names[0]
     )
-    temperature.plot(time, window.temperature, color=PLANT, lw=1.2, label=names[1])
-    control.plot(time, window.pwm, color=PLANT, lw=0.9)
+    temperature.plot(time, window.output, color=PLANT, lw=1.2, label=names[1])
+    control.plot(time, window.input, color=PLANT, lw=0.9)
     if nominal is None or len(window) < 4:
         return
     twin = simulate_window(nominal.parameters, window, gains=settings.gains)
     name = f"twin of {nominal.name}" if label else hidden
-    temperature.plot(time[2:], twin.temperature, color=CLOSED, lw=1, label=name)
-    control.plot(time[2:], twin.pwm, color=CLOSED, lw=0.8)
+    temperature.plot(time[2:], twin.output, color=CLOSED, lw=1, label=name)
+    control.plot(time[2:], twin.input, color=CLOSED, lw=0.8)
 
 
 def _dress(temperature: Axes, control: Axes, nominal: CandidateScore | None) -> None:
