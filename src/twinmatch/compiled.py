@@ -18,25 +18,49 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, overload
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import rtsys
 
 __all__ = ["compiled"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def compiled(function: _Function) -> _Function:
+@overload
+def compiled(function: _Function, /) -> _Function: ...
+
+
+@overload
+def compiled(*, inside: bool = False, inlined: bool = False) -> Callable[[_Function], _Function]: ...
+
+
+def compiled(function: Any = None, /, *, inside: bool = False, inlined: bool = False) -> Any:
     """Compile a function at its first call, and keep the result on disk; the interpreter lock is released.
 
     No `fastmath`: the same input gives the same bits every time. Division follows IEEE, it does not raise.
+
+    Args:
+        function: the kernel; without it, a decorator.
+        inside: only kernels call it. Of a small function the way in from Python, which it then does not
+            get, is half of what there is to compile; and it is kept as a part of those that call it.
+        inlined: as `inside`, and its code becomes part of its callers before they are compiled. For what
+            has one caller: what is linked instead is optimised anew at every level above.
     """
-    kernel = numba.njit(nogil=True, error_model="numpy")(function)
-    kernel._cache = _Cache(function)
-    return cast(_Function, kernel)
+    if function is None:
+        return functools.partial(compiled, inside=inside, inlined=inlined)
+    options: dict[str, Any] = {}
+    if inside or inlined:
+        options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    if inlined:
+        options["inline"] = "always"
+    kernel = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    if not options:
+        kernel._cache = _Cache(function)
+    return kernel
 
 
 class _Cache:
@@ -64,6 +88,11 @@ class _KernelFiles(CompileResultCacheImpl):
 
 class _KernelCache(FunctionCache):
     _impl_class = _KernelFiles
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        # numba reads in its whole compiler first (a fifth of a second): needed only if there is work for it.
+        rtsys.initialize(target_context)
+        return self._load_overload(sig, target_context) or super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         # Arguments that are named tuples go by the names of their classes; their fields are theirs to change.

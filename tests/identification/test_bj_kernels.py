@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from twinmatch.identification import kernels
-from twinmatch.identification.kernels import LARGEST_ROOT, boundary_normals, stabilise
+from twinmatch.identification.delayed import cholesky, correlate, ridge_solve, triangularise
+from twinmatch.identification.derivatives import curvature, linearise
+from twinmatch.identification.filters import all_pole, fir
 from twinmatch.identification.order import Order
-from twinmatch.identification.prediction import linear_size, task_of
+from twinmatch.identification.prediction import ROWS, Place, Task, evaluate, linear_size, task_of
+from twinmatch.identification.stability import LARGEST_ROOT, boundary_normals, is_stable, stabilise
 from twinmatch.signals import FloatArray
 
 ROOTS = st.lists(st.floats(-0.9, 0.9), min_size=0, max_size=4)
@@ -20,8 +22,8 @@ ROOTS = st.lists(st.floats(-0.9, 0.9), min_size=0, max_size=4)
 def test_filters_are_scipys() -> None:
     rng = np.random.default_rng(1)
     x, a, b = rng.standard_normal(200), np.array([1.0, -1.1, 0.3, 0.1]), rng.standard_normal(4)
-    np.testing.assert_allclose(kernels.fir(b, x), lfilter(b, [1.0], x), rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(kernels.all_pole(a, x), lfilter([1.0], a, x), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(fir(b, x), lfilter(b, [1.0], x), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(all_pole(a, x), lfilter([1.0], a, x), rtol=1e-12, atol=1e-13)
 
 
 @given(st.integers(0, 2**31), st.integers(0, 5), st.integers(1, 4), st.integers(0, 3))
@@ -34,15 +36,15 @@ def test_normal_matrix_and_triangle_agree_with_the_matrix(seed: int, d: int, n: 
     columns = [signals[s, pad - k : pad - k + count] for s, at, m in spans for k in range(at, at + m)]
     matrix = np.stack(columns, axis=1)[first:]
     # Sums of 117 products of order 1: rounding is some 1e-14 of them.
-    G = kernels.correlate(signals, pad + first, spans)
+    G = correlate(signals, pad + first, spans)
     np.testing.assert_allclose(np.triu(G), np.triu(matrix.T @ matrix), atol=1e-11)
-    R = kernels.triangularise(signals, pad + first, spans)
+    R = triangularise(signals, pad + first, spans)
     np.testing.assert_allclose(R.T @ R, matrix.T @ matrix, atol=1e-11)
-    np.testing.assert_allclose(np.abs(kernels.cholesky(G)), np.abs(R), atol=1e-9)
+    np.testing.assert_allclose(np.abs(cholesky(G)), np.abs(R), atol=1e-9)
 
 
 def test_dependent_columns_are_dropped_by_cholesky() -> None:
-    R = kernels.cholesky(np.array([[2.0, 2.0], [2.0, 2.0]]))
+    R = cholesky(np.array([[2.0, 2.0], [2.0, 2.0]]))
     np.testing.assert_array_equal(R[1], 0.0)
 
 
@@ -50,14 +52,14 @@ def test_ridge_solution_is_that_of_the_stacked_system() -> None:
     rng = np.random.default_rng(3)
     R, rhs, damping = np.triu(rng.standard_normal((5, 5))), rng.standard_normal(5), rng.uniform(0, 1, 5)
     stacked = np.linalg.lstsq(np.vstack((R, np.diag(damping))), np.append(rhs, np.zeros(5)), rcond=None)[0]
-    np.testing.assert_allclose(kernels.ridge_solve(R, rhs, damping), stacked, rtol=1e-10)
+    np.testing.assert_allclose(ridge_solve(R, rhs, damping), stacked, rtol=1e-10)
 
 
 @given(ROOTS, st.floats(0.01, 3.0))
 def test_stability_is_that_of_the_roots(roots: list[float], size: float) -> None:
     polynomial = np.poly([*roots, size])
     if abs(size - 1.0) > 1e-3:
-        assert kernels.is_stable(polynomial, 1.0) == (size < 1.0)
+        assert is_stable(polynomial, 1.0) == (size < 1.0)
 
 
 @given(ROOTS, st.floats(1.01, 50.0), st.floats(0.1, 3.0))
@@ -65,14 +67,14 @@ def test_unstable_roots_come_inside(roots: list[float], size: float, angle: floa
     pair = size * np.exp(1j * angle)
     polynomial = np.real(np.poly([*roots, pair, np.conj(pair)]))
     reflected = stabilise(polynomial, LARGEST_ROOT, 1.0)
-    assert kernels.is_stable(reflected, kernels.LARGEST_ROOT)
+    assert is_stable(reflected, LARGEST_ROOT)
     # A mirrored zero leaves the shape of the spectrum: |P| on the circle changes by one factor.
     z = np.exp(1j * np.linspace(0.1, 3.0, 7))
     ratio = np.abs(np.polyval(reflected, z)) / np.abs(np.polyval(polynomial, z))
     if size < 20.0 and abs(size - 1.0) > 0.05:
         np.testing.assert_allclose(ratio, ratio[0], rtol=1e-5)
     clamped = stabilise(polynomial, LARGEST_ROOT, np.inf)
-    assert kernels.is_stable(clamped, kernels.LARGEST_ROOT)
+    assert is_stable(clamped, LARGEST_ROOT)
     assert np.max(np.abs(np.roots(clamped))) > 0.99
 
 
@@ -93,7 +95,7 @@ def test_normals_are_the_gradient_of_the_root() -> None:
 
 
 @st.composite
-def tasks(draw: st.DrawFn) -> tuple[kernels.Task, FloatArray]:
+def tasks(draw: st.DrawFn) -> tuple[Task, FloatArray]:
     count = st.integers(0, 3)
     order = Order(draw(st.integers(1, 3)), draw(count), draw(count), draw(count), draw(st.integers(0, 3)))
     rng = np.random.default_rng(draw(st.integers(0, 2**31)))
@@ -103,22 +105,22 @@ def tasks(draw: st.DrawFn) -> tuple[kernels.Task, FloatArray]:
     return task, np.concatenate(parts)
 
 
-def place_at(task: kernels.Task, theta: FloatArray) -> kernels.Place:
-    return kernels.evaluate(task, theta, np.zeros((kernels.ROWS, task.pad + task.u.size)), True, None)
+def place_at(task: Task, theta: FloatArray) -> Place:
+    return evaluate(task, theta, np.zeros((ROWS, task.pad + task.u.size)), True)
 
 
-def gradient_at(task: kernels.Task, theta: FloatArray) -> FloatArray:
-    R = kernels.linearise(task, place_at(task, theta), True, None)
+def gradient_at(task: Task, theta: FloatArray) -> FloatArray:
+    R = linearise(task, place_at(task, theta), True)
     inner = slice(linear_size(task), -1)
     return np.asarray(R[inner, inner].T @ R[inner, -1])
 
 
 @given(tasks())
-def test_derivatives_are_those_of_differences(case: tuple[kernels.Task, FloatArray]) -> None:
+def test_derivatives_are_those_of_differences(case: tuple[Task, FloatArray]) -> None:
     task, theta = case
     place = place_at(task, theta)
-    R = kernels.linearise(task, place, True, None)
-    hessian = kernels.curvature(task, place, R)
+    R = linearise(task, place, True)
+    hessian = curvature(task, place, R)
     gradient = gradient_at(task, theta)
     h = 1e-5
     # Differences of order h² ≈ 1e-10 and rounding ≈ 1e-16/h, both against the size of the cost.

@@ -35,7 +35,6 @@ def test_transfer_function_is_that_of_the_model(model: BoxJenkins, u: np.ndarray
     times = np.arange(u.size) * 0.5
     answer = control.forced_response(system, times, u).outputs
     np.testing.assert_allclose(model.simulate(u), answer, rtol=1e-9, atol=1e-10)
-    assert model.noise_transfer_function.dcgain() == pytest.approx(C.sum() / D.sum())
 
 
 def test_transfer_function_round_trip(model: BoxJenkins) -> None:
@@ -72,13 +71,10 @@ def test_control_is_not_imported_before_it_is_needed() -> None:
 def test_simulation_goes_on_from_recorded_outputs(model: BoxJenkins, u: np.ndarray) -> None:
     whole = lfilter(B, F, u, zi=[0.3, -0.2])[0]
     np.testing.assert_allclose(model.simulate(u, outputs=whole[:3]), whole, rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(model.simulate(u, state=[0.3, -0.2]), whole, rtol=1e-9, atol=1e-10)
     np.testing.assert_array_equal(model.simulate(u, outputs=[5.0, 6.0, 7.0])[:3], [5.0, 6.0, 7.0])
 
 
-def test_one_start_only(model: BoxJenkins, u: np.ndarray) -> None:
-    with pytest.raises(IdentificationError, match="not both"):
-        model.simulate(u, state=[1.0], outputs=[1.0])
+def test_more_recorded_outputs_than_inputs(model: BoxJenkins, u: np.ndarray) -> None:
     with pytest.raises(IdentificationError, match="3 recorded outputs for 2"):
         model.simulate(u[:2], outputs=[1.0, 2.0, 3.0])
 
@@ -87,7 +83,6 @@ def test_prediction_errors_are_the_innovations(model: BoxJenkins, u: np.ndarray)
     e = 0.1 * np.random.default_rng(6).standard_normal(u.size)
     y = lfilter(B, F, u) + lfilter(C, D, e)
     np.testing.assert_allclose(model.prediction_errors(u, y, "zero"), e, atol=1e-10)
-    np.testing.assert_allclose(model.predict(u, y, "zero"), y - e, atol=1e-10)
     assert model.loss(u, y, "zero") == pytest.approx(np.mean(e**2))
 
 
@@ -95,15 +90,6 @@ def test_estimated_start_finds_any_transient(model: BoxJenkins, u: np.ndarray) -
     y = lfilter(B, F, u, zi=[20.0, -15.0])[0] + lfilter(C, D, np.zeros(u.size), zi=[3.0, 1.0])[0]
     np.testing.assert_allclose(model.prediction_errors(u, y), 0.0, atol=1e-7)
     assert model.loss(u, y, "zero") > 1.0
-
-
-def test_process_state_separates_the_two_filters() -> None:
-    rng = np.random.default_rng(8)
-    u = rng.standard_normal(400)
-    w = lfilter(B, F, u, zi=[20.0, -15.0])[0]
-    found = estimate(u, w + lfilter(C, D, 1e-3 * rng.standard_normal(400)), "22221")
-    # Noise of 1e-3 through C/D (gain below 3) is all that keeps the two apart.
-    np.testing.assert_allclose(found.simulate(u, state=found.process_state), w, atol=0.05)
 
 
 def test_own_initial_state_gives_the_loss_of_the_estimate() -> None:
@@ -127,7 +113,7 @@ def test_unknown_initial(model: BoxJenkins, u: np.ndarray) -> None:
 
 def test_signals_that_cannot_be_used(model: BoxJenkins, u: np.ndarray) -> None:
     with pytest.raises(IdentificationError, match="149 samples and output y 150"):
-        model.predict(u[1:], u)
+        model.prediction_errors(u[1:], u)
     with pytest.raises(IdentificationError, match="nan at sample 7"):
         model.simulate(np.where(np.arange(20) == 7, np.nan, 0.0))
     with pytest.raises(IdentificationError, match="is no signal"):

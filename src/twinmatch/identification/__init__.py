@@ -2,8 +2,8 @@
 
 `estimate` fits one model and `estimate_ladder` the paper's ladder of nested orders 22221 to 55551. What
 a short window of a running loop needs is a right beginning: the initial conditions of B/F and of the
-noise filter are estimated exactly along with the coefficients. A `BoxJenkins` simulates, predicts,
-judges itself on other data and turns into a transfer function.
+noise filter are estimated exactly along with the coefficients. A `BoxJenkins` simulates, gives its
+prediction errors on any data and turns into a transfer function.
 """
 
 from __future__ import annotations
@@ -12,16 +12,13 @@ from twinmatch.identification.errors import IdentificationError
 from twinmatch.identification.estimation import estimate, estimate_ladder
 from twinmatch.identification.model import BoxJenkins
 from twinmatch.identification.order import ORDERS, Order, parse_order
-from twinmatch.identification.residuals import ResidualTest, examine_residuals
 
 __all__ = [
     "ORDERS",
     "BoxJenkins",
     "IdentificationError",
     "Order",
-    "ResidualTest",
     "estimate",
     "estimate_ladder",
-    "examine_residuals",
     "parse_order",
 ]

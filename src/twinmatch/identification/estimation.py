@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.identification.data import checked_pair
+from twinmatch.identification.derivatives import linearise
+from twinmatch.identification.descent import Rules, descend
 from twinmatch.identification.errors import IdentificationError
 from twinmatch.identification.hops import Hops
-from twinmatch.identification.kernels import Place, Task, Weighed, descend, linearise
 from twinmatch.identification.model import BoxJenkins
 from twinmatch.identification.order import ORDERS, Order, parse_order
-from twinmatch.identification.prediction import linear_size, task_of, unknowns
+from twinmatch.identification.prediction import Place, Task, linear_size, task_of, unknowns
 from twinmatch.identification.start import start_values
 from twinmatch.signals import FloatArray
 
@@ -66,9 +66,7 @@ def estimate(
         y: output, shape (N,).
         order: nb, nc, nd, nf, nk, as a string or five integers.
         initial: "estimate" the initial conditions of B/F and of the noise filter along with the
-            coefficients; "zero": the data begin at rest; "backcast": those of B/F are estimated, those of
-            the noise filter are weighed against what stationary noise would leave (the unconditional
-            least squares of Box and Jenkins).
+            coefficients; "zero": the data begin at rest.
         start: a model of the same or a lower order to start from, beside the usual start values; the
             result is then never worse than it (its C must forget within this window too, see below).
         hops: how many starts around the best minimum to try beside the usual ones, 0 or more; without a
@@ -93,14 +91,13 @@ def estimate(
     if hops < 0:
         msg = f"hops: {hops} starts cannot be tried; give 0 or more"
         raise IdentificationError(msg)
-    thetas = start_values(u, y, parsed)
+    thetas = list(start_values(u, y, task.counts))
     if start is not None:
         if not parsed.covers(start.order):
             msg = f"start: a model of order {start.order} cannot start one of order {parsed}"
             raise IdentificationError(msg)
         thetas.append(_padded(start, parsed))
-    weighed = True if initial == "backcast" else None
-    return _model(task, parsed, _best(task, parsed, thetas, hops, weighed), weighed, period)
+    return _model(task, parsed, _best(task, parsed, thetas, hops), period)
 
 
 def estimate_ladder(
@@ -115,7 +112,7 @@ def estimate_ladder(
     """Models of several orders; one whose order contains an earlier one's never has the greater loss.
 
     Each starts from the best model below it too, its missing coefficients zero. Give orders from low to
-    high. (With `initial="backcast"` it is the weighed sum of squares that never grows.)
+    high.
 
     Arguments and errors as for `estimate`; the keys are the orders as strings, in the order given.
     """
@@ -148,25 +145,25 @@ def _padded(model: BoxJenkins, order: Order) -> FloatArray:
     return theta
 
 
-def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int, weighed: Weighed) -> Outcome:
+def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outcome:
     """The lowest minimum reached from any start, its last digits from the exact factorisation."""
-    best, _, steps = descend(task, thetas[0], False, ROUTE, math.inf, COARSE, weighed)
+    best, _, steps = descend(task, thetas[0], Rules(ROUTE, COARSE))
     around = Hops(order)
     for k in range(1, len(thetas) + (hops if around.possible else 0)):
         theta = thetas[k] if k < len(thetas) else around.from_model(best.theta)
-        other, _, taken = descend(task, theta, False, ROUTE, best.cost * (1.0 - WORTH), COARSE, weighed)
+        other, _, taken = descend(task, theta, Rules(ROUTE, COARSE, best.cost * (1.0 - WORTH)))
         if other.cost < best.cost:
             best, steps = other, taken
-    best, converged, taken = descend(task, best.theta, False, LAST, math.inf, FINE, weighed)
+    best, converged, taken = descend(task, best.theta, Rules(LAST, FINE))
     steps += taken
-    polished, _, _ = descend(task, best.theta, True, 0, math.inf, FINE, weighed)
+    polished, _, _ = descend(task, best.theta, Rules(0, FINE, exact=True))
     if abs(polished.cost - best.cost) > LOST * best.cost:  # the normal equations had lost digits
-        polished, converged, taken = descend(task, best.theta, True, LAST, math.inf, FINE, weighed)
+        polished, converged, taken = descend(task, best.theta, Rules(LAST, FINE, exact=True))
         steps += taken
     return polished, converged, steps
 
 
-def _model(task: Task, order: Order, outcome: Outcome, weighed: Weighed, period: float) -> BoxJenkins:
+def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenkins:
     place, converged, steps = outcome
     return BoxJenkins(
         order=order,
@@ -175,7 +172,7 @@ def _model(task: Task, order: Order, outcome: Outcome, weighed: Weighed, period:
         D=place.model.D,
         F=place.model.F,
         variance=float(np.mean(place.errors**2)),
-        covariance=_covariance(task, place, weighed),
+        covariance=_covariance(task, place),
         initial_state=place.x[order.nb :],
         n_samples=task.y.size,
         period=period,
@@ -184,14 +181,13 @@ def _model(task: Task, order: Order, outcome: Outcome, weighed: Weighed, period:
     )
 
 
-def _covariance(task: Task, place: Place, weighed: Weighed) -> FloatArray:
+def _covariance(task: Task, place: Place) -> FloatArray:
     """σ² (JᵀJ)⁺ of the coefficients, the initial conditions counted as unknowns too."""
-    size = unknowns(task, weighed)
-    R = linearise(task, place, True, weighed)[:size, :size]
+    size = unknowns(task)
+    R = linearise(task, place, True)[:size, :size]
     norms = np.sqrt(np.sum(R**2, axis=0))
     norms[norms == 0.0] = 1.0
     inverse = np.linalg.pinv(R / norms, rcond=1e-10) / norms[:, np.newaxis]
-    priors = int(max(task.counts[1], task.counts[2])) if weighed else 0
-    noise = place.cost / (task.y.size + priors - size)
-    inverse = np.delete(inverse, slice(int(task.counts[0]), linear_size(task, weighed)), axis=0)
+    noise = place.cost / (task.y.size - size)
+    inverse = np.delete(inverse, slice(int(task.counts[0]), linear_size(task)), axis=0)
     return np.asarray(noise * (inverse @ inverse.T))

@@ -5,23 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.identification.data import checked_pair, checked_signal
 from twinmatch.identification.errors import IdentificationError
-from twinmatch.identification.kernels import (
-    Polynomials,
-    all_pole,
-    best_start,
-    continue_outputs,
-    errors_of,
-    fir,
-)
+from twinmatch.identification.filters import continue_outputs
 from twinmatch.identification.order import Order
-from twinmatch.identification.residuals import ResidualTest, examine_residuals
+from twinmatch.identification.predictor import Polynomials, errors_of, smallest_errors
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -131,51 +124,24 @@ class BoxJenkins:
     @property
     def transfer_function(self) -> control.TransferFunction:
         """B/F as a discrete transfer function in z with dt = period."""
-        return _transfer_function(self.B, self.F, self.period)
+        import control  # noqa: PLC0415  (slow to import, and only this needs it)
 
-    @property
-    def noise_transfer_function(self) -> control.TransferFunction:
-        """C/D as a discrete transfer function in z with dt = period."""
-        return _transfer_function(self.C, self.D, self.period)
+        size = max(self.B.size, self.F.size)
+        numerator, denominator = (np.pad(part, (0, size - part.size)) for part in (self.B, self.F))
+        return control.TransferFunction(numerator, denominator, self.period)
 
-    @property
-    def process_state(self) -> FloatArray:
-        """Initial conditions s of B/F on the data of the estimate, F w = B u + Σ sⱼ δ(t−j).
-
-        They follow from `initial_state` = F n − D s, with n those of the noise filter; where D and F
-        share a root the division between the two is arbitrary and the smallest is taken.
-        """
-        s_count, n_count = self.order.process_state, max(self.order.nc, self.order.nd)
-        columns = np.zeros((self.initial_state.size, s_count + n_count))
-        for j in range(s_count):
-            columns[j : j + self.D.size, j] = -self.D
-        for j in range(n_count):
-            columns[j : j + self.F.size, s_count + j] = self.F
-        solution = np.linalg.lstsq(columns, self.initial_state, rcond=1e-10)[0]
-        return np.asarray(solution[:s_count], dtype=np.float64)
-
-    def simulate(
-        self, u: ArrayLike, *, state: ArrayLike | None = None, outputs: ArrayLike | None = None
-    ) -> FloatArray:
+    def simulate(self, u: ArrayLike, *, outputs: ArrayLike = ()) -> FloatArray:
         """The output of B/F alone for input u, without noise; shape (N,).
 
-        It starts from rest, or from the initial conditions `state` (see `process_state`), or from recorded
-        outputs: then the first len(outputs) samples are `outputs` and the difference equation goes
-        on from them. The paper's information gain copies max(len(F)) samples in this way.
+        It starts from rest, or from recorded outputs: then the first len(outputs) samples are `outputs`
+        and the difference equation goes on from them. The paper's information gain copies max(len(F))
+        samples in this way.
 
         Raises:
-            IdentificationError: u is no signal, both starts are given, or outputs are longer than u.
+            IdentificationError: u is no signal, or outputs are longer than u.
         """
         input_ = checked_signal(u, "input u")
-        if outputs is None:
-            driven = np.asarray(fir(self.B.copy(), input_))
-            if state is not None:
-                start: FloatArray = np.asarray(state, dtype=np.float64)[: input_.size]
-                driven[: start.size] += start
-            return np.asarray(all_pole(self.F.copy(), driven))
-        if state is not None:
-            raise IdentificationError("simulate: give either a state or recorded outputs, not both")
-        recorded = checked_signal(outputs, "recorded outputs")
+        recorded = np.array(outputs, dtype=np.float64, ndmin=1)
         if recorded.size > input_.size:
             msg = f"simulate: {recorded.size} recorded outputs for {input_.size} inputs"
             raise IdentificationError(msg)
@@ -196,45 +162,17 @@ class BoxJenkins:
             IdentificationError: data that are no pair of signals, or an unknown `initial`.
         """
         u, y = checked_pair(u, y)
-        if isinstance(initial, str):
-            if initial not in ("estimate", "zero"):
-                msg = f'initial: {initial!r} is unknown; use "estimate", "zero" or an array'
-                raise IdentificationError(msg)
-            m = np.zeros(0)
-            if initial == "estimate":
-                m = best_start(u, y, self.polynomials, self.order.predictor_state)
-        else:
+        if not isinstance(initial, str):
             m = np.array(initial, dtype=np.float64)
+        elif initial == "estimate":
+            return np.asarray(smallest_errors(u, y, self.polynomials, self.order.predictor_state))
+        elif initial == "zero":
+            m = np.zeros(0)
+        else:
+            msg = f'initial: {initial!r} is unknown; use "estimate", "zero" or an array'
+            raise IdentificationError(msg)
         return np.asarray(errors_of(u, y, self.polynomials, m))
-
-    def predict(self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate") -> FloatArray:
-        """One-step predictions ŷ(t|t−1); arguments and errors as `prediction_errors`."""
-        return np.asarray(y, dtype=np.float64) - self.prediction_errors(u, y, initial)
 
     def loss(self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate") -> float:
         """Mean squared prediction error on any data; arguments as `prediction_errors`."""
         return float(np.mean(self.prediction_errors(u, y, initial) ** 2))
-
-    def examine(
-        self, u: ArrayLike, y: ArrayLike, *, lags: int = 25, confidence: float = 0.99
-    ) -> ResidualTest:
-        """Whiteness and input cross-correlation of the prediction errors on any data.
-
-        Raises:
-            IdentificationError: data that are no pair of signals, or too short for the lags.
-        """
-        errors = self.prediction_errors(u, y)
-        return examine_residuals(
-            errors, u, fitted=self.order.nc + self.order.nd, lags=lags, confidence=confidence
-        )
-
-
-def _transfer_function(numerator: FloatArray, denominator: FloatArray, period: float) -> Any:
-    import control  # noqa: PLC0415  (slow to import, and only these properties need it)
-
-    size = max(numerator.size, denominator.size)
-    return control.TransferFunction(
-        np.pad(numerator, (0, size - numerator.size)),
-        np.pad(denominator, (0, size - denominator.size)),
-        period,
-    )

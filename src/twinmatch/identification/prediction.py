@@ -15,22 +15,76 @@ All derivatives are delayed copies of a few filtered signals:
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.compiled import compiled
+from twinmatch.identification.delayed import (
+    COUNT,
+    DELAY,
+    SIGNAL,
+    Spans,
+    cholesky,
+    correlate,
+    solve_triangle,
+    substitute_back,
+    triangularise,
+)
 from twinmatch.identification.errors import IdentificationError
-from twinmatch.identification.kernels import LARGEST_ROOT, Task, Weighed
+from twinmatch.identification.filters import all_pole_into, copy_into, dot, fir_into
 from twinmatch.identification.order import Order
+from twinmatch.identification.predictor import Polynomials
+from twinmatch.identification.stability import LARGEST_ROOT, stabilise
 from twinmatch.signals import FloatArray
 
-__all__ = ["INITIALS", "MEMORY", "linear_size", "task_of", "unknowns"]
+__all__ = ["INITIALS", "MEMORY", "Place", "Task", "evaluate", "linear_size", "task_of", "unknowns"]
 
-INITIALS = ("estimate", "zero", "backcast")
+INITIALS = ("estimate", "zero")
 MEMORY = 6.0
 """Predictor and noise must forget their initial conditions to e^−MEMORY by the end of the window: roots of
 C and D stay below 1 − MEMORY/N. Nearer the unit circle C and the free initial conditions conspire to cancel
 chance sinusoids: measured on the rig, a few parts in a thousand off the loss and far worse predictions of
 the next window. And noise that never returns to its mean is free to carry the levels which the set-point
 commands; B/F then have a static gain of any size and sign, and the ν-gap sees two different plants."""
+
+BY_B, BY_M, BY_C, BY_D, BY_F, ERROR, OF_INPUT, OF_PROCESS, AT_ZERO = range(9)
+"""The signals of a place: derivatives by the first coefficient of each group, e, u/(CF), B u/(CF), and the
+error that x = 0 leaves. The first six are also the groups of columns of the derivatives, in their order."""
+ROWS = 9
+
+
+class Task(NamedTuple):
+    """The data and the order of one estimate."""
+
+    u: FloatArray
+    y: FloatArray
+    counts: NDArray[np.int64]
+    """nb, nc, nd, nf, nk."""
+    radii: FloatArray
+    """Largest root magnitudes of C, D and F."""
+    spans: Spans
+    """Columns b, m, c, d, f and e of the derivatives."""
+    pad: int
+    """At least the largest delay."""
+
+
+class Place(NamedTuple):
+    """A model along the search: θ, the best x for it, and its errors."""
+
+    theta: FloatArray
+    """c, d, f."""
+    model: Polynomials
+    """θ and b as polynomials."""
+    x: FloatArray
+    """b, m."""
+    errors: FloatArray
+    """e, shape (N,)."""
+    signals: FloatArray
+    """By `BY_B` … `AT_ZERO`, each with its zeros in front, shape (ROWS, pad + N)."""
+    cost: float
+    """Σ e²"""
 
 
 def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate") -> Task:
@@ -40,30 +94,95 @@ def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate
         IdentificationError: an unknown `initial`.
     """
     if initial not in INITIALS:
-        msg = f'initial: {initial!r} is unknown; use "estimate", "zero" or "backcast"'
+        msg = f'initial: {initial!r} is unknown; use "estimate" or "zero"'
         raise IdentificationError(msg)
     nb, nc, nd, nf, nk = order
     states = 0 if initial == "zero" else order.predictor_state
-    spans = [(0, nk, nb), (1, 0, states), (2, 1, nc), (3, 1, nd), (4, 1, nf), (5, 0, 1)]
+    spans = np.zeros((BY_F + 2, 3), dtype=np.int64)
+    spans[BY_B] = BY_B, nk, nb
+    spans[BY_M] = BY_M, 0, states
+    spans[BY_C] = BY_C, 1, nc
+    spans[BY_D] = BY_D, 1, nd
+    spans[BY_F] = BY_F, 1, nf
+    spans[ERROR] = ERROR, 0, 1
     return Task(
         u=u,
         y=y,
         counts=np.array(order, dtype=np.int64),
         radii=np.array([1.0 - MEMORY / u.size, 1.0 - MEMORY / u.size, LARGEST_ROOT]),
-        spans=np.array(spans, dtype=np.int64),
+        spans=spans,
         # Second derivatives are delayed by the delays of both coefficients.
         pad=max(nb + nk, states, nc + 1, nd + 1, nf + 1) + max(nc, nd, nf),
     )
 
 
-def linear_size(task: Task, weighed: Weighed = None) -> int:
+def linear_size(task: Task) -> int:
     """Coefficients of B and initial conditions."""
-    order = Order(*(int(n) for n in task.counts))
-    if weighed:
-        return order.nb + order.process_state + max(order.nc, order.nd)
-    return order.nb + int(task.spans[1, 2])
+    return int(task.spans[BY_B, COUNT] + task.spans[BY_M, COUNT])
 
 
-def unknowns(task: Task, weighed: Weighed = None) -> int:
+def unknowns(task: Task) -> int:
     """Everything that is free: coefficients and initial conditions."""
-    return linear_size(task, weighed) + int(task.counts[1:4].sum())
+    return linear_size(task) + int(task.counts[1:4].sum())
+
+
+@compiled
+def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) -> Place:
+    """The best linear coefficients at θ and the errors they leave.
+
+    Roots outside the stable region are pulled back to its boundary: the place's θ is what is left. With
+    `exact` the coefficients are found by QR instead of by normal equations.
+    """
+    nb, nc, nd, nf, nk = task.counts
+    C, D, F = np.ones(1 + nc), np.ones(1 + nd), np.ones(1 + nf)
+    copy_into(theta[:nc], C[1:])
+    copy_into(theta[nc : nc + nd], D[1:])
+    copy_into(theta[nc + nd :], F[1:])
+    C = stabilise(C, task.radii[0], np.inf)
+    D = stabilise(D, task.radii[1], np.inf)
+    F = stabilise(F, task.radii[2], np.inf)
+    stable = np.empty(theta.size)
+    copy_into(C[1:], stable)
+    copy_into(D[1:], stable[nc:])
+    copy_into(F[1:], stable[nc + nd :])
+    model = Polynomials(np.zeros(nk + nb), C, D, F)
+    x, e = project(task, model, signals, exact)
+    copy_into(x[:nb], model.B[nk:])
+    cost = dot(e, e)
+    return Place(stable, model, x, e, signals, cost if np.isfinite(cost) else np.inf)
+
+
+@compiled(inlined=True)
+def project(
+    task: Task, model: Polynomials, signals: FloatArray, exact: bool
+) -> tuple[FloatArray, FloatArray]:
+    """The best x = (b, m) for given C, D, F and the errors e it leaves; B of the model is not used."""
+    pad = task.pad
+    by_b, by_m, at_zero = signals[BY_B, pad:], signals[BY_M, pad:], signals[AT_ZERO, pad:]
+    fir_into(model.D, task.u, by_b)
+    all_pole_into(model.C, by_b, by_b)
+    all_pole_into(model.F, by_b, by_b)
+    for t in range(by_b.size):
+        by_b[t] = -by_b[t]
+        by_m[t] = 0.0
+    by_m[0] = 1.0
+    all_pole_into(model.C, by_m, by_m)
+    all_pole_into(model.F, by_m, by_m)
+    fir_into(model.D, task.y, at_zero)
+    all_pole_into(model.C, at_zero, at_zero)
+    spans = task.spans[: BY_M + 2].copy()
+    spans[BY_M + 1, SIGNAL], spans[BY_M + 1, DELAY], spans[BY_M + 1, COUNT] = AT_ZERO, 0, 1
+    if exact:
+        x = solve_triangle(triangularise(signals, pad, spans))
+    else:
+        x = substitute_back(cholesky(correlate(signals, pad, spans)))
+    e = at_zero.copy()
+    column = 0
+    for group in (BY_B, BY_M):
+        for i in range(spans[group, COUNT]):
+            at = pad - spans[group, DELAY] - i
+            factor, delayed = x[column], signals[group, at : at + e.size]
+            for t in range(e.size):
+                e[t] += factor * delayed[t]
+            column += 1
+    return x, e

@@ -11,20 +11,13 @@ The noise part C/D of routes 1 and 2 is the ARMA model of what B/F leaves, by Ha
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twinmatch.identification.kernels import (
-    LARGEST_ROOT,
-    Polynomials,
-    all_pole,
-    cholesky,
-    column_norms,
-    correlate,
-    errors_of,
-    fir,
-    ridge_solve,
-    stabilise,
-)
-from twinmatch.identification.order import Order
+from twinmatch.compiled import compiled
+from twinmatch.identification.delayed import Spans, cholesky, correlate, solve_triangle
+from twinmatch.identification.filters import all_pole_into, copy_into, fir, fir_into
+from twinmatch.identification.predictor import Polynomials, errors_of
+from twinmatch.identification.stability import LARGEST_ROOT, stabilise
 from twinmatch.signals import FloatArray
 
 __all__ = ["start_values"]
@@ -33,91 +26,147 @@ LONG = 20
 """Order of the long autoregressions, where the window is long enough for it."""
 ROUNDS = 8
 """Rounds of Steiglitz–McBride; it settles in a few or not at all."""
-RIDGE = 1e-9
+SETTLED = 1e-4
+"""Change of a coefficient of F below which it has."""
+ROUTES = 3
 
 
-def start_values(u: FloatArray, y: FloatArray, order: Order) -> list[FloatArray]:
-    """Candidates for θ = (c, d, f), each stable, in a fixed order."""
-    whitener = long_arx(u, y, order.nk)
+@compiled
+def start_values(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
+    """Candidates for θ = (c, d, f), each stable, in a fixed order; shape (3, nc + nd + nf).
+
+    Args:
+        u: input, shape (N,).
+        y: output, shape (N,).
+        counts: nb, nc, nd, nf, nk.
+    """
+    _, nc, nd, nf, _ = counts
+    thetas = np.zeros((ROUTES, nc + nd + nf))
+    whitener = long_arx(u, y, counts)
     skip = whitener.size - 1
-    thetas = []
-    white_u, white_y = fir(whitener, u)[skip:], fir(whitener, y)[skip:]
-    for input_, output in ((white_u, white_y), (u, y)):
-        F = steiglitz_mcbride(input_, output, order)
-        C, D = noise_model(u, y, F, order)
-        thetas.append(np.concatenate((C[1:], D[1:], F[1:])))
-    A = arx_denominator(u, y, order)
-    shared = np.zeros(order.nd)
-    shared[: min(order.nd, order.nf)] = A[1 : 1 + min(order.nd, order.nf)]
-    thetas.append(np.concatenate((np.zeros(order.nc), shared, A[1 : 1 + order.nf])))
+    for route in range(2):
+        if route == 0:
+            F = steiglitz_mcbride(fir(whitener, u)[skip:], fir(whitener, y)[skip:], counts)
+        else:
+            F = steiglitz_mcbride(u, y, counts)
+        C, D = noise_model(u, y, F, counts)
+        copy_into(C[1:], thetas[route])
+        copy_into(D[1:], thetas[route, nc:])
+        copy_into(F[1:], thetas[route, nc + nd :])
+    A = arx_denominator(u, y, counts)
+    copy_into(A[1 : 1 + min(nd, nf)], thetas[2, nc:])
+    copy_into(A[1:], thetas[2, nc + nd :])
     return thetas
 
 
-def regression(signals: list[FloatArray], columns: list[tuple[int, int, int]], first: int) -> FloatArray:
-    """Least squares of `signals[0]` on delayed signals, each group (signal, first delay, count)."""
-    pad = max(delay + count for _, delay, count in columns) + 1
-    padded = np.zeros((len(signals), pad + signals[0].size))
-    padded[:, pad:] = signals
-    R = cholesky(correlate(padded, pad + first, np.array([*columns, (0, 0, 1)], dtype=np.int64)))
-    size = R.shape[0] - 1
-    damping = RIDGE * column_norms(R)[:size]
-    return ridge_solve(R[:size, :size].copy(), R[:size, size].copy(), damping)
+@compiled(inside=True)
+def regression(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
+    """Least squares of the column of the last group on those of the others, from sample `low` on."""
+    return -solve_triangle(cholesky(correlate(signals, low, spans)))
 
 
-def long_arx(u: FloatArray, y: FloatArray, delay: int) -> FloatArray:
+@compiled(inside=True)
+def padded(pad: int, first: FloatArray, second: FloatArray) -> FloatArray:
+    """Two signals behind zeros, shape (2, pad + N)."""
+    signals = np.zeros((2, pad + first.size))
+    copy_into(first, signals[0, pad:])
+    copy_into(second, signals[1, pad:])
+    return signals
+
+
+@compiled(inside=True)
+def monic(coefficients: FloatArray) -> FloatArray:
+    """1 − c₁q⁻¹ − …: the polynomial of an autoregression with these coefficients."""
+    polynomial = np.ones(1 + coefficients.size)
+    for i in range(coefficients.size):
+        polynomial[1 + i] = -coefficients[i]
+    return polynomial
+
+
+@compiled(inside=True)
+def long_arx(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
     """The denominator A of a long ARX model: 1/A is close to the noise filter C/D."""
-    length = min(LONG, u.size // 8)
-    found = regression([y, u], [(0, 1, length), (1, delay, length)], length + delay)
-    return np.concatenate((np.ones(1), -found[:length]))
+    length, delay = min(LONG, u.size // 8), counts[4]
+    pad = length + delay
+    spans = np.array(((0, 1, length), (1, delay, length), (0, 0, 1)))
+    return monic(regression(padded(pad, y, u), 2 * pad, spans)[:length])
 
 
-def arx_denominator(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
+@compiled(inside=True)
+def arx_denominator(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
     """The denominator of the ARX model of the order of F."""
-    if order.nf == 0:
+    nb, _, _, nf, nk = counts
+    if nf == 0:
         return np.ones(1)
-    spans = [(0, 1, order.nf), (1, order.nk, order.nb)]
-    found = regression([y, u], spans, max(order.nf, order.nk + order.nb - 1))
-    return stabilise(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT, 1.0)
+    pad = max(nf, nk + nb)
+    spans = np.array(((0, 1, nf), (1, nk, nb), (0, 0, 1)))
+    found = regression(padded(pad, y, u), pad + max(nf, nk + nb - 1), spans)
+    return stabilise(monic(found[:nf]), LARGEST_ROOT, 1.0)
 
 
-def steiglitz_mcbride(u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
+@compiled(inside=True)
+def steiglitz_mcbride(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
     """F of the output-error model by iterated prefiltering, the initial conditions estimated along."""
-    if order.nf == 0:
-        return np.ones(1)
-    impulse = np.zeros(u.size)
-    impulse[0] = 1.0
-    F = np.ones(1)
-    spans = [(0, 1, order.nf), (1, order.nk, order.nb), (2, 0, order.process_state)]
+    nb, _, _, nf, nk = counts
+    F = np.ones(1 + nf)
+    F[1:] = 0.0
+    if nf == 0:
+        return F
+    states = max(nf, nb + nk - 1)
+    pad = max(nf, nk + nb, states)
+    spans = np.array(((0, 1, nf), (1, nk, nb), (2, 0, states), (0, 0, 1)))
+    signals = np.zeros((3, pad + u.size))
     for _ in range(ROUNDS):
-        signals = [np.asarray(all_pole(F, x)) for x in (y, u, impulse)]
-        found = regression(signals, spans, 0)
-        previous, F = F, stabilise(np.concatenate((np.ones(1), -found[: order.nf])), LARGEST_ROOT, 1.0)
-        if previous.size == F.size and np.max(np.abs(F - previous)) < 1e-4:
+        through_pole(F, u, y, signals[:, pad:])
+        previous, F = F, stabilise(monic(regression(signals, pad, spans)[:nf]), LARGEST_ROOT, 1.0)
+        change = 0.0
+        for i in range(nf):
+            change = max(change, abs(F[1 + i] - previous[1 + i]))
+        if change < SETTLED:
             break
     return F
 
 
-def noise_model(u: FloatArray, y: FloatArray, F: FloatArray, order: Order) -> tuple[FloatArray, FloatArray]:
+@compiled(inside=True)
+def through_pole(F: FloatArray, u: FloatArray, y: FloatArray, out: FloatArray) -> None:
+    """Write y, u and an impulse, each filtered by 1/F, into the three rows of `out`."""
+    all_pole_into(F, y, out[0])
+    all_pole_into(F, u, out[1])
+    out[2] = 0.0
+    out[2, 0] = 1.0
+    all_pole_into(F, out[2], out[2])
+
+
+@compiled(inside=True)
+def noise_model(
+    u: FloatArray, y: FloatArray, F: FloatArray, counts: NDArray[np.int64]
+) -> tuple[FloatArray, FloatArray]:
     """C and D of what the best B/F with this F leaves of y."""
-    impulse = np.zeros(u.size)
-    impulse[0] = 1.0
-    spans = [(1, order.nk, order.nb), (2, 0, order.process_state)]
-    found = regression([y, all_pole(F, u), all_pole(F, impulse)], spans, 0)
-    B = np.concatenate((np.zeros(order.nk), found[: order.nb]))
-    one = np.ones(1)
-    rest = errors_of(u, y, Polynomials(B, one, one, F), -found[order.nb :])
-    return hannan_rissanen(rest, order.nc, order.nd)
+    nb, nc, nd, nf, nk = counts
+    states = max(nf, nb + nk - 1)
+    pad = max(nk + nb, states)
+    signals = np.zeros((3, pad + u.size))
+    through_pole(F, u, y, signals[:, pad:])
+    copy_into(y, signals[0, pad:])
+    spans = np.array(((1, nk, nb), (2, 0, states), (0, 0, 1)))
+    found = regression(signals, pad, spans)
+    B, one = np.zeros(nk + nb), np.ones(1)
+    copy_into(found[:nb], B[nk:])
+    rest = errors_of(u, y, Polynomials(B, one, one, F), -found[nb:])
+    return hannan_rissanen(rest, nc, nd)
 
 
+@compiled(inside=True)
 def hannan_rissanen(v: FloatArray, nc: int, nd: int) -> tuple[FloatArray, FloatArray]:
     """C and D of an ARMA model D v = C e: innovations from a long autoregression, then one regression."""
     if nc + nd == 0:
         return np.ones(1), np.ones(1)
     length = min(LONG, v.size // 4)
-    A = np.concatenate((np.ones(1), -regression([v], [(0, 1, length)], length)))
-    innovations = fir(A, v)
-    innovations[:length] = 0.0
-    found = regression([v, innovations], [(0, 1, nd), (1, 1, nc)], length + nc)
-    C = np.concatenate((np.ones(1), found[nd:]))
-    D = np.concatenate((np.ones(1), -found[:nd]))
-    return stabilise(C, 0.98, 1.0), stabilise(D, 0.999, 1.0)
+    pad = max(length, nc, nd) + 1
+    signals = padded(pad, v, v)
+    A = monic(regression(signals, pad + length, np.array(((0, 1, length), (0, 0, 1)))))
+    fir_into(A, v, signals[1, pad:])
+    signals[1, pad : pad + length] = 0.0
+    spans = np.array(((0, 1, nd), (1, 1, nc), (0, 0, 1)))
+    found = regression(signals, pad + length + nc, spans)
+    return stabilise(monic(-found[nd:]), 0.98, 1.0), stabilise(monic(found[:nd]), 0.999, 1.0)

@@ -1,0 +1,264 @@
+"""Least squares on matrices that have delayed copies of a few signals as columns.
+
+They are never formed: `triangularise` folds them chunk by chunk into the triangle of their QR factorisation
+(exact, slow), `correlate` gets the normal matrix from a few correlations (twenty times faster, half the
+digits), and `cholesky` turns that into the same triangle. Signals carry zeros in front, at least as many as
+the largest delay, so that a delay needs no test.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.compiled import compiled
+from twinmatch.signals import FloatArray
+
+__all__ = [
+    "COUNT",
+    "DELAY",
+    "SIGNAL",
+    "Spans",
+    "cholesky",
+    "column_norms",
+    "corners_of",
+    "correlate",
+    "ridge_solve",
+    "solve_triangle",
+    "substitute_back",
+    "triangularise",
+]
+
+Spans = NDArray[np.int64]
+"""Columns of a matrix in groups, shape (g, 3): signal, first delay, count; the delays run on by one."""
+SIGNAL, DELAY, COUNT = range(3)
+"""What stands where in a group."""
+
+CHUNK = 48
+"""Rows folded into the triangle at a time: a chunk of 30 columns stays in the first-level cache."""
+DEPENDENT = 1e-13
+"""Part of a column's square that must be left after the columns before it for it to count as new."""
+RIDGE = 1e-9
+"""Damping of linear coefficients relative to their columns: decides ties between columns that the data
+cannot tell apart, and changes nothing otherwise."""
+
+
+@compiled(inside=True)
+def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows: FloatArray) -> None:
+    """Copy the columns of `count` samples from index `start` on into `rows`, shape (≥ count, p)."""
+    column = 0
+    for p in range(spans.shape[0]):
+        for i in range(spans[p, COUNT]):
+            at = start - spans[p, DELAY] - i
+            source, target = signals[spans[p, SIGNAL], at : at + count], rows[:count, column]
+            for t in range(count):
+                target[t] = source[t]
+            column += 1
+
+
+@compiled(inside=True)
+def corners_of(spans: Spans) -> Spans:
+    """First column of every span, and the number of columns at the end."""
+    corners = np.zeros(spans.shape[0] + 1, np.int64)
+    for p in range(spans.shape[0]):
+        corners[p + 1] = corners[p] + spans[p, COUNT]
+    return corners
+
+
+@compiled
+def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
+    """Upper triangle of the normal matrix of delayed signals.
+
+    A row of the matrix has ``signals[s, t - delay]`` for every span; t runs from `low` to the end. Moving
+    both delays by one moves a product sum by one sample, so that only the products with the first column
+    of each span are summed in full.
+
+    Args:
+        signals: shape (m, pad + N), zero in the first `pad` samples; pad is at least the largest delay.
+        low: index of the first row used, `pad` for all.
+        spans: the columns.
+
+    Returns:
+        Normal matrix, shape (p, p); what lies below the diagonal has no meaning.
+    """
+    corners = corners_of(spans)
+    width, groups, high = corners[-1], spans.shape[0], signals.shape[1]
+    leads = first_products(signals, low, spans, corners)
+    G = np.zeros((width, width))
+    for p in range(groups):
+        for q in range(p, groups):
+            a, b = signals[spans[p, SIGNAL]], signals[spans[q, SIGNAL]]
+            for i in range(spans[p, COUNT]):
+                da = spans[p, DELAY] + i
+                for j in range(i if p == q else 0, spans[q, COUNT]):
+                    db = spans[q, DELAY] + j
+                    if i == 0:
+                        value = leads[p, corners[q] + j]
+                    elif j == 0:
+                        value = leads[q, corners[p] + i]
+                    else:
+                        value = G[corners[p] + i - 1, corners[q] + j - 1]
+                        value += a[low - da] * b[low - db] - a[high - da] * b[high - db]
+                    G[corners[p] + i, corners[q] + j] = value
+    return G
+
+
+@compiled(inside=True)
+def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray[np.int64]) -> FloatArray:
+    """Inner products of the first column of every group with all columns, shape (g, p)."""
+    width, groups = corners[-1], spans.shape[0]
+    leads = np.zeros((groups, width))
+    rows = np.empty((CHUNK, width))
+    high = signals.shape[1]
+    for start in range(low, high, CHUNK):
+        count = min(CHUNK, high - start)
+        delayed_rows(signals, spans, start, count, rows)
+        for p in range(groups):
+            if spans[p, COUNT] == 0:
+                continue
+            lead = leads[p]
+            corner = corners[p]
+            for t in range(0, count - 3, 4):
+                r0, r1, r2, r3 = rows[t], rows[t + 1], rows[t + 2], rows[t + 3]
+                a0, a1, a2, a3 = r0[corner], r1[corner], r2[corner], r3[corner]
+                for j in range(width):
+                    lead[j] += (a0 * r0[j] + a1 * r1[j]) + (a2 * r2[j] + a3 * r3[j])
+            for t in range(count // 4 * 4, count):
+                row = rows[t]
+                for j in range(width):
+                    lead[j] += row[corner] * row[j]
+    return leads
+
+
+@compiled
+def cholesky(G: FloatArray) -> FloatArray:
+    """Upper triangle R with RᵀR = G; rows of columns that depend on earlier ones are zero."""
+    size = G.shape[0]
+    R = np.zeros((size, size))
+    for k in range(size):
+        for j in range(k, size):
+            R[k, j] = G[k, j]
+        for i in range(k):
+            a = R[i, k]
+            for j in range(k, size):
+                R[k, j] -= a * R[i, j]
+        if R[k, k] > DEPENDENT * G[k, k]:
+            scale = 1.0 / np.sqrt(R[k, k])
+            for j in range(k, size):
+                R[k, j] *= scale
+        else:
+            R[k, :] = 0.0
+    return R
+
+
+@compiled(inside=True)
+def fold(R: FloatArray, rows: FloatArray, count: int, work: FloatArray) -> None:
+    """Fold `count` rows into the upper triangle R by Householder reflections; destroys the rows.
+
+    R and rows have equally many columns; R has one row per column to eliminate.
+    """
+    width = R.shape[1]
+    for k in range(R.shape[0]):
+        square = 0.0
+        for t in range(count):
+            square += rows[t, k] * rows[t, k]
+        if square == 0.0:
+            continue
+        head = R[k, k]
+        norm = np.sqrt(head * head + square)
+        beta = -norm if head > 0.0 else norm
+        scale = 1.0 / (head - beta)
+        tau = (beta - head) / beta
+        R[k, k] = beta
+        for j in range(k + 1, width):
+            work[j] = R[k, j]
+        for t in range(count):
+            a = rows[t, k] * scale
+            rows[t, k] = a
+            for j in range(k + 1, width):
+                work[j] += a * rows[t, j]
+        for j in range(k + 1, width):
+            work[j] *= tau
+            R[k, j] -= work[j]
+        for t in range(count):
+            a = rows[t, k]
+            for j in range(k + 1, width):
+                rows[t, j] -= a * work[j]
+
+
+@compiled
+def triangularise(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
+    """Triangle of the QR factorisation of delayed signals; arguments as for `correlate`."""
+    width = corners_of(spans)[-1]
+    R = np.zeros((width, width))
+    rows = np.empty((CHUNK, width))
+    work = np.empty(width)
+    for start in range(low, signals.shape[1], CHUNK):
+        count = min(CHUNK, signals.shape[1] - start)
+        delayed_rows(signals, spans, start, count, rows)
+        fold(R, rows, count, work)
+    return R
+
+
+@compiled
+def ridge_solve(R: FloatArray, rhs: FloatArray, damping: FloatArray) -> FloatArray:
+    """The x that minimises ‖R x − rhs‖² + ‖damping ∘ x‖² for an upper triangle R.
+
+    Done by folding diag(damping) into R, so that the condition of R is not squared. An undetermined
+    component (no data, no damping) is set to zero.
+    """
+    size = R.shape[0]
+    T = np.zeros((size, size + 1))
+    for i in range(size):
+        T[i, size] = rhs[i]
+        for j in range(i, size):
+            T[i, j] = R[i, j]
+    row = np.zeros((1, size + 1))
+    work = np.empty(size + 1)
+    for i in range(size):
+        if damping[i] == 0.0:
+            continue
+        row[0, :] = 0.0
+        row[0, i] = damping[i]
+        fold(T, row, 1, work)
+    x = np.zeros(size)
+    for i in range(size - 1, -1, -1):
+        total = T[i, size]
+        for j in range(i + 1, size):
+            total -= T[i, j] * x[j]
+        x[i] = total / T[i, i] if T[i, i] != 0.0 else 0.0
+    return x
+
+
+@compiled
+def column_norms(R: FloatArray) -> FloatArray:
+    """Euclidean norms of the columns of R."""
+    out = np.zeros(R.shape[1])
+    for i in range(R.shape[0]):
+        for j in range(R.shape[1]):
+            out[j] += R[i, j] * R[i, j]
+    return np.sqrt(out)
+
+
+@compiled(inside=True)
+def substitute_back(R: FloatArray) -> FloatArray:
+    """The x with R x = −(last column) for an upper triangle R; components without a row are zero."""
+    size = R.shape[0] - 1
+    x = np.zeros(size)
+    for i in range(size - 1, -1, -1):
+        total = -R[i, size]
+        for j in range(i + 1, size):
+            total -= R[i, j] * x[j]
+        x[i] = total / R[i, i] if R[i, i] != 0.0 else 0.0
+    return x
+
+
+@compiled(inside=True)
+def solve_triangle(R: FloatArray) -> FloatArray:
+    """The x that minimises the errors from the triangle of their derivatives and the error at x = 0."""
+    size = R.shape[0] - 1
+    rhs, damping = np.empty(size), column_norms(R)
+    for i in range(size):
+        rhs[i] = -R[i, size]
+        damping[i] *= RIDGE
+    return ridge_solve(R[:size, :size].copy(), rhs, damping)

@@ -1,0 +1,131 @@
+"""Difference equations of polynomials in q⁻¹, and inner products: the arithmetic of signals.
+
+It is plain arithmetic in a fixed order, without library calls whose rounding depends on the number of
+threads, so that the same data give the same model to the last bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinmatch.compiled import compiled
+from twinmatch.signals import FloatArray
+
+__all__ = ["all_pole", "all_pole_into", "continue_outputs", "copy_into", "dot", "fir", "fir_into"]
+
+REACH = 48
+"""Samples after which a filter is looked at: whether it has come to rest."""
+VANISHED = 1e-140
+"""A filter whose memory is smaller than this is at rest: denormal numbers are a hundred times slower."""
+TAPS = 6
+"""Filters of up to so many coefficients are written out."""
+
+
+@compiled(inside=True)
+def copy_into(source: FloatArray, target: FloatArray) -> None:
+    """Write the source over the first samples of the target; a slice would compile messages about shapes."""
+    for t in range(source.size):
+        target[t] = source[t]
+
+
+@compiled(inside=True)
+def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Filter x by a polynomial in q⁻¹ from rest into `out`, another array of its length."""
+    count, taps = x.size, numerator.size
+    if taps > TAPS or count < TAPS:
+        for t in range(count):
+            total = 0.0
+            for i in range(min(taps - 1, t) + 1):
+                total += numerator[i] * x[t - i]
+            out[t] = total
+        return
+    c = np.zeros(TAPS)
+    copy_into(numerator, c)
+    for t in range(TAPS - 1):
+        total = 0.0
+        for i in range(t + 1):
+            total += c[i] * x[t - i]
+        out[t] = total
+    # Written out over slices it fills the vector unit.
+    c0, c1, c2, c3, c4, c5 = c[0], c[1], c[2], c[3], c[4], c[5]
+    x0, x1, x2, x3, x4, x5 = x[5:], x[4:], x[3:], x[2:], x[1:], x
+    rest = out[5:]
+    for t in range(rest.size):
+        rest[t] = (c0 * x0[t] + c1 * x1[t]) + (c2 * x2[t] + c3 * x3[t]) + (c4 * x4[t] + c5 * x5[t])
+
+
+@compiled(inside=True)
+def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Filter x by 1/denominator from rest into `out`, which may be x; the denominator is monic in q⁻¹."""
+    degree = denominator.size - 1
+    if degree >= TAPS:
+        for t in range(x.size):
+            total = x[t]
+            for i in range(min(degree, t), 0, -1):
+                total -= denominator[i] * out[t - i]
+            out[t] = total
+        return
+    a = np.zeros(TAPS)
+    copy_into(denominator, a)
+    a1, a2, a3, a4, a5 = a[1], a[2], a[3], a[4], a[5]
+    o1 = o2 = o3 = o4 = o5 = 0.0
+    for start in range(0, x.size, REACH):
+        if abs(o1) + abs(o2) + abs(o3) + abs(o4) + abs(o5) < VANISHED:
+            o1 = o2 = o3 = o4 = o5 = 0.0
+        for t in range(start, min(start + REACH, x.size)):  # the newest output last: a short dependency
+            total = (x[t] - (a5 * o5 + a4 * o4)) - (a3 * o3 + a2 * o2) - a1 * o1
+            out[t] = total
+            o5, o4, o3, o2, o1 = o4, o3, o2, o1, total
+
+
+@compiled
+def fir(numerator: FloatArray, x: FloatArray) -> FloatArray:
+    """Filter x by a polynomial in q⁻¹ from rest; shape (N,)."""
+    out = np.empty(x.size)
+    fir_into(numerator, x, out)
+    return out
+
+
+@compiled
+def all_pole(denominator: FloatArray, x: FloatArray) -> FloatArray:
+    """Filter x by 1/denominator from rest; the denominator is monic in q⁻¹; shape (N,)."""
+    out = np.empty(x.size)
+    all_pole_into(denominator, x, out)
+    return out
+
+
+@compiled(inside=True)
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """Inner product over the length of a, in eight interleaved sums that fill the vector unit."""
+    s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
+    whole = a.size // 8 * 8
+    for t in range(0, whole, 8):
+        s0 += a[t] * b[t]
+        s1 += a[t + 1] * b[t + 1]
+        s2 += a[t + 2] * b[t + 2]
+        s3 += a[t + 3] * b[t + 3]
+        s4 += a[t + 4] * b[t + 4]
+        s5 += a[t + 5] * b[t + 5]
+        s6 += a[t + 6] * b[t + 6]
+        s7 += a[t + 7] * b[t + 7]
+    for t in range(whole, a.size):
+        s0 += a[t] * b[t]
+    return ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))
+
+
+@compiled
+def continue_outputs(B: FloatArray, F: FloatArray, u: FloatArray, outputs: FloatArray) -> FloatArray:
+    """F w = B u from the first sample after `outputs`, which are kept; shape (N,).
+
+    Inputs and outputs before the first sample count as zero.
+    """
+    w = np.empty(u.size)
+    copy_into(outputs, w)
+    for t in range(outputs.size, u.size):
+        total = 0.0
+        for i in range(min(B.size - 1, t) + 1):
+            total += B[i] * u[t - i]
+        for i in range(1, min(F.size - 1, t) + 1):
+            total -= F[i] * w[t - i]
+        w[t] = total
+    return w
