@@ -1,0 +1,112 @@
+"""What is made of a plant's equations, written by hand for the smallest plant: a first-order lag.
+
+    dx/dt = (gain·u − x)/lag,  y = x
+
+The kernels are written against this module. For any other plant `code.py` writes the same functions with that
+plant's equations, and they take this module's place. States x, disturbances d and switches b (1 or 0) are
+tuples, so that they stay in registers; parameters p and what `prepare` computed of them, c, are arrays. Other arrays
+are filled; entries that are always zero are left to whoever made the array.
+"""
+
+# ruff: noqa: ANN001, ANN201, ARG001, D103, PLR0917 (the form of the code that is written)
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+from twinmatch.compiled import compiled
+
+N_STATES = 1
+N_UNKNOWN = 2
+N_CONSTANTS = 1
+N_QUANTITIES = 0
+HAS_KINKS = False
+
+
+@compiled
+def row(disturbances, k):
+    return ()
+
+
+@compiled
+def prepare(p, c):
+    c[0] = 1 / p[1]
+
+
+@compiled
+def switches(x, u, d, p, c):
+    return ()
+
+
+@compiled
+def rates(x, u, d, p, c, b):
+    return (c[0] * (p[0] * u - x[0]),)
+
+
+@compiled
+def rates_and_slopes(x, u, d, p, c, b, fp, stage):
+    """Rates, their derivatives by states (row by row) and by the drive; those by parameters go to fp[stage]."""
+    rate = c[0] * (p[0] * u - x[0])
+    fp[stage, 0, 0] = c[0] * u
+    fp[stage, 0, 1] = -c[0] * rate
+    return (rate,), (-c[0],), (c[0] * p[0],)
+
+
+@compiled
+def output(x, d, p, c):
+    return x[0]
+
+
+@compiled
+def output_slopes(x, d, p, c, hx, hp):
+    hx[0] = 1.0
+
+
+@compiled
+def start(y, d, p, c, x):
+    x[0] = y
+
+
+@compiled
+def start_slopes(y, d, p, c, xy, xp):
+    xy[0] = 1.0
+
+
+@compiled
+def quantities(x, u, d, p, c, b, q):
+    pass
+
+
+@compiled
+def packed(array):
+    return (array[0],)
+
+
+@compiled
+def unpack(x, array):
+    array[0] = x[0]
+
+
+@compiled
+def shifted(x, k, h):
+    return (x[0] + h * k[0],)
+
+
+@compiled
+def combined(x, k1, k2, k3, k4, h):
+    return (x[0] + h / 6.0 * (k1[0] + 2.0 * k2[0] + 2.0 * k3[0] + k4[0]),)
+
+
+@compiled
+def tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4):
+    """Move the derivatives of the states, shape (N_STATES, m), through one Runge–Kutta step.
+
+    Column j is by the parameter which[j] as long as there is one; du holds the drive's derivatives.
+    """
+    for j in range(du.size):
+        own = which[j] if j < which.size else -1
+        t = columns[0, j]
+        r1 = fx1[0] * t + fu1[0] * du[j] + (fp[0, 0, own] if own >= 0 else 0.0)
+        r2 = fx2[0] * (t + 0.5 * h * r1) + fu2[0] * du[j] + (fp[1, 0, own] if own >= 0 else 0.0)
+        r3 = fx3[0] * (t + 0.5 * h * r2) + fu3[0] * du[j] + (fp[2, 0, own] if own >= 0 else 0.0)
+        r4 = fx4[0] * (t + h * r3) + fu4[0] * du[j] + (fp[3, 0, own] if own >= 0 else 0.0)
+        columns[0, j] = t + h / 6.0 * (r1 + 2.0 * r2 + 2.0 * r3 + r4)

@@ -1,0 +1,179 @@
+"""From a plant's equations to everything that is computed from them, in SymPy.
+
+Kinks (`Min`, `Max`, `Abs`, `Piecewise` with inequalities) are taken apart first. Each becomes a *switch*, a
+symbol that is 1 or 0, and a *condition*, the expression whose sign it follows; both sides of the kink then
+stand in the equations, weighed by the switch and one minus it. With its switches held, a plant is smooth: it
+differentiates to the side it is on, and an integrator can step right up to the moment a condition changes sign.
+The equations themselves have to be continuous there, as those of a limiter are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from twinmatch.dynamics.errors import PlantError
+
+if TYPE_CHECKING:
+    from twinmatch.dynamics.plant import Plant
+
+__all__ = ["Derived", "Equations", "derive"]
+
+Expression = Any
+"""A SymPy expression; SymPy has no types of its own for mypy."""
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What a plant's `equations` returns."""
+
+    rates: Mapping[Expression, Expression]
+    """Time derivative of each state that the structure has, in its unit per second."""
+    output: Expression
+    """What the sensor reads; a smooth function of states and parameters."""
+    start: Mapping[Expression, Expression]
+    """Each state at the begin of a window, from the output (its symbol), disturbances and parameters."""
+    quantities: Mapping[str, Expression] = field(default_factory=dict)
+    """Other quantities worth a look, by name: currents, heat flows."""
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Symbols in their order, and the expressions in terms of them."""
+
+    states: tuple[Expression, ...]
+    drive: Expression
+    disturbances: tuple[Expression, ...]
+    parameters: tuple[Expression, ...]
+    """Those that the equations depend on, in the order of their declaration."""
+    unknown: tuple[Expression, ...]
+    """Of these, the ones by which tangents are wanted."""
+    measured: Expression
+    """Symbol of the output, as `start` uses it."""
+    switches: tuple[Expression, ...]
+    conditions: tuple[Expression, ...]
+    """Of each switch: it is 1 where this is positive. May use the switches before it."""
+    rates: tuple[Expression, ...]
+    output: Expression
+    start: tuple[Expression, ...]
+    quantities: Mapping[str, Expression]
+
+    @property
+    def n_states(self) -> int:
+        """How many there are."""
+        return len(self.states)
+
+
+def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Derived:
+    """The equations of a plant with some of its parts, ready to be written as code.
+
+    Tangents are wanted by the parameters `unknown`, as far as the equations depend on them.
+
+    Raises:
+        PlantError: a state without rate or start, an unknown symbol, or an output with a kink.
+    """
+    import sympy  # noqa: PLC0415
+
+    title = f"plant {plant.name}"
+    written = plant.equations(parts)
+    declared = {name: getattr(plant, name) for name in plant.declarations}
+    states = tuple(symbol for name, symbol in declared.items() if symbol in written.rates)
+    _require_states(title, states, written, [declared[name] for name in plant.states])
+    drive, measured = declared[plant.drive.name], declared[plant.output.name]
+    disturbances = tuple(declared[name] for name in plant.disturbances)
+
+    kinks = _Kinks()
+    rates = tuple(kinks.taken_apart(sympy.sympify(written.rates[s])) for s in states)
+    quantities = {name: kinks.taken_apart(sympy.sympify(e)) for name, e in written.quantities.items()}
+    output = sympy.sympify(written.output)
+    start = tuple(sympy.sympify(written.start[s]) for s in states)
+    if _Kinks().taken_apart(output) != output:
+        raise PlantError(f"{title}: the output has a kink; put it into the sensor or into a state")
+
+    used = set().union(*(e.free_symbols for e in (*rates, output, *start, *kinks.conditions)))
+    parameters = tuple(declared[name] for name in plant.parameters if declared[name] in used)
+    known = {*states, drive, *disturbances, *parameters, *kinks.switches}
+    for what, expressions, more in (
+        ("rates", rates, set()),
+        ("output", (output,), set()),
+        ("start", start, {measured}),
+        ("quantities", tuple(quantities.values()), set()),
+    ):
+        strangers = sorted(str(s) for e in expressions for s in e.free_symbols - known - more)
+        if strangers:
+            msg = f"{title}: its {what} use {strangers[0]!r}, which is not declared (or has no rate)"
+            raise PlantError(msg)
+    if output.free_symbols & {drive, *kinks.switches}:
+        raise PlantError(f"{title}: the output depends on the drive at the same instant; add a state between")
+    return Derived(
+        states, drive, disturbances, parameters, tuple(s for s in parameters if str(s) in unknown), measured,
+        tuple(kinks.switches), tuple(kinks.conditions), rates, output, start, quantities,
+    )  # fmt: skip
+
+
+def _require_states(
+    title: str, states: Sequence[Expression], written: Equations, declared: Sequence[Expression]
+) -> None:
+    if not states:
+        raise PlantError(f"{title}: no state has a rate; a plant without memory needs no twin")
+    for symbol in written.rates:
+        if symbol not in declared:
+            raise PlantError(f"{title}: there is a rate of {symbol}, which is not declared as a state")
+    for state in states:
+        if state not in written.start:
+            raise PlantError(f"{title}: state {state} has no start value; say in `start` where it begins")
+
+
+class _Kinks:
+    """Replaces kinks by switches, innermost first, and keeps their conditions."""
+
+    def __init__(self) -> None:
+        self.switches: list[Expression] = []
+        self.conditions: list[Expression] = []
+
+    def taken_apart(self, expression: Expression) -> Expression:
+        """The expression without kinks."""
+        import sympy  # noqa: PLC0415
+
+        if not expression.args:
+            return expression
+        if isinstance(expression, sympy.Piecewise):
+            return self._pieces(expression)
+        args = [self.taken_apart(a) for a in expression.args]
+        if isinstance(expression, sympy.Abs):
+            switch = self._switch(args[0])
+            return args[0] * (2 * switch - 1)
+        if isinstance(expression, sympy.Max | sympy.Min):
+            result = args[0]
+            for other in args[1:]:
+                sign = 1 if isinstance(expression, sympy.Max) else -1
+                switch = self._switch(sign * (result - other))
+                result = switch * result + (1 - switch) * other
+            return result
+        return expression.func(*args)
+
+    def _pieces(self, expression: Expression) -> Expression:
+        import sympy  # noqa: PLC0415
+
+        pieces = list(expression.args)
+        result = self.taken_apart(pieces[-1][0])
+        for value, condition in reversed(pieces[:-1]):
+            if not isinstance(condition, sympy.StrictGreaterThan | sympy.GreaterThan):
+                if not isinstance(condition, sympy.StrictLessThan | sympy.LessThan):
+                    msg = f"plant: the condition {condition} of a Piecewise is no single inequality"
+                    raise PlantError(msg)
+                condition = condition.reversed  # noqa: PLW2901
+            switch = self._switch(self.taken_apart(condition.lhs - condition.rhs))
+            result = switch * self.taken_apart(value) + (1 - switch) * result
+        return result
+
+    def _switch(self, condition: Expression) -> Expression:
+        import sympy  # noqa: PLC0415
+
+        if condition in self.conditions:
+            return self.switches[self.conditions.index(condition)]
+        switch = sympy.Symbol(f"switch_{len(self.switches)}", real=True)
+        self.switches.append(switch)
+        self.conditions.append(condition)
+        return switch

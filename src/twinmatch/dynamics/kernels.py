@@ -1,0 +1,359 @@
+"""The compiled arithmetic of every plant: steps, loops and their exact tangents.
+
+Written against `derived`, whose functions are those of one plant; the store puts the functions made of another
+plant's equations in their place and keeps the whole as a module of its own.
+
+A sample is `steps` Runge–Kutta steps of order 4, none of which crosses a kink: where a condition changes sign
+within a step, its moment is bisected and the step ends just behind it. Tangents are carried through the same
+stages. They need nothing at a kink, because the rates are continuous there and its moment has no part in them.
+"""
+
+# ruff: noqa: PLR0917 (kernels take arrays in a row)
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twinmatch.compiled import compiled
+from twinmatch.dynamics.derived import (
+    HAS_KINKS,
+    N_CONSTANTS,
+    N_UNKNOWN,
+    N_QUANTITIES,
+    N_STATES,
+    combined,
+    output,
+    output_slopes,
+    packed,
+    prepare,
+    quantities,
+    rates,
+    rates_and_slopes,
+    row,
+    shifted,
+    start,
+    start_slopes,
+    switches,
+    tangents,
+    unpack,
+)
+from twinmatch.dynamics.pid_step import Gains, pid_step
+from twinmatch.dynamics.sensor_step import reading
+from twinmatch.signals import FloatArray
+
+__all__ = ["advance", "begin", "look", "rate_bound", "run", "run_with_tangents", "slopes_at", "tick_slopes"]
+
+MOST_EVENTS = 8
+"""Kinks crossed in one step before it is taken as it is."""
+BISECTIONS = 48
+
+
+@compiled
+def _runge_kutta(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> Any:
+    """States after one step with the switches held."""
+    k1 = rates(x, u, d, p, c, b)
+    k2 = rates(shifted(x, k1, 0.5 * h), u, d, p, c, b)
+    k3 = rates(shifted(x, k2, 0.5 * h), u, d, p, c, b)
+    k4 = rates(shifted(x, k3, h), u, d, p, c, b)
+    return combined(x, k1, k2, k3, k4, h)
+
+
+@compiled
+def _reach(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> float:
+    """How far a step may go: h, or just beyond the first kink before."""
+    if switches(_runge_kutta(x, u, d, p, c, b, h), u, d, p, c) == b:
+        return h
+    low, high = 0.0, h
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if switches(_runge_kutta(x, u, d, p, c, b, middle), u, d, p, c) == b:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@compiled
+def _tick(
+    x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int
+) -> Any:
+    """States one period later."""
+    for _ in range(steps):
+        left = period / steps
+        for event in range(MOST_EVENTS):
+            b = switches(x, u, d, p, c)
+            there = _runge_kutta(x, u, d, p, c, b, left)
+            went = left
+            if HAS_KINKS and event < MOST_EVENTS - 1 and switches(there, u, d, p, c) != b:
+                went = _reach(x, u, d, p, c, b, left)
+                there = _runge_kutta(x, u, d, p, c, b, went)
+            x = there
+            left -= went
+            if not left > 0.0:
+                break
+    return x
+
+
+@compiled
+def _tick_with_tangents(
+    x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int,
+    which: Any, columns: FloatArray, du: FloatArray, fp: FloatArray,
+) -> Any:  # fmt: skip
+    """States one period later, in the same steps as `_tick`.
+
+    Their derivatives `columns`, shape (N_STATES, m), move in place.
+    """
+    for _ in range(steps):
+        left = period / steps
+        for event in range(MOST_EVENTS):
+            b = switches(x, u, d, p, c)
+            h = left
+            while True:
+                k1, fx1, fu1 = rates_and_slopes(x, u, d, p, c, b, fp, 0)
+                k2, fx2, fu2 = rates_and_slopes(shifted(x, k1, 0.5 * h), u, d, p, c, b, fp, 1)
+                k3, fx3, fu3 = rates_and_slopes(shifted(x, k2, 0.5 * h), u, d, p, c, b, fp, 2)
+                k4, fx4, fu4 = rates_and_slopes(shifted(x, k3, h), u, d, p, c, b, fp, 3)
+                there = combined(x, k1, k2, k3, k4, h)
+                if not HAS_KINKS or h < left or event == MOST_EVENTS - 1:
+                    break
+                if switches(there, u, d, p, c) == b:
+                    break
+                reach = _reach(x, u, d, p, c, b, left)
+                if not reach < h:
+                    break
+                h = reach
+            tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4)
+            x = there
+            left -= h
+            if not left > 0.0:
+                break
+    return x
+
+
+@compiled
+def advance(
+    p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+) -> FloatArray:
+    """The states one period later, the drive and the disturbances held, shape (N_STATES,)."""
+    c, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
+    prepare(p, c)
+    unpack(_tick(packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps), after)
+    return after
+
+
+@compiled
+def begin(p: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """States where a window begins, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
+    c, x = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
+    xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
+    prepare(p, c)
+    given = row(d.reshape((1, d.size)), 0)
+    start(y, given, p, c, x)
+    start_slopes(y, given, p, c, xy, xp)
+    return x, xy, xp
+
+
+@compiled
+def look(p: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
+    """The output, and the plant's other quantities, shape (N_QUANTITIES,)."""
+    c, q = np.zeros(N_CONSTANTS), np.zeros(N_QUANTITIES)
+    prepare(p, c)
+    at, given = packed(x), row(d.reshape((1, d.size)), 0)
+    quantities(at, u, given, p, c, switches(at, u, given, p, c), q)
+    return output(at, given, p, c), q
+
+
+@compiled
+def slopes_at(
+    p: FloatArray, x: FloatArray, u: float, d: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters."""
+    c, fp = np.zeros(N_CONSTANTS), np.zeros((1, N_STATES, N_UNKNOWN))
+    hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
+    prepare(p, c)
+    at, given = packed(x), row(d.reshape((1, d.size)), 0)
+    f, fx, fu = rates_and_slopes(at, u, given, p, c, switches(at, u, given, p, c), fp, 0)
+    output_slopes(at, given, p, c, hx, hp)
+    return np.array(f), np.array(fx).reshape((N_STATES, N_STATES)), np.array(fu), fp[0], hx, hp
+
+
+@compiled
+def rate_bound(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray) -> float:
+    """Largest row sum of |df/dx| over corners of the states, shape (m, N_STATES), and drives, 1/s."""
+    fastest = 0.0
+    for k in range(corners.shape[0]):
+        for j in range(drives.size):
+            _, fx, _, _, _, _ = slopes_at(p, corners[k], drives[j], d)
+            for i in range(N_STATES):
+                fastest = max(fastest, np.sum(np.abs(fx[i])))
+    return fastest
+
+
+@compiled
+def tick_slopes(
+    p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """States one period later, and their derivatives by the states and by the drive."""
+    c, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
+    prepare(p, c)
+    columns, du = np.zeros((N_STATES, N_STATES + 1)), np.zeros(N_STATES + 1)
+    for i in range(N_STATES):
+        columns[i, i] = 1.0
+    du[N_STATES] = 1.0
+    there = _tick_with_tangents(
+        packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps, np.zeros(0, dtype=np.int64),
+        columns, du, np.zeros((4, N_STATES, N_UNKNOWN)),
+    )  # fmt: skip
+    unpack(there, after)
+    return after, columns[:, :N_STATES].copy(), columns[:, N_STATES].copy()
+
+
+@compiled
+def run(
+    p: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray, given: FloatArray,
+    disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
+    integral: float, previous_error: float, period: float, steps: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Output, input, both shape (N,), and states before each tick, shape (N + 1, N_STATES).
+
+    The loop over the reference if `closed`, else the plant under the inputs given.
+    """
+    size = disturbances.shape[0]
+    y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, N_STATES))
+    c = np.zeros(N_CONSTANTS)
+    prepare(p, c)
+    at = packed(x)
+    last = 0.0
+    for k in range(size):
+        d = row(disturbances, k)
+        for i in range(N_STATES):
+            states[k, i] = at[i]
+        last = reading(output(at, d, p, c), noise[k], frozen[k] and k > 0, resolution, last)
+        y[k] = last
+        if closed:
+            u[k], integral, previous_error = pid_step(gains, integral, previous_error, reference[k], last)
+        else:
+            u[k] = given[k]
+        at = _tick(at, u[k], d, p, c, period, steps)
+    for i in range(N_STATES):
+        states[size, i] = at[i]
+    return y, u, states
+
+
+@compiled
+def run_with_tangents(
+    p: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
+    reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
+    previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
+    robust: bool, stored: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """The run with its derivatives; either its arrays are stored, or the normal equations summed up.
+
+    `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`, counted among
+    UNKNOWN, then
+    others (starts) that act only through x. `measured` holds output and input, shape (2, N), and `weights`
+    of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
+    of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
+    (N,), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1);
+    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²).
+    """
+    size, n = disturbances.shape[0], columns.shape[1]
+    kept = size if stored else 0
+    extra = N_STATES + 1 if stored else 0
+    m = n + extra
+    y_all, u_all, by = np.empty(kept), np.empty(kept), np.empty((2, kept, n))
+    by_state, by_drive = np.empty((kept, N_STATES, N_STATES)), np.empty((kept, N_STATES))
+    free_all = np.empty(kept)
+    normal, dy = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
+    c, fp = np.zeros(N_CONSTANTS), np.zeros((4, N_STATES, N_UNKNOWN))
+    hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
+    all_columns, du, of_u = np.zeros((N_STATES, m)), np.zeros(m), np.zeros(n + 1)
+    all_columns[:, :n] = columns
+    d_integral, d_error = np.zeros(n), np.zeros(n)
+    prepare(p, c)
+    at = packed(x)
+    for k in range(size):
+        d = row(disturbances, k)
+        y = output(at, d, p, c)
+        output_slopes(at, d, p, c, hx, hp)
+        for j in range(n):
+            slope = hp[which[j]] if j < which.size else 0.0
+            for i in range(N_STATES):
+                slope += hx[i] * all_columns[i, j]
+            dy[j] = slope
+        u, free = 0.0, 0.0
+        if closed:
+            u, integral, previous_error, free = _loop_step(
+                gains, integral, previous_error, reference[k], y, dy, d_integral, d_error, du, n
+            )
+        else:
+            u = given[k]
+        if stored:
+            y_all[k], u_all[k], free_all[k] = y, u, free
+            for j in range(n):
+                by[0, k, j], by[1, k, j] = dy[j], du[j]
+            for i in range(N_STATES):
+                for l in range(extra):
+                    all_columns[i, n + l] = 1.0 if i == l else 0.0
+            du[m - 1] = 1.0
+        else:
+            dy[n] = y - measured[0, k]
+            _add_row(normal, dy, weights[0, k], robust)
+            if closed:
+                for j in range(n):
+                    of_u[j] = du[j]
+                of_u[n] = u - measured[1, k]
+                _add_row(normal, of_u, weights[1, k], robust)
+        at = _tick_with_tangents(at, u, d, p, c, period, steps, which, all_columns, du, fp)
+        if stored:
+            for i in range(N_STATES):
+                by_drive[k, i] = all_columns[i, m - 1]
+                for l in range(N_STATES):
+                    by_state[k, i, l] = all_columns[i, n + l]
+    for i in range(n + 1):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return y_all, u_all, by, by_state, by_drive, free_all, normal
+
+
+@compiled
+def _loop_step(
+    gains: Gains, integral: float, previous_error: float, reference: float, y: float, dy: FloatArray,
+    d_integral: FloatArray, d_error: FloatArray, du: FloatArray, n: int,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """The controller's step with the derivatives of all it keeps; d_error is that of `previous_error`."""
+    u, after, error = pid_step(gains, integral, previous_error, reference, y)
+    per_second = gains.derivative / gains.period
+    free = 1.0 if gains.low < u < gains.high else 0.0
+    for j in range(n):
+        wanted = d_integral[j] - (gains.proportional + per_second) * dy[j] - per_second * d_error[j]
+        du[j] = free * wanted
+        d_integral[j] += gains.period * (
+            gains.back_calculation * (du[j] - wanted) - gains.integral * dy[j]
+        )
+        d_error[j] = -dy[j]
+    return u, after, error, free
+
+
+@compiled
+def _add_row(normal: FloatArray, of: FloatArray, weight: float, robust: bool) -> None:
+    """Add one residual, the last entry of `of`, and its derivatives to the lower half of the equations."""
+    if weight == 0.0:
+        return
+    n = of.size - 1
+    square = weight * weight
+    left = square * of[n] * of[n]
+    lost = left
+    if robust:
+        root = np.sqrt(1.0 + left)
+        square, lost = square / root, 2.0 * (root - 1.0)
+    for i in range(n):
+        scaled = square * of[i]
+        for j in range(i + 1):
+            normal[i, j] += scaled * of[j]
+    scaled = square * of[n]
+    for j in range(n):
+        normal[n, j] += scaled * of[j]
+    normal[n, n] += lost

@@ -1,0 +1,117 @@
+"""A plant in one structure, ready to be run."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.parameters import Parameters
+from twinmatch.dynamics.store import kernels_of
+from twinmatch.signals import FloatArray
+
+if TYPE_CHECKING:
+    from twinmatch.dynamics.declarations import Parameter, Structure
+    from twinmatch.dynamics.plant import Plant
+
+__all__ = ["Model"]
+
+RATE_LIMIT: Final = 0.12
+"""Runge–Kutta step in units of the fastest time constant: the error of a step is below 1e-8 of a movement."""
+MOST_STEPS: Final = 2000
+
+
+class Model:
+    """Everything that is asked of a plant's physics goes through here. One object per plant and structure."""
+
+    def __init__(self, plant: type[Plant], structure_name: str) -> None:
+        """Use `Plant.model`, which keeps them."""
+        self.plant = plant
+        self.structure_name = structure_name
+        self.structure: Structure = plant.structures[structure_name]
+        self.key = (plant.name, structure_name)
+        self.title = f"{plant.title}, {structure_name}"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self.plant.model, (self.structure_name,)
+
+    def __repr__(self) -> str:
+        return f"<{self.title}>"
+
+    @cached_property
+    def kernels(self) -> Any:
+        """Its compiled functions, with tangents by what any structure with the same parts leaves free."""
+        parts = self.structure.parts
+        free = (s.free for s in self.plant.structures.values() if s.parts == parts)
+        return kernels_of(self.plant, parts, frozenset().union(*free))
+
+    def kernels_by(self, names: Iterable[str]) -> Any:
+        """Compiled functions that have tangents by these parameters."""
+        if set(names) <= set(self.kernels.UNKNOWN):
+            return self.kernels
+        return kernels_of(self.plant, self.structure.parts, frozenset(self.names))
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states this structure has, in the order of every array of states."""
+        return tuple(self.kernels.STATES)
+
+    @cached_property
+    def declared(self) -> Mapping[str, Parameter]:
+        """The parameters that the equations of this structure depend on, in the order of every array."""
+        return {name: self.plant.parameters[name] for name in self.kernels.PARAMETERS}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters."""
+        return tuple(self.declared)
+
+    @cached_property
+    def defaults(self) -> Mapping[str, float]:
+        """Values of the parameters where nothing else is said."""
+        fixed = self.structure.fixed
+        return {name: fixed.get(name, declared.default) for name, declared in self.declared.items()}
+
+    def parameters(self, **values: float) -> Parameters:
+        """Values of the parameters; those not named have the structure's.
+
+        Raises:
+            PlantError: as `Parameters`.
+        """
+        return Parameters(self, values)
+
+    @cached_property
+    def disturbances(self) -> FloatArray:
+        """Their defaults, shape (m,)."""
+        return np.array([d.default for d in self.plant.disturbances.values()], dtype=np.float64)
+
+    def steps(self, vector: FloatArray, period: float) -> int:
+        """Runge–Kutta steps per sample at these parameters: the fastest rate anywhere in the plant's range
+        decides.
+
+        Raises:
+            PlantError: the plant is too fast for samples of this period.
+        """
+        fastest = float(self.kernels.rate_bound(vector, self._corners, self._drives, self.disturbances))
+        count = math.ceil(period * fastest / RATE_LIMIT)
+        if not count <= MOST_STEPS:
+            msg = (
+                f"{self.title}: a time constant of {1 / fastest:.2g} s is too short for a period of {period:g} s"
+            )
+            raise PlantError(msg)
+        return max(count, 1)
+
+    @cached_property
+    def _corners(self) -> FloatArray:
+        spans = [self.plant.states[name].span for name in self.states]
+        return np.array(list(itertools.product(*spans)), dtype=np.float64)
+
+    @cached_property
+    def _drives(self) -> FloatArray:
+        drive = self.plant.drive
+        return np.array([*drive.limits, drive.rest], dtype=np.float64)

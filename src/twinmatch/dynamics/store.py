@@ -1,0 +1,149 @@
+"""Where what is made of a plant's equations is kept: one Python module per plant and set of parts.
+
+The module is `kernels.py` with the plant's derived functions in the place of `derived.py`. Its file name carries
+a hash of everything it is made from: the plant's source, the generator's own sources, the versions of the programs
+that take part. So a change of any of them makes a new module, and an old one is never run by mistake. The
+folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder; numba keeps its machine code there too.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import importlib.metadata
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from twinmatch.dynamics.errors import PlantError
+
+if TYPE_CHECKING:
+    from twinmatch.dynamics.plant import Plant
+
+__all__ = ["cache_folder", "kernels_of"]
+
+_HERE = Path(__file__).parent
+_GENERATOR = ("code.py", "declarations.py", "equations.py", "kernels.py", "plant.py", "store.py")
+_PROGRAMS = ("numba", "numpy", "sympy")
+
+
+def cache_folder() -> Path:
+    """Where generated modules are kept."""
+    given = os.environ.get("TWINMATCH_CACHE")
+    if given:
+        return Path(given)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
+
+
+@cache
+def kernels_of(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> Any:
+    """The compiled kernels of a plant with some of its parts, with tangents by the parameters `unknown`.
+
+    They are made now if they are not there yet.
+
+    Raises:
+        PlantError: the equations cannot be used, or the cache folder cannot be written.
+    """
+    name = f"{plant.name}_{_fingerprint(plant, parts, unknown)}"
+    path = cache_folder() / f"{name}.py"
+    if not path.exists():
+        what = f"{plant.title}, {', '.join(sorted(parts))}" if parts else plant.title
+        print(f"twinmatch: preparing the equations of: {what} (some seconds, once)", file=sys.stderr)
+        _keep(path, _module_text(plant, parts, unknown))
+    return _load(f"twinmatch_plants_{name}", path)
+
+
+def _module_text(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> str:
+    from twinmatch.dynamics.code import derived_source  # noqa: PLC0415 (imports SymPy)
+    from twinmatch.dynamics.equations import derive  # noqa: PLC0415
+
+    derived = derive(plant(), parts, unknown)
+    held = {
+        "STATES": derived.states,
+        "PARAMETERS": derived.parameters,
+        "UNKNOWN": derived.unknown,
+        "QUANTITIES": derived.quantities,
+    }
+    names = "".join(f"{name} = {tuple(map(str, what))}\n" for name, what in held.items())
+    head = f'"""Made from the equations of {plant.name}; made again when they change."""\n\nimport math\n\n'
+    text = (_HERE / "kernels.py").read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    lines = text.splitlines()
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and node.module == "twinmatch.dynamics.derived":
+            lines[node.lineno - 1 : node.end_lineno] = [derived_source(derived)]
+            break
+    body = "\n".join(lines).replace("from __future__ import annotations\n", "")
+    return "from __future__ import annotations\n\n" + head + names + "\n" + body + "\n"
+
+
+def _keep(path: Path, text: str) -> None:
+    """Write a file at once or not at all: several processes may come here together."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, draft = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            Path(draft).replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                Path(draft).unlink()
+            raise
+    except OSError as error:
+        msg = (
+            f"{path.parent}: the prepared equations cannot be kept there: {error.strerror}; "
+            "name a folder that can be written in TWINMATCH_CACHE"
+        )
+        raise PlantError(msg) from error
+
+
+def _load(name: str, path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise PlantError(f"{path}: is no Python module; remove it")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # numba looks its functions' module up there
+    spec.loader.exec_module(module)
+    return module
+
+
+def _fingerprint(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> str:
+    what = (sys.version_info[:2], plant.__qualname__, sorted(parts), sorted(unknown))
+    digest = hashlib.sha256(repr(what).encode())
+    for file in (_HERE / name for name in _GENERATOR):
+        digest.update(file.read_bytes())
+    for program in _PROGRAMS:
+        digest.update(importlib.metadata.version(program).encode())
+    for file in sorted(_sources(plant)):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _sources(plant: type[Plant]) -> set[Path]:
+    """The files of the class and its bases, and of what their modules take from files beside them."""
+    waiting = [sys.modules.get(base.__module__) for base in plant.__mro__ if base is not object]
+    found: set[Path] = set()
+    while waiting:
+        module = waiting.pop()
+        file = getattr(module, "__file__", None)
+        if module is None or file is None or Path(file) in found:
+            continue
+        path = Path(file)
+        if path.parent == _HERE:
+            continue
+        found.add(path)
+        for value in vars(module).values():
+            other = value if inspect.ismodule(value) else sys.modules.get(getattr(value, "__module__", "") or "")
+            beside = getattr(other, "__file__", None)
+            if beside is not None and Path(beside).parent == path.parent:
+                waiting.append(other)
+    return found

@@ -1,0 +1,215 @@
+"""The paper's plant: a Peltier plate on a heat sink under a thermal camera (section III).
+
+Electrical domain: the bridge puts a mean voltage in proportion to the PWM on the module, whose current the driver
+limits. Thermal domain: the Peltier effect, Joule heat and conduction move heat between the plate (side A) and the
+sink (side B), and the plate's heat capacity makes a temperature of it. Fluid domain: the sink gives its heat to
+the room. Digital domain: the camera's reading, once a sample, and the PID that answers it.
+
+Where the module's Seebeck coefficient depends on temperature, α(T) = α + β·(T − T₀), everything that belongs to it is
+there: the Seebeck voltage is ∫α dT = α(T̄)·(T_B − T_A), T̄ being the mean of both sides; the Peltier heats
+are α(T_A)·T_A·I and −α(T_B)·T_B·I; half of the Thomson heat I·∫T dα goes to either side. Together that is
+α(T̄)·T·I ± ¼·β·(T_B − T_A)²·I, and energy balances.
+
+The paper prints its equation 2 with +α·T_B·I; energy balances only with the minus sign used here.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    PidGains,
+    Plant,
+    Sensor,
+    State,
+    Structure,
+    limited,
+    magnitude,
+)
+
+__all__ = ["Peltier"]
+
+KELVIN: Final = 273.15
+SEEBECK_REFERENCE: Final = 298.15
+"""Temperature at which a module has its nominal Seebeck coefficient, K; data sheets use it too."""
+COUNTS: Final = 255.0
+"""PWM counts of a duty cycle of one."""
+
+_MASS, _LAG, _SLOPE = "sink with mass", "sensor lag", "α(T)"
+
+_PLATE: Final = ("seebeck", "conductance", "heat_capacity")
+_ROOM: Final = (*_PLATE, "ambient")
+_SINK: Final = (*_PLATE, "sink_heat_capacity", "sink_convection")
+_BOTH: Final = (*_ROOM, "sink_heat_capacity", "sink_convection")
+
+_RIG: Final = {"seebeck": 0.06, "conductance": 0.7, "heat_capacity": 28.0}
+_VALLEY: Final = (
+    {"seebeck": 0.09, "conductance": 0.6, "heat_capacity": 40.0},
+    {"seebeck": 0.13, "conductance": 0.3, "heat_capacity": 58.0},
+)
+"""Starts along the valley in which Seebeck coefficient, conductance and heat capacity trade off."""
+
+
+def _structure(
+    free: tuple[str, ...], parts: tuple[str, ...] = (), *, switched: bool = False, room: float = 293.0
+) -> Structure:
+    return Structure(
+        free=free,
+        parts=frozenset(parts),
+        fixed={**_RIG, "ambient": room, "drive_ripple": float(switched)},
+        free_starts=("sink",) if _MASS in parts else (),
+        starts=_VALLEY,
+    )
+
+
+class Peltier(Plant, name="peltier"):
+    """A Peltier plate on a heat sink, driven by a PWM bridge, seen by a thermal camera, held by a PID."""
+
+    title = "Peltier rig"
+    parts = (_MASS, _LAG, _SLOPE)
+
+    temperature = Output(unit="°C", noise=0.1, span=(-60.0, 250.0), text="plate temperature", symbol="y")
+    pwm = Drive(unit="PWM", limits=(-COUNTS, COUNTS), noise=7.0, text="PWM, positive heats", symbol="u")
+
+    plate = State(unit="K", span=(250.0, 400.0), text="plate (side A)", symbol="T_A")
+    sink = State(
+        unit="K", span=(250.0, 400.0), start_bounds=(253.0, 393.0), text="heat sink (side B)", symbol="T_B"
+    )
+    sensor_state = State(unit="K", span=(250.0, 400.0), text="what the camera sees", symbol="T_C")
+
+    seebeck = Parameter(
+        unit="V/K", default=0.075, bounds=(0.01, 0.2), least=0.0, symbol="α", text="Seebeck coefficient"
+    )
+    resistance = Parameter(
+        unit="Ω", default=3.3, bounds=(0.5, 10.0), positive=True, symbol="R", text="electrical resistance"
+    )
+    conductance = Parameter(
+        unit="W/K", default=0.35, bounds=(0.0, 2.0), least=0.0, symbol="K", text="thermal conductance"
+    )
+    heat_capacity = Parameter(
+        unit="J/K", default=15.0, bounds=(5.0, 150.0), scale=30.0, positive=True, symbol="C",
+        text="heat capacity of the plate",
+    )  # fmt: skip
+    ambient = Parameter(
+        unit="K", default=296.0, bounds=(263.0, 323.0), scale=10.0, least=150.0, most=600.0, relative=False,
+        symbol="T_∞", text="temperature of the room",
+    )  # fmt: skip
+    sink_heat_capacity = Parameter(
+        unit="J/K", default=350.0, bounds=(20.0, 5000.0), scale=300.0, positive=True, symbol="C_S",
+        text="heat capacity of the sink",
+    )  # fmt: skip
+    sink_convection = Parameter(
+        unit="W/K", default=3.0, bounds=(0.1, 100.0), least=0.0, symbol="h",
+        text="convection from the sink to the room",
+    )  # fmt: skip
+    sensor_lag = Parameter(
+        unit="s", default=1.0, bounds=(0.05, 20.0), scale=2.0, positive=True, symbol="τ",
+        text="lag of what the camera sees",
+    )  # fmt: skip
+    seebeck_slope = Parameter(
+        unit="V/K²", default=0.0, bounds=(-5e-4, 5e-4), scale=1e-4, relative=False, symbol="β",
+        text="change of the Seebeck coefficient with temperature",
+    )  # fmt: skip
+    drive_ripple = Parameter(
+        unit="", default=0.0, bounds=(0.0, 1.0), scale=1.0, least=0.0, most=1.0, symbol="ρ",
+        text="share of the bridge's switching that the module feels",
+    )  # fmt: skip
+    supply = Parameter(
+        unit="V", default=12.0, bounds=(3.0, 24.0), positive=True, symbol="V_S", text="bridge voltage"
+    )
+    bridge_resistance = Parameter(
+        unit="Ω", default=0.1, bounds=(0.0, 2.0), least=0.0, symbol="R_B", text="resistance of the bridge"
+    )
+    current_limit = Parameter(
+        unit="A", default=5.0, bounds=(0.5, 10.0), positive=True, symbol="L", text="current limit"
+    )
+
+    structures = {  # noqa: RUF012 (a mapping of what there is, not state)
+        "held sink": Structure(
+            free=_PLATE,
+            starts=(
+                {"seebeck": 0.04, "conductance": 0.6, "heat_capacity": 18.0},
+                {"seebeck": 0.12, "conductance": 0.5, "heat_capacity": 50.0},
+            ),
+            text="the paper's twin: a sink that stays at one temperature",
+        ),
+        "held sink, free ambient": _structure(_ROOM),
+        "held sink, free ambient, switched drive": _structure(_ROOM, switched=True),
+        "sink with mass": _structure(_SINK, (_MASS,), room=296.0),
+        "sink with mass, sensor lag": _structure((*_SINK, "sensor_lag"), (_MASS, _LAG), room=296.0),
+        "sink with mass, free ambient": _structure(_BOTH, (_MASS,)),
+        "sink with mass, switched drive": _structure(_SINK, (_MASS,), switched=True, room=296.0),
+        "sink with mass, free ambient, switched drive": _structure(_BOTH, (_MASS,), switched=True),
+        "sink with mass, free ambient, switched drive, sensor lag": _structure(
+            (*_BOTH, "sensor_lag"), (_MASS, _LAG), switched=True
+        ),
+        "sink with mass, free ambient, switched drive, α(T)": _structure(
+            (*_BOTH, "seebeck_slope"), (_MASS, _SLOPE), switched=True
+        ),
+        "sink with mass, free ambient, switched drive, sensor lag, α(T)": _structure(
+            (*_BOTH, "sensor_lag", "seebeck_slope"), (_MASS, _LAG, _SLOPE), switched=True
+        ),
+    }
+
+    # Digital domain.
+    loop = PidGains(
+        proportional=38.57,
+        integral=1.46877,
+        derivative=6.66875,
+        back_calculation=1.0,
+        low=-COUNTS,
+        high=COUNTS,
+    )
+    sensor = Sensor(noise=0.1, resolution=0.01, pause_period=180.0, pause_duration=0.9)
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """The domains in the order in which power flows; temperatures in kelvin, heat drawn positive."""
+        plate, sink = self.plate, (self.sink if _MASS in parts else self.ambient)
+        slope = self.seebeck_slope if _SLOPE in parts else 0
+        seebeck = self.seebeck + slope * ((plate + sink) / 2 - SEEBECK_REFERENCE)
+
+        # Electrical domain. Positive PWM heats the plate, positive current cools it.
+        bridge = self.supply * self.pwm / COUNTS
+        loop_resistance = self.resistance + self.bridge_resistance
+        free_current = (-bridge - seebeck * (sink - plate)) / loop_resistance
+        current = limited(free_current, -self.current_limit, self.current_limit)
+        # An unsmoothed bridge lets the current swing about its mean, which adds Joule heat.
+        swing = magnitude(bridge) * (self.supply - magnitude(bridge)) / loop_resistance**2
+        ripple = self.resistance * self.drive_ripple * swing / 2
+
+        # Thermal domain (equations 1 and 2).
+        half_joule = current**2 * self.resistance / 2 + ripple
+        conducted = self.conductance * (plate - sink)
+        uneven = slope * (sink - plate) ** 2 * current / 4
+        from_plate = seebeck * plate * current - half_joule + conducted + uneven
+        from_sink = -seebeck * sink * current - half_joule - conducted - uneven
+        rates = {plate: -from_plate / self.heat_capacity}
+        start = {plate: self.temperature + KELVIN}
+
+        # Fluid domain.
+        if _MASS in parts:
+            lost = self.sink_convection * (sink - self.ambient)
+            rates[sink] = -(from_sink + lost) / self.sink_heat_capacity
+            start[sink] = self.ambient
+
+        seen = plate
+        if _LAG in parts:
+            seen = self.sensor_state
+            rates[seen] = (plate - seen) / self.sensor_lag
+            start[seen] = self.temperature + KELVIN
+        return Equations(
+            rates=rates,
+            output=seen - KELVIN,
+            start=start,
+            quantities={
+                "current": current,
+                "voltage": seebeck * (sink - plate) + current * self.resistance,
+                "from_plate": from_plate,
+                "from_sink": from_sink,
+                "ripple": 2 * ripple,
+            },
+        )
