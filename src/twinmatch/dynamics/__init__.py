@@ -1,11 +1,76 @@
-"""Dynamics."""
+"""From a plant's equations to everything that is computed from them; knows no plant.
 
-from twinmatch.dynamics.declarations import Declaration, Disturbance, Drive, Output, Parameter, State, Structure
+A `Plant` declares its quantities and writes its equations in SymPy, and its `Structure`s say which parts
+there are and what is unknown. `Plant.model` gives a `Model`, whose compiled code is made from the equations
+once and kept on disk. `Parameters` are values for one; everything else takes them: `begin`, `advance`
+and `read` step a plant, `simulate_closed_loop`, `simulate_driven` and `simulate_window` run it, `Experiment`
+is a recorded window as a function of what is unknown, with exact tangents, `linearised` says how the plant
+answers small movements, and `Observer` follows the states that no sensor shows. `Pid` is the controller that
+holds it, `Sensor` what lies between its output and a reading.
+"""
+
+from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Parameter, State, Structure
 from twinmatch.dynamics.equations import Equations
 from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.experiment import Experiment, Tangents
 from twinmatch.dynamics.functions import limited, magnitude, maximum, minimum
+from twinmatch.dynamics.linear import Linear, Rest, linearised, rest_at
+from twinmatch.dynamics.model import Model
+from twinmatch.dynamics.noise import noise_scores
+from twinmatch.dynamics.observer import Observer
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.dynamics.pid import Pid, PidGains, PidState, controller_state
 from twinmatch.dynamics.plant import Plant
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
-from twinmatch.dynamics.model import Model
+from twinmatch.dynamics.simulation import (
+    Response,
+    advance,
+    begin,
+    gains_of,
+    quantities,
+    read,
+    simulate_closed_loop,
+    simulate_driven,
+    simulate_window,
+)
+
+__all__ = [
+    "Disturbance",
+    "Drive",
+    "Equations",
+    "Experiment",
+    "Linear",
+    "Model",
+    "Observer",
+    "Output",
+    "Parameter",
+    "Parameters",
+    "Pid",
+    "PidGains",
+    "PidState",
+    "Plant",
+    "PlantError",
+    "Response",
+    "Rest",
+    "Sensor",
+    "SensorRealisation",
+    "State",
+    "Structure",
+    "Tangents",
+    "advance",
+    "begin",
+    "controller_state",
+    "gains_of",
+    "limited",
+    "linearised",
+    "magnitude",
+    "maximum",
+    "minimum",
+    "noise_scores",
+    "quantities",
+    "read",
+    "rest_at",
+    "simulate_closed_loop",
+    "simulate_driven",
+    "simulate_window",
+]

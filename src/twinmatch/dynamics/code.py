@@ -113,7 +113,10 @@ class _Writer:
         """The Runge–Kutta step of every column of derivatives, with nothing in it that is always zero."""
         n = self._derived.n_states
         moved = [any(e.diff(s) != 0 for s in self._derived.unknown) for e in self._derived.rates]
-        text = ["@compiled", "def tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4):"]
+        text = [
+            "@compiled",
+            "def tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4):",
+        ]
         for columns, with_parameter in (("which.size", True), ("du.size", False)):
             first = "" if with_parameter else "which.size, "
             text.append(f"    for j in range({first}{columns}):")
@@ -124,10 +127,10 @@ class _Writer:
             for stage in range(1, 5):
                 for i in range(n):
                     terms = []
-                    for l in range(n):
-                        if by_state[i * n + l] != 0:
-                            at = f"t{l}" if stage == 1 else f"s{l}_{stage}"
-                            terms.append(f"fx{stage}[{i * n + l}] * {at}")
+                    for m in range(n):
+                        if by_state[i * n + m] != 0:
+                            at = f"t{m}" if stage == 1 else f"s{m}_{stage}"
+                            terms.append(f"fx{stage}[{i * n + m}] * {at}")
                     if by_drive[i] != 0:
                         terms.append(f"fu{stage}[{i}] * g")
                     if with_parameter and moved[i]:

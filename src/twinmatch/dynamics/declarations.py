@@ -1,7 +1,7 @@
 """What a plant file declares: states, the drive, the output, disturbances, parameters, structures.
 
-A declaration is written as a class attribute of a `Plant` and takes its name from there. Asked of the class it
-is itself; asked of an instance, which is what the plant's equations do, it is its SymPy symbol. SymPy is
+A declaration is written as a class attribute of a `Plant` and takes its name from there. Asked of the class
+it is itself; asked of an instance, which is what the plant's equations do, it is its SymPy symbol. SymPy is
 imported only then.
 """
 
@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 from twinmatch.dynamics.errors import PlantError
 
 __all__ = ["Declaration", "Disturbance", "Drive", "Output", "Parameter", "State", "Structure"]
+
+_Self = TypeVar("_Self", bound="Declaration")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,7 @@ class Declaration:
         object.__setattr__(self, "name", name)
 
     @overload
-    def __get__(self, plant: None, owner: type) -> Declaration: ...
+    def __get__(self: _Self, plant: None, owner: type) -> _Self: ...
     @overload
     def __get__(self, plant: object, owner: type) -> Any: ...
     def __get__(self, plant: object | None, owner: type) -> Any:
@@ -61,7 +63,8 @@ class Drive(Declaration):
 
     limits: tuple[float, float]
     noise: float
-    """Standard deviation of u in steady closed loop on a healthy plant; weighs what is left of u in a match."""
+    """Standard deviation of u in steady closed loop on a healthy plant; weighs what is left of u in a
+    match."""
     rest: float = 0.0
     """Command at which the drive does nothing."""
 

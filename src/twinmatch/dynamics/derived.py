@@ -4,14 +4,16 @@
 
 The kernels are written against this module. For any other plant `code.py` writes the same functions with that
 plant's equations, and they take this module's place. States x, disturbances d and switches b (1 or 0) are
-tuples, so that they stay in registers; parameters p and what `prepare` computed of them, c, are arrays. Other arrays
-are filled; entries that are always zero are left to whoever made the array.
+tuples, so that they stay in registers; parameters p and what `prepare` computed of them, c, are arrays. Other
+arrays are filled; entries that are always zero are left to whoever made the array.
 """
 
-# ruff: noqa: ANN001, ANN201, ARG001, D103, PLR0917 (the form of the code that is written)
+# ruff: noqa: ARG001, D103, PLR0917 (the form of the code that is written)
 # mypy: ignore-errors
 
 from __future__ import annotations
+
+from typing import Any
 
 from twinmatch.compiled import compiled
 
@@ -23,28 +25,29 @@ HAS_KINKS = False
 
 
 @compiled
-def row(disturbances, k):
+def row(disturbances: Any, k: Any) -> Any:
     return ()
 
 
 @compiled
-def prepare(p, c):
+def prepare(p: Any, c: Any) -> Any:
     c[0] = 1 / p[1]
 
 
 @compiled
-def switches(x, u, d, p, c):
+def switches(x: Any, u: Any, d: Any, p: Any, c: Any) -> Any:
     return ()
 
 
 @compiled
-def rates(x, u, d, p, c, b):
+def rates(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any) -> Any:
     return (c[0] * (p[0] * u - x[0]),)
 
 
 @compiled
-def rates_and_slopes(x, u, d, p, c, b, fp, stage):
-    """Rates, their derivatives by states (row by row) and by the drive; those by parameters go to fp[stage]."""
+def rates_and_slopes(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any, fp: Any, stage: Any) -> Any:
+    """Rates, their derivatives by states (row by row) and by the drive; those by parameters go to
+    fp[stage]."""
     rate = c[0] * (p[0] * u - x[0])
     fp[stage, 0, 0] = c[0] * u
     fp[stage, 0, 1] = -c[0] * rate
@@ -52,52 +55,66 @@ def rates_and_slopes(x, u, d, p, c, b, fp, stage):
 
 
 @compiled
-def output(x, d, p, c):
+def output(x: Any, d: Any, p: Any, c: Any) -> Any:
     return x[0]
 
 
 @compiled
-def output_slopes(x, d, p, c, hx, hp):
+def output_slopes(x: Any, d: Any, p: Any, c: Any, hx: Any, hp: Any) -> Any:
     hx[0] = 1.0
 
 
 @compiled
-def start(y, d, p, c, x):
+def start(y: Any, d: Any, p: Any, c: Any, x: Any) -> Any:
     x[0] = y
 
 
 @compiled
-def start_slopes(y, d, p, c, xy, xp):
+def start_slopes(y: Any, d: Any, p: Any, c: Any, xy: Any, xp: Any) -> Any:
     xy[0] = 1.0
 
 
 @compiled
-def quantities(x, u, d, p, c, b, q):
+def quantities(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any, q: Any) -> Any:
     pass
 
 
 @compiled
-def packed(array):
+def packed(array: Any) -> Any:
     return (array[0],)
 
 
 @compiled
-def unpack(x, array):
+def unpack(x: Any, array: Any) -> Any:
     array[0] = x[0]
 
 
 @compiled
-def shifted(x, k, h):
+def shifted(x: Any, k: Any, h: Any) -> Any:
     return (x[0] + h * k[0],)
 
 
 @compiled
-def combined(x, k1, k2, k3, k4, h):
+def combined(x: Any, k1: Any, k2: Any, k3: Any, k4: Any, h: Any) -> Any:
     return (x[0] + h / 6.0 * (k1[0] + 2.0 * k2[0] + 2.0 * k3[0] + k4[0]),)
 
 
 @compiled
-def tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4):
+def tangents(
+    columns: Any,
+    du: Any,
+    fp: Any,
+    which: Any,
+    h: Any,
+    fx1: Any,
+    fu1: Any,
+    fx2: Any,
+    fu2: Any,
+    fx3: Any,
+    fu3: Any,
+    fx4: Any,
+    fu4: Any,
+) -> Any:
     """Move the derivatives of the states, shape (N_STATES, m), through one Runge–Kutta step.
 
     Column j is by the parameter which[j] as long as there is one; du holds the drive's derivatives.

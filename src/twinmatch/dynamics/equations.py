@@ -3,8 +3,8 @@
 Kinks (`Min`, `Max`, `Abs`, `Piecewise` with inequalities) are taken apart first. Each becomes a *switch*, a
 symbol that is 1 or 0, and a *condition*, the expression whose sign it follows; both sides of the kink then
 stand in the equations, weighed by the switch and one minus it. With its switches held, a plant is smooth: it
-differentiates to the side it is on, and an integrator can step right up to the moment a condition changes sign.
-The equations themselves have to be continuous there, as those of a limiter are.
+differentiates to the side it is on, and an integrator can step right up to the moment a condition changes
+sign. The equations themselves have to be continuous there, as those of a limiter are.
 """
 
 from __future__ import annotations

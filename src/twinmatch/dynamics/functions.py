@@ -1,4 +1,5 @@
-"""Functions with kinks for a plant's equations; for smooth ones (exp, sqrt) import them from `sympy` there."""
+"""Functions with kinks for a plant's equations; for smooth ones (exp, sqrt) import them from `sympy`
+there."""
 
 from __future__ import annotations
 

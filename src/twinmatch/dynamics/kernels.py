@@ -1,14 +1,15 @@
 """The compiled arithmetic of every plant: steps, loops and their exact tangents.
 
-Written against `derived`, whose functions are those of one plant; the store puts the functions made of another
-plant's equations in their place and keeps the whole as a module of its own.
+Written against `derived`, whose functions are those of one plant; the store puts the functions made of
+another plant's equations in their place and keeps the whole as a module of its own.
 
 A sample is `steps` Runge–Kutta steps of order 4, none of which crosses a kink: where a condition changes sign
 within a step, its moment is bisected and the step ends just behind it. Tangents are carried through the same
-stages. They need nothing at a kink, because the rates are continuous there and its moment has no part in them.
+stages. They need nothing at a kink, because the rates are continuous there and its moment has no part in
+them.
 """
 
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
+# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
 
 from __future__ import annotations
 
@@ -20,9 +21,9 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.derived import (
     HAS_KINKS,
     N_CONSTANTS,
-    N_UNKNOWN,
     N_QUANTITIES,
     N_STATES,
+    N_UNKNOWN,
     combined,
     output,
     output_slopes,
@@ -76,9 +77,7 @@ def _reach(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: fl
 
 
 @compiled
-def _tick(
-    x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int
-) -> Any:
+def _tick(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int) -> Any:
     """States one period later."""
     for _ in range(steps):
         left = period / steps
@@ -133,9 +132,7 @@ def _tick_with_tangents(
 
 
 @compiled
-def advance(
-    p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
-) -> FloatArray:
+def advance(p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int) -> FloatArray:
     """The states one period later, the drive and the disturbances held, shape (N_STATES,)."""
     c, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
     prepare(p, c)
@@ -251,8 +248,8 @@ def run_with_tangents(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """The run with its derivatives; either its arrays are stored, or the normal equations summed up.
 
-    `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`, counted among
-    UNKNOWN, then
+    `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`,
+    counted among UNKNOWN, then
     others (starts) that act only through x. `measured` holds output and input, shape (2, N), and `weights`
     of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
     of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
@@ -295,8 +292,8 @@ def run_with_tangents(
             for j in range(n):
                 by[0, k, j], by[1, k, j] = dy[j], du[j]
             for i in range(N_STATES):
-                for l in range(extra):
-                    all_columns[i, n + l] = 1.0 if i == l else 0.0
+                for q in range(extra):
+                    all_columns[i, n + q] = 1.0 if i == q else 0.0
             du[m - 1] = 1.0
         else:
             dy[n] = y - measured[0, k]
@@ -310,8 +307,8 @@ def run_with_tangents(
         if stored:
             for i in range(N_STATES):
                 by_drive[k, i] = all_columns[i, m - 1]
-                for l in range(N_STATES):
-                    by_state[k, i, l] = all_columns[i, n + l]
+                for q in range(N_STATES):
+                    by_state[k, i, q] = all_columns[i, n + q]
     for i in range(n + 1):
         for j in range(i):
             normal[j, i] = normal[i, j]
@@ -330,9 +327,7 @@ def _loop_step(
     for j in range(n):
         wanted = d_integral[j] - (gains.proportional + per_second) * dy[j] - per_second * d_error[j]
         du[j] = free * wanted
-        d_integral[j] += gains.period * (
-            gains.back_calculation * (du[j] - wanted) - gains.integral * dy[j]
-        )
+        d_integral[j] += gains.period * (gains.back_calculation * (du[j] - wanted) - gains.integral * dy[j])
         d_error[j] = -dy[j]
     return u, after, error, free
 

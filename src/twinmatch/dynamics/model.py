@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.parameters import Parameters
@@ -90,6 +91,40 @@ class Model:
         """Their defaults, shape (m,)."""
         return np.array([d.default for d in self.plant.disturbances.values()], dtype=np.float64)
 
+    def disturbance_row(self, values: ArrayLike | None) -> FloatArray:
+        """One value per disturbance, shape (m,): those given, or the defaults.
+
+        Raises:
+            PlantError: the plant has another number of them, or one is not finite.
+        """
+        if values is None or (self.disturbances.size and np.size(values) == 0):
+            return self.disturbances
+        row = np.array(values, dtype=np.float64)
+        if row.shape != self.disturbances.shape or not np.isfinite(row).all():
+            msg = (
+                f"{self.title}: disturbances {row.tolist()} given; it takes {self.disturbances.size} finite "
+                f"values ({', '.join(self.plant.disturbances) or 'none'})"
+            )
+            raise PlantError(msg)
+        return row
+
+    def disturbance_rows(self, values: ArrayLike | None, size: int) -> FloatArray:
+        """One row per sample, shape (size, m): those given, or the defaults.
+
+        Raises:
+            PlantError: as `disturbance_row`.
+        """
+        if values is None or (self.disturbances.size and np.size(values) == 0):
+            return np.tile(self.disturbances, (size, 1))
+        rows = np.array(values, dtype=np.float64)
+        if rows.shape != (size, self.disturbances.size) or not np.isfinite(rows).all():
+            msg = (
+                f"{self.title}: disturbances of shape {rows.shape} given; it takes {self.disturbances.size} "
+                f"finite values ({', '.join(self.plant.disturbances) or 'none'}) at each of {size} samples"
+            )
+            raise PlantError(msg)
+        return rows
+
     def steps(self, vector: FloatArray, period: float) -> int:
         """Runge–Kutta steps per sample at these parameters: the fastest rate anywhere in the plant's range
         decides.
@@ -97,11 +132,14 @@ class Model:
         Raises:
             PlantError: the plant is too fast for samples of this period.
         """
+        if not (math.isfinite(period) and period > 0):
+            raise PlantError(f"{self.title}: the period is {period} s; it must be finite and positive")
         fastest = float(self.kernels.rate_bound(vector, self._corners, self._drives, self.disturbances))
         count = math.ceil(period * fastest / RATE_LIMIT)
         if not count <= MOST_STEPS:
             msg = (
-                f"{self.title}: a time constant of {1 / fastest:.2g} s is too short for a period of {period:g} s"
+                f"{self.title}: a time constant of {1 / fastest:.2g} s is too short for a period of "
+                f"{period:g} s"
             )
             raise PlantError(msg)
         return max(count, 1)

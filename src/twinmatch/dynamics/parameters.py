@@ -23,7 +23,7 @@ class Parameters(Mapping[str, float]):
         PlantError: a name that the structure does not have, or a value that is not possible.
     """
 
-    __slots__ = ("_hash", "_values", "model")
+    __slots__ = ("_hash", "_steps", "_values", "model", "vector")
 
     def __init__(self, model: Model, values: Mapping[str, float]) -> None:
         """Values of some parameters; the rest have those of the structure."""
@@ -44,6 +44,9 @@ class Parameters(Mapping[str, float]):
         self.model = model
         self._values = held
         self._hash = hash((model.key, tuple(held.values())))
+        self._steps: dict[float, int] = {}
+        self.vector: FloatArray = np.array(list(held.values()), dtype=np.float64)
+        """The values in the model's order, shape (n,); not to be changed."""
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -69,10 +72,15 @@ class Parameters(Mapping[str, float]):
     def __reduce__(self) -> tuple[Any, ...]:
         return Parameters, (self.model, self._values)
 
-    @property
-    def vector(self) -> FloatArray:
-        """The values in the model's order, shape (n,)."""
-        return np.array(list(self._values.values()), dtype=np.float64)
+    def steps(self, period: float) -> int:
+        """Runge–Kutta steps per sample of this period, s: part of what the twin is, live as in replay.
+
+        Raises:
+            PlantError: the period is not positive, or the plant too fast for it.
+        """
+        if period not in self._steps:
+            self._steps[period] = self.model.steps(self.vector, period)
+        return self._steps[period]
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """One sample of the PID, compiled."""
 
-# ruff: noqa: PLR0917 (kernels take scalars in a row)
-
 from __future__ import annotations
 
 from typing import NamedTuple

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from twinmatch.dynamics.declarations import (
@@ -73,7 +72,7 @@ class Plant:
         cls.output = cls._one(Output)
         cls._check_structures()
 
-    def equations(self, parts: frozenset[str]) -> Equations:
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
         """Rates, output and start, in terms of the plant's own symbols (`self.name_of_a_quantity`)."""
         msg = f"plant {self.name}: it has no equations; write the method `equations`"
         raise PlantError(msg)
@@ -120,8 +119,12 @@ class Plant:
                     raise PlantError(msg)
 
 
-@cache
+_MODELS: dict[tuple[type[Plant], str], Model] = {}
+
+
 def _model(plant: type[Plant], structure: str) -> Model:
     from twinmatch.dynamics.model import Model  # noqa: PLC0415 (a plant file needs no compiled code)
 
-    return Model(plant, structure)
+    if (plant, structure) not in _MODELS:
+        _MODELS[plant, structure] = Model(plant, structure)
+    return _MODELS[plant, structure]

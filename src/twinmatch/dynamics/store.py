@@ -1,9 +1,10 @@
 """Where what is made of a plant's equations is kept: one Python module per plant and set of parts.
 
-The module is `kernels.py` with the plant's derived functions in the place of `derived.py`. Its file name carries
-a hash of everything it is made from: the plant's source, the generator's own sources, the versions of the programs
-that take part. So a change of any of them makes a new module, and an old one is never run by mistake. The
-folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder; numba keeps its machine code there too.
+The module is `kernels.py` with the plant's derived functions in the place of `derived.py`. Its file name
+carries a hash of everything it is made from: the plant's source, the generator's own sources, the versions of
+the programs that take part. So a change of any of them makes a new module, and an old one is never run by
+mistake. The folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder; numba keeps its machine
+code there too.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import inspect
 import os
 import sys
 import tempfile
-from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -43,7 +43,6 @@ def cache_folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
 
 
-@cache
 def kernels_of(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> Any:
     """The compiled kernels of a plant with some of its parts, with tangents by the parameters `unknown`.
 
@@ -52,6 +51,16 @@ def kernels_of(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str
     Raises:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
+    key = (plant, parts, unknown)
+    if key not in _LOADED:
+        _LOADED[key] = _made(plant, parts, unknown)
+    return _LOADED[key]
+
+
+_LOADED: dict[tuple[type[Plant], frozenset[str], frozenset[str]], ModuleType] = {}
+
+
+def _made(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> ModuleType:
     name = f"{plant.name}_{_fingerprint(plant, parts, unknown)}"
     path = cache_folder() / f"{name}.py"
     if not path.exists():
@@ -142,7 +151,9 @@ def _sources(plant: type[Plant]) -> set[Path]:
             continue
         found.add(path)
         for value in vars(module).values():
-            other = value if inspect.ismodule(value) else sys.modules.get(getattr(value, "__module__", "") or "")
+            other = (
+                value if inspect.ismodule(value) else sys.modules.get(getattr(value, "__module__", "") or "")
+            )
             beside = getattr(other, "__file__", None)
             if beside is not None and Path(beside).parent == path.parent:
                 waiting.append(other)

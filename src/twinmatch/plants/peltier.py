@@ -1,14 +1,14 @@
 """The paper's plant: a Peltier plate on a heat sink under a thermal camera (section III).
 
-Electrical domain: the bridge puts a mean voltage in proportion to the PWM on the module, whose current the driver
-limits. Thermal domain: the Peltier effect, Joule heat and conduction move heat between the plate (side A) and the
-sink (side B), and the plate's heat capacity makes a temperature of it. Fluid domain: the sink gives its heat to
-the room. Digital domain: the camera's reading, once a sample, and the PID that answers it.
+Electrical domain: the bridge puts a mean voltage in proportion to the PWM on the module, whose current the
+driver limits. Thermal domain: the Peltier effect, Joule heat and conduction move heat between the plate (side
+A) and the sink (side B), and the plate's heat capacity makes a temperature of it. Fluid domain: the sink
+gives its heat to the room. Digital domain: the camera's reading, once a sample, and the PID that answers it.
 
-Where the module's Seebeck coefficient depends on temperature, α(T) = α + β·(T − T₀), everything that belongs to it is
-there: the Seebeck voltage is ∫α dT = α(T̄)·(T_B − T_A), T̄ being the mean of both sides; the Peltier heats
-are α(T_A)·T_A·I and −α(T_B)·T_B·I; half of the Thomson heat I·∫T dα goes to either side. Together that is
-α(T̄)·T·I ± ¼·β·(T_B − T_A)²·I, and energy balances.
+Where the module's Seebeck coefficient depends on temperature, α(T) = α + β·(T − T₀), everything that belongs
+to it is there: the Seebeck voltage is ∫α dT = α(T̄)·(T_B − T_A), T̄ being the mean of both sides; the Peltier
+heats are α(T_A)·T_A·I and −α(T_B)·T_B·I; half of the Thomson heat I·∫T dα goes to either side. Together that
+is α(T̄)·T·I ± ¼·β·(T_B − T_A)²·I, and energy balances.
 
 The paper prints its equation 2 with +α·T_B·I; energy balances only with the minus sign used here.
 """

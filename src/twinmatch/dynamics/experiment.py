@@ -1,0 +1,218 @@
+"""A recorded window as a function of what is unknown of the plant, with exact tangents."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.parameters import Parameters
+from twinmatch.dynamics.pid import PidGains, PidState, controller_state
+from twinmatch.dynamics.simulation import NO_GAINS, SKIPPED, Response, gains_of
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Experiment", "Tangents"]
+
+
+class Tangents(NamedTuple):
+    """A run and its derivatives."""
+
+    output: FloatArray
+    """y, shape (N,)."""
+    input: FloatArray
+    """u, shape (N,)."""
+    by: FloatArray
+    """Derivatives of output and input by the unknowns, shape (2, N, n)."""
+    by_state: FloatArray
+    """Of the states one period later by the states, shape (N, nx, nx)."""
+    by_drive: FloatArray
+    """Of the states one period later by u, shape (N, nx)."""
+    free: FloatArray
+    """1 where the controller was not limited, else 0, shape (N,)."""
+
+
+class Experiment:
+    """The twin on one window: closed into its loop if the controller is known, else driven by the recorded u.
+
+    The closed-loop twin gets the window's reference from the third sample on, where the first two have told
+    the controller's memory; the driven twin starts there too. The unknowns are parameters and, after them,
+    states at the start; every other state starts where the plant file says.
+    """
+
+    def __init__(
+        self,
+        base: Parameters,
+        free: Sequence[str],
+        window: Window,
+        *,
+        free_starts: Sequence[str] = (),
+        gains: PidGains | None = None,
+        closed: bool | None = None,
+        weights: tuple[float, float] = (1.0, 1.0),
+        robust: bool = False,
+        settle: int = 0,
+    ) -> None:
+        """Set up.
+
+        Args:
+            base: values of all that is not unknown.
+            free: names of the unknown parameters, of those the structure has.
+            window: recorded samples.
+            free_starts: names of the states whose start is unknown.
+            gains: of the running controller; the plant file's at the window's period if not given.
+            closed: run the loop (True) or the driven twin (False); if not given, the loop if it is known.
+            weights: of a residual of output and of input in the normal equations.
+            robust: let large residuals count by their size and not by its square.
+            settle: samples after the start that count nothing.
+
+        Raises:
+            PlantError: an unknown name, fewer than three samples, or a controller of another period.
+        """
+        model = base.model
+        if len(window) <= SKIPPED:
+            msg = f"{model.title}: the window has {len(window)} samples; the twin starts at the third"
+            raise PlantError(msg)
+        for names, known in ((free, model.names), (free_starts, model.states)):
+            unknown = [name for name in names if name not in known]
+            if unknown:
+                msg = f"{model.title}: {unknown[0]!r} cannot be free; there are {', '.join(known)}"
+                raise PlantError(msg)
+        self.model, self.base, self.window = model, base, window
+        self.free, self.free_starts = tuple(free), tuple(free_starts)
+        self.closed = model.plant.loop is not None or gains is not None if closed is None else closed
+        self.gains = (gains or gains_of(model.plant, window.period)) if self.closed else NO_GAINS
+        if self.closed and self.gains.period != window.period:
+            msg = (
+                f"{model.title}: the controller runs every {self.gains.period} s but the window's samples "
+                f"come every {window.period} s; give both the same period"
+            )
+            raise PlantError(msg)
+        self.controller = controller_state(window, self.gains) if self.closed else PidState()
+        self.measured = np.ascontiguousarray(np.stack([window.output, window.input])[:, SKIPPED:])
+        self._kernels = model.kernels_by(self.free)
+        self._which = np.array([self._kernels.UNKNOWN.index(name) for name in self.free], dtype=np.int64)
+        self._places = np.array([model.names.index(name) for name in self.free], dtype=np.int64)
+        self._started = np.array([model.states.index(name) for name in self.free_starts], dtype=np.int64)
+        self._disturbances = model.disturbance_rows(window.disturbances, len(window))[SKIPPED:]
+        self._weights = np.repeat(np.array(weights, dtype=np.float64)[:, None], self.measured.shape[1], 1)
+        self._weights[:, :settle] = 0.0
+        self._robust = robust
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.free) + len(self.free_starts)
+
+    def parameters_at(self, values: FloatArray) -> Parameters:
+        """The plant with these values of the unknowns, shape (n,)."""
+        return self.base.replace(**dict(zip(self.free, values.tolist(), strict=False)))
+
+    def starts_at(self, values: FloatArray) -> dict[str, float]:
+        """States at the start that are unknown, by name."""
+        return dict(zip(self.free_starts, values[len(self.free) :].tolist(), strict=True))
+
+    def values_of(self, parameters: Parameters) -> FloatArray:
+        """The unknowns at some parameters; unknown starts as the plant file has them, shape (n,)."""
+        begun, _, _ = self._begun(parameters.vector)
+        named = [parameters[name] for name in self.free]
+        return np.array([*named, *begun[self._started]], dtype=np.float64)
+
+    def simulate(self, values: FloatArray) -> Response:
+        """Run without derivatives; output and input have shape (N − 2,)."""
+        vector, states, _, steps = self._start(values)
+        size = self.measured.shape[1]
+        output, input_, held = self._kernels.run(
+            vector,
+            states,
+            self.closed,
+            self.gains.constants,
+            self._reference,
+            self.measured[1],
+            self._disturbances,
+            np.zeros(size),
+            np.zeros(size, dtype=np.bool_),
+            0.0,
+            float(self.controller.integral),
+            float(self.controller.previous),
+            float(self.window.period),
+            steps,
+        )
+        return Response(output, input_, held, steps)
+
+    def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
+
+        The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, when rows weigh by 1/√(1 + r²).
+        """
+        normal = self._run(values, stored=False)[6]
+        n = self.size
+        return float(normal[n, n]), normal[:n, n].copy(), normal[:n, :n].copy()
+
+    def tangents(self, values: FloatArray) -> Tangents:
+        """Run with all derivatives."""
+        return Tangents(*self._run(values, stored=True)[:6])
+
+    @cached_property
+    def start_slope(self) -> FloatArray:
+        """Derivatives of the start by the output measured there, shape (nx,); zero for unknown starts."""
+        slope = self._begun(self.base.vector)[1]
+        slope[self._started] = 0.0
+        return np.asarray(slope, dtype=np.float64)
+
+    @cached_property
+    def output_slope(self) -> FloatArray:
+        """Derivatives of the output by the states where the window starts, shape (nx,)."""
+        vector, states, _, _ = self._start(self.values_of(self.base))
+        rest = self.model.plant.drive.rest
+        slopes = self._kernels.slopes_at(vector, states, rest, self._disturbances[0])[4]
+        return np.asarray(slopes, dtype=np.float64)
+
+    @cached_property
+    def _reference(self) -> FloatArray:
+        return np.array(self.window.reference[SKIPPED:])
+
+    def _begun(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        first = float(self.window.output[SKIPPED])
+        begun: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
+            vector, first, self._disturbances[0]
+        )
+        return begun
+
+    def _start(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+        """Parameters, states, their derivatives by the unknowns, and steps per sample."""
+        n = len(self.free)
+        vector = self.base.vector.copy()
+        vector[self._places] = values[:n]
+        states, _, by_parameters = self._begun(vector)
+        columns = np.zeros((states.size, self.size))
+        columns[:, :n] = by_parameters[:, self._which]
+        states[self._started] = values[n:]
+        columns[self._started, :n] = 0.0
+        columns[self._started, n + np.arange(self._started.size)] = 1.0
+        return vector, states, columns, self.model.steps(vector, self.window.period)
+
+    def _run(self, values: FloatArray, *, stored: bool) -> tuple[FloatArray, ...]:
+        vector, states, columns, steps = self._start(values)
+        found: tuple[FloatArray, ...] = self._kernels.run_with_tangents(
+            vector,
+            self._which,
+            states,
+            columns,
+            self.closed,
+            self.gains.constants,
+            self._reference,
+            self.measured[1],
+            self._disturbances,
+            float(self.controller.integral),
+            float(self.controller.previous),
+            float(self.window.period),
+            steps,
+            self.measured,
+            self._weights,
+            self._robust,
+            stored,
+        )
+        return found

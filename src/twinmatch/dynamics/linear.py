@@ -1,0 +1,95 @@
+"""A plant around an operating point: where it rests, and how it answers small movements there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.parameters import Parameters
+from twinmatch.signals import FloatArray
+
+__all__ = ["Linear", "Rest", "linearised", "rest_at"]
+
+MOST_STEPS = 60
+STEADY = 1e-9
+"""Newton's step, in units of the states' spans and the drive's range, at which the plant counts as at
+rest."""
+
+
+class Rest(NamedTuple):
+    """Where nothing moves."""
+
+    states: FloatArray
+    """Shape (n,)."""
+    input: float
+
+
+class Linear(NamedTuple):
+    """x[k+1] = A·x[k] + B·u[k], y[k] = C·x[k], as deviations from `rest`: exact for small movements."""
+
+    A: FloatArray
+    """Shape (n, n)."""
+    B: FloatArray
+    """Shape (n, 1)."""
+    C: FloatArray
+    """Shape (1, n)."""
+    period: float
+    """s"""
+    rest: Rest
+
+
+def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | None = None) -> Rest:
+    """The states and the input at which the plant rests with this output.
+
+    Raises:
+        PlantError: no input within the drive's limits holds it there.
+    """
+    model = parameters.model
+    row, drive = model.disturbance_row(disturbances), model.plant.drive
+    states, _, _ = model.kernels.begin(parameters.vector, float(output), row)
+    low, high = np.array([model.plant.states[name].span for name in model.states], dtype=np.float64).T
+    scales = np.append(high - low, drive.limits[1] - drive.limits[0])
+    u = drive.rest
+    for _ in range(MOST_STEPS):
+        f, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, u, row)
+        off = model.kernels.look(parameters.vector, states, u, row)[0] - output
+        slopes = np.block([[fx, fu[:, None]], [hx[None, :], np.zeros((1, 1))]]) * scales
+        size = np.max(np.abs(slopes), axis=1)
+        if not (np.isfinite(slopes).all() and (size > 0).all()):
+            break
+        slopes = slopes / size[:, None]
+        if np.linalg.matrix_rank(slopes) < scales.size:
+            break
+        step = np.linalg.solve(slopes, -np.append(f, off) / size) * scales
+        # Beyond the plant's range its equations may mean nothing: go there by half the way at most.
+        states = np.clip(states + step[:-1], states - 0.5 * scales[:-1], states + 0.5 * scales[:-1])
+        u = float(np.clip(u + step[-1], drive.limits[0] - scales[-1], drive.limits[1] + scales[-1]))
+        if np.max(np.abs(step) / scales) <= STEADY:
+            if drive.limits[0] <= u <= drive.limits[1]:
+                return Rest(states, u)
+            break
+    unit, name = model.plant.output.unit, drive.unit or drive.name
+    msg = (
+        f"{model.title}: no {name} between {drive.limits[0]:g} and {drive.limits[1]:g} holds it at "
+        f"{output:g} {unit}; give an operating point it can be held at"
+    )
+    raise PlantError(msg)
+
+
+def linearised(
+    parameters: Parameters, output: float, period: float, disturbances: ArrayLike | None = None
+) -> Linear:
+    """The plant sampled with a period (s), around the point at which it rests with this output.
+
+    Raises:
+        PlantError: as `rest_at`, or the plant is too fast for the period.
+    """
+    model = parameters.model
+    row, rest = model.disturbance_row(disturbances), rest_at(parameters, output, disturbances)
+    steps = parameters.steps(period)
+    _, a, b = model.kernels.tick_slopes(parameters.vector, rest.states, rest.input, row, float(period), steps)
+    _, _, _, _, hx, _ = model.kernels.slopes_at(parameters.vector, rest.states, rest.input, row)
+    return Linear(a, b[:, None], hx[None, :], period, rest)

@@ -1,0 +1,152 @@
+"""What the sensor's noise does to a loop: it goes round through the controller and the plant."""
+
+# ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinmatch.compiled import compiled
+from twinmatch.dynamics.experiment import Experiment, Tangents
+from twinmatch.dynamics.pid_step import Gains
+from twinmatch.signals import FloatArray
+
+__all__ = ["noise_scores"]
+
+
+def noise_scores(
+    experiment: Experiment, tangents: Tangents, weighed: FloatArray, weights: tuple[float, float]
+) -> tuple[FloatArray, float]:
+    """What white noise of the readings does to the sums Σ_j weighed_j·residual_j.
+
+    Args:
+        experiment: what was run.
+        tangents: the run.
+        weighed: rows of the weighed residuals' Jacobian, shape (2, N, n).
+        weights: of a residual of output and of input for noise of 1 in the readings.
+
+    Returns:
+        The sums that noise of size 1 at each sample alone would leave, shape (N, n), and the mean
+        squared residual left by all of them. Noise of the first reading also misplaces the twin's start.
+        A driven twin meets noise only in the readings it is compared with, and in its start.
+    """
+    slopes = experiment.output_slope
+    return _noise_scores(
+        np.ascontiguousarray(tangents.by_state),
+        np.ascontiguousarray(tangents.by_drive),
+        tangents.free,
+        slopes,
+        experiment.start_slope,
+        np.ascontiguousarray(weighed),
+        float(weights[0]),
+        float(weights[1]) if experiment.closed else 0.0,
+        experiment.gains.constants,
+        experiment.closed,
+    )
+
+
+@compiled
+def _noise_scores(
+    by_state: FloatArray,
+    by_drive: FloatArray,
+    free: FloatArray,
+    seen: FloatArray,
+    started: FloatArray,
+    weighed: FloatArray,
+    weight_y: float,
+    weight_u: float,
+    gains: Gains,
+    closed: bool,
+) -> tuple[FloatArray, float]:
+    """Backwards through the linearised loop, whose state is z = (states, integral, previous).
+
+    `ahead` holds the gradients of the sums by that state one sample on, `power` the quadratic form
+    whose value is the sum of the squared residuals that a disturbed state leaves from there on.
+    """
+    size, n, nx = weighed.shape[1], weighed.shape[2], by_state.shape[1]
+    m = nx + 2
+    scores, squares = np.empty((size, n)), 0.0
+    ahead, power = np.zeros((m, n)), np.zeros((m, m))
+    a, b, of_u = np.zeros((m, m)), np.zeros(m), np.zeros(m)
+    per_second = gains.derivative / gains.period
+    by_reading = -gains.proportional - per_second if closed else 0.0
+    for k in range(size - 1, -1, -1):
+        limited = free[k] if closed else 0.0
+        wind = gains.period * gains.back_calculation * (limited - 1.0)
+        # u by the states and by noise of the reading: of_u·z + noise_u·v; next z = a·z + b·v.
+        for i in range(nx):
+            of_u[i] = limited * by_reading * seen[i]
+        of_u[nx], of_u[nx + 1] = limited, -limited * per_second
+        noise_u = limited * by_reading
+        if not closed:
+            of_u[:] = 0.0
+        for i in range(nx):
+            for j in range(m):
+                a[i, j] = by_drive[k, i] * of_u[j] + (by_state[k, i, j] if j < nx else 0.0)
+            b[i] = by_drive[k, i] * noise_u
+        leak = wind * by_reading - gains.period * gains.integral
+        for i in range(nx):
+            a[nx, i] = leak * seen[i]
+            a[nx + 1, i] = -seen[i]
+        a[nx, nx], a[nx, nx + 1] = 1.0 + wind, -wind * per_second
+        b[nx], b[nx + 1] = leak, -1.0
+        out_y, out_u = weight_y, weight_u * noise_u
+        if k == 0:
+            # The first reading is where the twin starts, so its noise moves both, and only the plant's own
+            # way from there on differs.
+            out_y, out_u = 0.0, 0.0
+            for i in range(m):
+                b[i] = 0.0
+                if i < nx:
+                    for j in range(nx):
+                        b[i] -= by_state[k, i, j] * started[j]
+        for p in range(n):
+            score = out_y * weighed[0, k, p] + out_u * weighed[1, k, p]
+            for i in range(m):
+                score += b[i] * ahead[i, p]
+            scores[k, p] = score
+        squares += out_y * out_y + out_u * out_u + _form(power, b)
+        moved = np.zeros((m, n))
+        for p in range(n):
+            for j in range(m):
+                total = weight_u * weighed[1, k, p] * of_u[j]
+                if j < nx:
+                    total += weight_y * weighed[0, k, p] * seen[j]
+                for i in range(m):
+                    total += a[i, j] * ahead[i, p]
+                moved[j, p] = total
+        ahead = moved
+        power = _congruent(power, a)
+        for i in range(m):
+            for j in range(m):
+                power[i, j] += weight_u * weight_u * of_u[i] * of_u[j]
+                if i < nx and j < nx:
+                    power[i, j] += weight_y * weight_y * seen[i] * seen[j]
+    outputs = 2.0 if weight_u != 0.0 else 1.0
+    return scores, squares / (outputs * size)
+
+
+@compiled
+def _form(power: FloatArray, b: FloatArray) -> float:
+    """bᵀ·power·b."""
+    total = 0.0
+    for i in range(b.size):
+        for j in range(b.size):
+            total += power[i, j] * b[i] * b[j]
+    return total
+
+
+@compiled
+def _congruent(power: FloatArray, a: FloatArray) -> FloatArray:
+    """aᵀ·power·a."""
+    m = power.shape[0]
+    way, found = np.zeros((m, m)), np.zeros((m, m))
+    for i in range(m):
+        for j in range(m):
+            for q in range(m):
+                way[i, j] += power[i, q] * a[q, j]
+    for i in range(m):
+        for j in range(m):
+            for q in range(m):
+                found[i, j] += a[q, i] * way[q, j]
+    return found

@@ -1,0 +1,272 @@
+"""A plant simulated: closed into its loop, driven by a given input, or one sample at a time.
+
+All three run the same compiled tick, so that a twin stepped live and a simulation of the whole run agree to
+the last bit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.parameters import Parameters
+from twinmatch.dynamics.pid import PidGains, PidState, controller_state
+from twinmatch.dynamics.plant import Plant
+from twinmatch.dynamics.sensor import Sensor, SensorRealisation
+from twinmatch.signals import FloatArray, Window
+
+__all__ = [
+    "SKIPPED",
+    "Response",
+    "advance",
+    "begin",
+    "gains_of",
+    "quantities",
+    "read",
+    "simulate_closed_loop",
+    "simulate_driven",
+    "simulate_window",
+]
+
+SKIPPED = 2
+"""A closed-loop twin starts at a window's third sample, where the controller's memory is known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """What a simulation gives, sample by sample."""
+
+    output: FloatArray
+    """y, shape (N,); as the sensor reads it, if there is one."""
+    input: FloatArray
+    """u, shape (N,)."""
+    states: FloatArray
+    """States at every sample and one period after the last, shape (N + 1, n)."""
+    steps: int
+    """Runge–Kutta steps per sample."""
+
+
+def gains_of(plant: type[Plant], period: float) -> PidGains:
+    """The plant's controller at a sample time, s.
+
+    Raises:
+        PlantError: its controller is not known.
+    """
+    if plant.loop is None:
+        msg = f"plant {plant.name}: its controller is not known, so only the driven twin can be run"
+        raise PlantError(msg)
+    return dataclasses.replace(plant.loop, period=period)
+
+
+def begin(
+    parameters: Parameters,
+    output: float,
+    *,
+    disturbances: FloatArray | None = None,
+    starts: Mapping[str, float] | None = None,
+) -> FloatArray:
+    """States, shape (n,), of a plant whose output is known and of which nothing else is but `starts`.
+
+    Raises:
+        PlantError: a name in `starts` is no state, or a value is not finite.
+    """
+    model = parameters.model
+    states, _, _ = model.kernels.begin(parameters.vector, float(output), model.disturbance_row(disturbances))
+    for name, value in (starts or {}).items():
+        if name not in model.states:
+            msg = f"{model.title}: no state {name!r}; it has {', '.join(model.states)}"
+            raise PlantError(msg)
+        states[model.states.index(name)] = value
+    if not np.isfinite(states).all():
+        raise PlantError(
+            f"{model.title}: it would begin at {states.tolist()}; only finite values can be used"
+        )
+    return np.asarray(states, dtype=np.float64)
+
+
+def advance(
+    parameters: Parameters,
+    states: FloatArray,
+    input: float,
+    period: float,
+    disturbances: FloatArray | None = None,
+) -> FloatArray:
+    """States, shape (n,), one period (s) later; to the last bit what the simulations do between two samples.
+
+    Raises:
+        PlantError: the input is not finite, the period unfit, or the plant too fast for it.
+    """
+    model = parameters.model
+    if not math.isfinite(input):
+        raise PlantError(f"{model.title}: the input is {input}; the plant takes only finite values")
+    row = model.disturbance_row(disturbances)
+    after = model.kernels.advance(
+        parameters.vector, states, float(input), row, float(period), parameters.steps(period)
+    )
+    return np.asarray(after, dtype=np.float64)
+
+
+def read(parameters: Parameters, states: FloatArray, disturbances: FloatArray | None = None) -> float:
+    """The output y at some states, shape (n,)."""
+    model = parameters.model
+    row = model.disturbance_row(disturbances)
+    return float(model.kernels.look(parameters.vector, states, model.plant.drive.rest, row)[0])
+
+
+def quantities(
+    parameters: Parameters,
+    states: FloatArray,
+    input: float,
+    disturbances: FloatArray | None = None,
+) -> dict[str, float]:
+    """The plant's other quantities (currents, heat flows) at some states and input, by name."""
+    model = parameters.model
+    row = model.disturbance_row(disturbances)
+    values = model.kernels.look(parameters.vector, states, float(input), row)[1]
+    return dict(zip(model.kernels.QUANTITIES, values.tolist(), strict=True))
+
+
+def simulate_closed_loop(
+    parameters: Parameters,
+    reference: ArrayLike,
+    *,
+    states: FloatArray,
+    controller: PidState | None = None,
+    gains: PidGains | None = None,
+    disturbances: ArrayLike | None = None,
+    sensor: SensorRealisation | None = None,
+) -> Response:
+    """Run plant, sensor and controller over a reference, shape (N,), from `states` on.
+
+    `controller` is the PID's memory before the first sample; `gains` are those of the plant file, at 1 s, if
+    not given. Disturbances have shape (N, m). Without a sensor the controller sees the output itself.
+
+    Raises:
+        PlantError: a signal is unfit, or the plant is too fast for the period.
+    """
+    model = parameters.model
+    gains = gains or gains_of(model.plant, 1.0)
+    values = _signal(model.title, "reference", reference)
+    return _run(
+        parameters,
+        values,
+        states,
+        controller=controller,
+        gains=gains,
+        disturbances=disturbances,
+        sensor=sensor,
+    )
+
+
+def simulate_driven(
+    parameters: Parameters,
+    input: ArrayLike,
+    *,
+    states: FloatArray,
+    period: float = 1.0,
+    disturbances: ArrayLike | None = None,
+    sensor: SensorRealisation | None = None,
+) -> Response:
+    """Run the plant under a given input, shape (N,), each value held for `period` seconds.
+
+    Raises:
+        PlantError: as `simulate_closed_loop`.
+    """
+    values = _signal(parameters.model.title, "input", input)
+    return _run(parameters, values, states, disturbances=disturbances, sensor=sensor, period=period)
+
+
+def simulate_window(
+    parameters: Parameters,
+    window: Window,
+    *,
+    gains: PidGains | None = None,
+    sensor: Sensor | None = None,
+    seed: int = 0,
+    starts: Mapping[str, float] | None = None,
+) -> Response:
+    """Run the closed loop on a window's reference, from its measured start; shape (N − 2,).
+
+    It starts at the third sample: the first two give the controller's state. A sensor is realised with
+    `seed`.
+
+    Raises:
+        PlantError: the window has fewer than three samples, or as `simulate_closed_loop`.
+    """
+    if len(window) <= SKIPPED:
+        msg = f"window: it has {len(window)} samples; the twin starts at the third, give at least three"
+        raise PlantError(msg)
+    reference, disturbances = window.reference[SKIPPED:], window.disturbances[SKIPPED:]
+    gains = gains or gains_of(parameters.model.plant, window.period)
+    return simulate_closed_loop(
+        parameters,
+        reference,
+        states=begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0], starts=starts),
+        controller=controller_state(window, gains),
+        gains=gains,
+        disturbances=disturbances,
+        sensor=None if sensor is None else sensor.realise(reference.size, window.period, seed),
+    )
+
+
+NO_GAINS = PidGains(0.0, 0.0, 0.0, 0.0, -1.0, 1.0)
+"""Stands where a compiled run asks for gains it will not use."""
+
+
+def _run(
+    parameters: Parameters,
+    signal: FloatArray,
+    states: FloatArray,
+    *,
+    controller: PidState | None = None,
+    gains: PidGains | None = None,
+    disturbances: ArrayLike | None,
+    sensor: SensorRealisation | None,
+    period: float = 1.0,
+) -> Response:
+    """The loop over a reference if there are gains, else the plant under an input."""
+    model = parameters.model
+    size, controller = signal.size, controller or PidState()
+    closed = gains is not None
+    gains = gains or NO_GAINS
+    period = gains.period if closed else period
+    if sensor is None:
+        sensor = SensorRealisation(np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0)
+    if len(sensor) != size:
+        msg = f"{model.title}: the sensor was realised for {len(sensor)} samples, the run has {size}"
+        raise PlantError(msg)
+    steps = parameters.steps(period)
+    output, input_, held = model.kernels.run(
+        parameters.vector,
+        np.array(states, dtype=np.float64),
+        closed,
+        gains.constants,
+        signal,
+        signal,
+        model.disturbance_rows(disturbances, size),
+        np.array(sensor.noise),
+        np.array(sensor.frozen),
+        float(sensor.resolution),
+        float(controller.integral),
+        float(controller.previous),
+        float(period),
+        steps,
+    )
+    return Response(output, input_, held, steps)
+
+
+def _signal(title: str, name: str, values: ArrayLike) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 1:
+        raise PlantError(f"{title}: {name} has shape {array.shape}; give one value per sample")
+    bad = np.flatnonzero(~np.isfinite(array))
+    if bad.size:
+        msg = f"{title}: {name} is {array[bad[0]]} at sample {int(bad[0])}; only finite values can be used"
+        raise PlantError(msg)
+    return array
