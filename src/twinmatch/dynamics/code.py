@@ -79,7 +79,7 @@ class _Writer:
                 f"quantities({known}, q)", {f"q[{i}]": e for i, e in enumerate(d.quantities.values())}
             ),
             self._switches(),
-            _tuple_functions(n),
+            _tuple_functions(n, len(d.switches)),
             self._tangents(by_state, by_drive),
         ]
         constants = {str(kept): e for e, kept in self._constants.items()}
@@ -89,7 +89,7 @@ class _Writer:
             "N_UNKNOWN": len(d.unknown),
             "N_CONSTANTS": len(self._constants),
             "N_QUANTITIES": len(d.quantities),
-            "HAS_KINKS": bool(d.switches),
+            "N_SWITCHES": len(d.switches),
         }
         head = "\n".join(f"{name} = {value}" for name, value in counts.items())
         return head + "\n\n\n" + "\n\n\n".join(functions)
@@ -218,13 +218,15 @@ def _tuple(entries: Iterable[str]) -> str:
     return f"({', '.join(held)}{',' if len(held) == 1 else ''})"
 
 
-def _tuple_functions(n: int) -> str:
+def _tuple_functions(n: int, switches: int) -> str:
     """What is done with tuples of states; numba unrolls no loop over them by itself."""
     packed = _tuple(f"array[{i}]" for i in range(n))
     shifted = _tuple(f"x[{i}] + h * k[{i}]" for i in range(n))
     weighed = "k1[{0}] + 2.0 * k2[{0}] + 2.0 * k3[{0}] + k4[{0}]"
     combined = _tuple(f"x[{i}] + h / 6.0 * ({weighed.format(i)})" for i in range(n))
+    sides = _tuple(f"float(code >> {i} & 1)" for i in range(switches))
     lines = [
+        "@compiled\ndef branch(code):\n    return " + sides,
         "@compiled\ndef packed(array):\n    return " + packed,
         "@compiled\ndef shifted(x, k, h):\n    return " + shifted,
         "@compiled\ndef combined(x, k1, k2, k3, k4, h):\n    return " + combined,

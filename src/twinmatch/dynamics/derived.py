@@ -21,7 +21,7 @@ N_STATES = 1
 N_UNKNOWN = 2
 N_CONSTANTS = 1
 N_QUANTITIES = 0
-HAS_KINKS = False
+N_SWITCHES = 0
 
 
 @compiled
@@ -77,6 +77,12 @@ def start_slopes(y: Any, d: Any, p: Any, c: Any, xy: Any, xp: Any) -> Any:
 @compiled
 def quantities(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any, q: Any) -> Any:
     pass
+
+
+@compiled
+def branch(code: Any) -> Any:
+    """The switches as the bits of a number."""
+    return ()
 
 
 @compiled

@@ -19,11 +19,12 @@ import numpy as np
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.derived import (
-    HAS_KINKS,
     N_CONSTANTS,
     N_QUANTITIES,
     N_STATES,
+    N_SWITCHES,
     N_UNKNOWN,
+    branch,
     combined,
     output,
     output_slopes,
@@ -49,6 +50,8 @@ __all__ = ["advance", "begin", "look", "rate_bound", "run", "run_with_tangents",
 MOST_EVENTS = 8
 """Kinks crossed in one step before it is taken as it is."""
 BISECTIONS = 48
+MOST_SWITCHES = 6
+"""Kinks of which all combinations are looked at."""
 
 
 @compiled
@@ -85,7 +88,7 @@ def _tick(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float,
             b = switches(x, u, d, p, c)
             there = _runge_kutta(x, u, d, p, c, b, left)
             went = left
-            if HAS_KINKS and event < MOST_EVENTS - 1 and switches(there, u, d, p, c) != b:
+            if N_SWITCHES > 0 and event < MOST_EVENTS - 1 and switches(there, u, d, p, c) != b:
                 went = _reach(x, u, d, p, c, b, left)
                 there = _runge_kutta(x, u, d, p, c, b, went)
             x = there
@@ -115,7 +118,7 @@ def _tick_with_tangents(
                 k3, fx3, fu3 = rates_and_slopes(shifted(x, k2, 0.5 * h), u, d, p, c, b, fp, 2)
                 k4, fx4, fu4 = rates_and_slopes(shifted(x, k3, h), u, d, p, c, b, fp, 3)
                 there = combined(x, k1, k2, k3, k4, h)
-                if not HAS_KINKS or h < left or event == MOST_EVENTS - 1:
+                if N_SWITCHES == 0 or h < left or event == MOST_EVENTS - 1:
                     break
                 if switches(there, u, d, p, c) == b:
                     break
@@ -178,13 +181,26 @@ def slopes_at(
 
 @compiled
 def rate_bound(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray) -> float:
-    """Largest row sum of |df/dx| over corners of the states, shape (m, N_STATES), and drives, 1/s."""
+    """Fastest rate over corners of the states, shape (m, N_STATES), and drives, on every side of the kinks, 1/s.
+
+    At each the least of three norms of df/dx (rows, columns, Frobenius); no eigenvalue is above any of them.
+    """
+    c, fp = np.zeros(N_CONSTANTS), np.zeros((1, N_STATES, N_UNKNOWN))
+    prepare(p, c)
+    given = row(d.reshape((1, d.size)), 0)
     fastest = 0.0
     for k in range(corners.shape[0]):
-        for j in range(drives.size):
-            _, fx, _, _, _, _ = slopes_at(p, corners[k], drives[j], d)
-            for i in range(N_STATES):
-                fastest = max(fastest, np.sum(np.abs(fx[i])))
+        at = packed(corners[k])
+        for u in drives:
+            for code in range(2 ** min(N_SWITCHES, MOST_SWITCHES)):
+                _, fx, _ = rates_and_slopes(at, u, given, p, c, branch(code), fp, 0)
+                slopes = np.array(fx).reshape((N_STATES, N_STATES))
+                rows, columns, squares = 0.0, 0.0, 0.0
+                for i in range(N_STATES):
+                    rows = max(rows, np.sum(np.abs(slopes[i])))
+                    columns = max(columns, np.sum(np.abs(slopes[:, i])))
+                    squares += np.sum(np.square(slopes[i]))
+                fastest = max(fastest, min(rows, columns, np.sqrt(squares)))
     return fastest
 
 

@@ -1,0 +1,209 @@
+"""What is made of equations: against code written by hand, differences, and closed solutions."""
+
+from __future__ import annotations
+
+import math
+import types
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.plants import Lag, Motor
+from twinmatch.dynamics import (
+    Experiment,
+    Parameters,
+    PlantError,
+    Sensor,
+    advance,
+    begin,
+    derived,
+    kernels,
+    noise_scores,
+    read,
+    simulate_closed_loop,
+    simulate_driven,
+)
+from twinmatch.plants import Peltier
+from twinmatch.signals import Window
+
+MOTOR = Motor.model("with friction")
+RICHEST = Peltier.model("sink with mass, free ambient, switched drive, sensor lag, α(T)")
+
+
+def test_the_plant_written_by_hand_is_the_plant_made_from_equations() -> None:
+    """The kernels run on `derived.py` when nothing takes its place, so both must agree to the last bits."""
+    made: types.ModuleType = Lag.model().kernels
+    p, x = np.array([2.0, 5.0]), np.array([1.5])
+    nothing = np.zeros(0)
+    for by_hand, by_program in (
+        (kernels.advance(p, x, 3.0, nothing, 0.7, 2), made.advance(p, x, 3.0, nothing, 0.7, 2)),
+        (kernels.slopes_at(p, x, 3.0, nothing), made.slopes_at(p, x, 3.0, nothing)),
+        (kernels.tick_slopes(p, x, 3.0, nothing, 0.7, 2), made.tick_slopes(p, x, 3.0, nothing, 0.7, 2)),
+    ):
+        for one, other in zip(by_hand, by_program, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-14)
+    assert derived.N_STATES == made.N_STATES
+
+
+@given(
+    gain=st.floats(0.1, 10.0), lag=st.floats(0.5, 50.0), x=st.floats(-40.0, 40.0), u=st.floats(-10.0, 10.0)
+)
+def test_a_lag_is_an_exponential(gain: float, lag: float, x: float, u: float) -> None:
+    p = Lag.model().parameters(gain=gain, lag=lag)
+    exact = gain * u + (x - gain * u) * math.exp(-1.0 / lag)
+    assert advance(p, np.array([x]), u, 1.0)[0] == pytest.approx(exact, abs=1e-6 * (1 + abs(x - gain * u)))
+
+
+def motor_run(p: Parameters, samples: int = 240, seed: int | None = 5) -> Window:
+    """A motor that speeds up, stands, turns back, under a load that comes and goes."""
+    reference = np.repeat([50.0, 150.0, -80.0], samples // 3)
+    load = np.where(np.arange(samples) % 80 < 40, 0.0, 0.03)[:, None]
+    sensor = None if seed is None else Sensor(noise=0.2).realise(samples, 0.05, seed)
+    run = simulate_closed_loop(
+        p, reference, states=begin(p, 0.0), gains=Motor.loop, disturbances=load, sensor=sensor
+    )
+    return Window(reference, run.output, run.input, period=0.05, disturbances=load)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("model", [MOTOR, RICHEST], ids=["motor", "Peltier"])
+def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
+    """By parameters and by starts, in the loop and driven, through limiters and friction."""
+    if model is MOTOR:
+        base, starts = MOTOR.parameters(), ("omega",)
+        window = motor_run(base)
+    else:
+        base, starts = RICHEST.parameters(current_limit=3.0), ("sink",)
+        reference = np.repeat([30.0, 75.0, 40.0], 80)
+        run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
+        window = Window(reference, run.output, run.input)
+    free = [*base.model.structure.free, base.model.names[-1]]
+    experiment = Experiment(base, free, window, free_starts=starts, closed=closed)
+    values = experiment.values_of(base)
+    exact = experiment.tangents(values)
+    np.testing.assert_array_equal(exact.output, experiment.simulate(values).output)
+    for j, name in enumerate([*free, *starts]):
+        scale = base.model.declared[name].scale if j < len(free) else 1.0
+        step = np.zeros(values.size)
+        step[j] = 1e-6 * scale
+        up, down = experiment.simulate(values + step), experiment.simulate(values - step)
+        for row, (a, b) in enumerate(((up.output, down.output), (up.input, down.input))):
+            differences = (a - b) / (2 * step[j])
+            size = np.max(np.abs(exact.by[row, :, j])) + 1e-6
+            # Differences may straddle a sample at which u leaves its limit; the derivative does not.
+            off = np.abs(differences - exact.by[row, :, j]) > 2e-4 * size
+            assert np.mean(off) < 0.02, name
+
+
+@settings(max_examples=20)
+@given(k=st.floats(0.02, 0.2), j=st.floats(1e-4, 2e-3), robust=st.booleans())
+def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust: bool) -> None:
+    window = motor_run(MOTOR.parameters())
+    weights = np.array([5.0, 3.0])
+    experiment = Experiment(
+        MOTOR.parameters(), ("k", "j", "b"), window, weights=(5.0, 3.0), robust=robust, settle=10
+    )
+    values = np.array([k, j, 1e-4])
+    found = experiment.tangents(values)
+    left = (np.stack([found.output, found.input]) - experiment.measured)[:, 10:] * weights[:, None]
+    jacobian = (found.by[:, 10:] * weights[:, None, None]).reshape(-1, 3)
+    root = np.sqrt(1.0 + left**2) if robust else np.ones_like(left)
+    expected = np.sum(2.0 * (root - 1.0)) if robust else np.sum(left**2)
+    cost, gradient, hessian = experiment.normal(values)
+    assert cost == pytest.approx(expected, rel=1e-9)
+    weighed = jacobian / root.reshape(-1, 1)
+    np.testing.assert_allclose(
+        gradient, weighed.T @ left.ravel(), rtol=1e-7, atol=1e-7 * np.max(np.abs(gradient))
+    )
+    np.testing.assert_allclose(hessian, weighed.T @ jacobian, rtol=1e-8)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("plant", ["motor", "sink"])
+def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
+    """Sums over all samples at once, against the response to the noise of each sample by differences."""
+    if plant == "motor":
+        base, gains = MOTOR.parameters(most=3.0), Motor.loop
+        window = motor_run(base, 90, None)
+    else:
+        base, gains = Peltier.model("sink with mass").parameters(), Peltier.loop
+        reference = np.repeat([30.0, 36.0], 45)
+        run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
+        window = Window(reference, run.output, run.input)
+    weights = (1.0, 0.02)
+    experiment = Experiment(base, base.model.structure.free, window, closed=closed, weights=weights)
+    found = experiment.tangents(experiment.values_of(base))
+    weighed = found.by * np.array(weights)[:, None, None]
+    sums, mean_square = noise_scores(experiment, found, weighed, weights)
+
+    size, bump = found.output.size, 1e-4
+    load = window.disturbances[2:]
+
+    def response(noise: np.ndarray, first: float) -> np.ndarray:
+        """Output and input of a loop with this noise of the readings and this first reading."""
+        states = begin(base, window.output[2] + first, disturbances=load[0])
+        if not closed:
+            run = simulate_driven(
+                base, window.input[2:], states=states, period=window.period, disturbances=load
+            )
+            return np.stack([run.output + noise, np.zeros(size)])
+        sensor = Sensor().realise(size, window.period, 0)
+        object.__setattr__(sensor, "noise", noise)
+        run = simulate_closed_loop(
+            base, window.reference[2:], states=states, controller=experiment.controller, gains=gains,
+            disturbances=load, sensor=sensor,
+        )  # fmt: skip
+        return np.stack([run.output, run.input])
+
+    expected, squares = np.zeros_like(sums), 0.0
+    for k in range(size):
+        noise = np.zeros(size)
+        noise[k] = bump
+        change = (response(noise, 0.0) - response(-noise, 0.0)) / (2 * bump)
+        if k == 0:
+            # The twin starts at the same reading: what is left is the plant's own way from there.
+            change -= (response(np.zeros(size), bump) - response(np.zeros(size), -bump)) / (2 * bump)
+        scaled = change * np.array(weights)[:, None]
+        expected[k] = np.einsum("cj,cjp->p", scaled, weighed)
+        squares += np.sum(scaled**2)
+    np.testing.assert_allclose(sums, expected, atol=1e-4 * np.max(np.abs(expected)))
+    assert mean_square == pytest.approx(squares / ((2 if closed else 1) * size), rel=1e-4)
+
+
+def test_disturbances_act_and_are_checked() -> None:
+    p = MOTOR.parameters()
+    free, loaded = (advance(p, np.array([100.0]), 6.0, 0.05, np.array([load])) for load in (0.0, 0.1))
+    assert loaded[0] < free[0]
+    assert advance(p, np.array([100.0]), 6.0, 0.05)[0] == free[0]
+    with pytest.raises(
+        PlantError, match=r"disturbances \[1\.0, 2\.0\] given; it takes 1 finite values \(load\)"
+    ):
+        read(p, np.array([100.0]), np.array([1.0, 2.0]))
+    with pytest.raises(
+        PlantError, match=r"shape \(3, 2\) given; it takes 1 finite values \(load\) at each of 5"
+    ):
+        simulate_driven(p, np.zeros(5), states=begin(p, 0.0), period=0.05, disturbances=np.zeros((3, 2)))
+
+
+def test_what_cannot_be_run_is_refused() -> None:
+    p = MOTOR.parameters()
+    with pytest.raises(PlantError, match="reference is nan at sample 1"):
+        simulate_closed_loop(p, [40.0, math.nan], states=begin(p, 0.0))
+    with pytest.raises(PlantError, match=r"input has shape \(1, 1\)"):
+        simulate_driven(p, [[40.0]], states=begin(p, 0.0))
+    with pytest.raises(PlantError, match="the period is 0 s"):
+        simulate_driven(p, [4.0], states=begin(p, 0.0), period=0)
+    with pytest.raises(PlantError, match="the input is inf"):
+        advance(p, np.array([0.0]), math.inf, 0.05)
+    with pytest.raises(PlantError, match="begin at .*nan"):
+        begin(p, math.nan)
+    with pytest.raises(PlantError, match="no state 'sink'; it has omega"):
+        begin(p, 0.0, starts={"sink": 1.0})
+    with pytest.raises(PlantError, match="sensor was realised for 2 samples, the run has 3"):
+        simulate_closed_loop(p, [1.0, 2.0, 3.0], states=begin(p, 0.0), sensor=Sensor().realise(2, 0.05, 1))
+    with pytest.raises(PlantError, match=r"a time constant of .* s is too short for a period of 1e\+04 s"):
+        advance(p, np.array([0.0]), 0.0, 1e4)
+    with pytest.raises(PlantError, match="plant lag: its controller is not known"):
+        simulate_closed_loop(Lag.model().parameters(), [1.0], states=np.zeros(1))

@@ -1,0 +1,184 @@
+"""What a plant file says, and what is wrong with one, in a line."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.plants import Lag, Motor
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Observer,
+    Output,
+    Parameter,
+    Plant,
+    PlantError,
+    State,
+    Structure,
+    advance,
+    begin,
+    linearised,
+    read,
+    rest_at,
+    simulate_driven,
+)
+from twinmatch.dynamics.equations import derive
+from twinmatch.plants import Peltier, find_plant
+
+MASSIVE = Peltier.model("sink with mass")
+
+
+def test_parameters_are_a_mapping_with_units() -> None:
+    p = Motor.model().parameters(k=0.06)
+    assert (p["k"], p["j"]) == (0.06, 4e-4)
+    assert dict(zip(p, p.units, strict=True))["k"] == "V s/rad"
+    assert "dry" not in p  # the structure without friction does not depend on it
+    assert p == Motor.model().parameters(k=0.06)
+    assert hash(p) == hash(p.replace(k=0.07).replace(k=0.06))
+    assert pickle.loads(pickle.dumps(p)) == p
+    assert p.replace(r=2.0)["r"] == 2.0
+    np.testing.assert_array_equal(p.vector, [p[name] for name in p.model.names])
+
+
+def test_impossible_parameters_are_refused_in_words() -> None:
+    model = Motor.model()
+    with pytest.raises(
+        PlantError, match="DC motor, without friction: no parameter 'dry' in this structure; it has k, r"
+    ):
+        model.parameters(dry=1.0)
+    with pytest.raises(PlantError, match="j is 0 kg m²; it must be finite and positive"):
+        model.parameters(j=0.0)
+    with pytest.raises(PlantError, match="b is -1 N m s/rad; it must be finite and at least 0"):
+        model.parameters(b=-1.0)
+    with pytest.raises(PlantError, match="k is nan"):
+        model.parameters(k=float("nan"))
+    with pytest.raises(
+        PlantError, match="drive_ripple is 1.5 ; it must be finite and at least 0 and at most 1"
+    ):
+        Peltier.model().parameters(drive_ripple=1.5)
+    with pytest.raises(PlantError, match="ambient is 23 K; it must be finite and at least 150"):
+        Peltier.model().parameters(ambient=23.0)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(
+        PlantError, match="plant motor: no structure 'x'; it has without friction, with friction"
+    ):
+        Motor.model("x")
+    with pytest.raises(PlantError, match="plant 'pump': not known; there are peltier"):
+        find_plant("pump")
+
+
+class _Parts:
+    """Declarations of the plants below."""
+
+    y = Output(unit="m", noise=0.1, span=(0, 1))
+    u = Drive(unit="V", limits=(0, 1), noise=0.1)
+    x = State(unit="m", span=(0, 1))
+    z = State(unit="m", span=(0, 1))
+    a = Parameter(unit="1/s", default=1.0, bounds=(0.1, 10.0))
+
+
+def plant_of(rates: str = "{p.x: p.u - p.a * p.x}", output: str = "p.x", start: str = "{p.x: p.y}") -> Plant:
+    """A plant with these equations."""
+
+    class Small(_Parts, Plant):
+        structures = {"all": Structure(free=("a",))}  # noqa: RUF012
+
+        def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+            import sympy
+
+            scope = {"p": self, "sympy": sympy}
+            return Equations(*(eval(text, scope) for text in (rates, output, start)))
+
+    return Small()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rates": "{}"}, "no state has a rate"),
+        ({"rates": "{p.a: 1}"}, "no state has a rate|a rate of a, which is not declared as a state"),
+        ({"rates": "{p.x: p.z}"}, "its rates use 'z', which is not declared"),
+        ({"rates": "{p.x: sympy.Symbol('w')}"}, "its rates use 'w', which is not declared"),
+        ({"start": "{}"}, "state x has no start value"),
+        ({"output": "p.x + p.u"}, "the output depends on the drive at the same instant"),
+        ({"output": "sympy.Abs(p.x, evaluate=False)"}, "the output has a kink"),
+        ({"rates": "{p.x: sympy.Piecewise((p.u, sympy.Eq(p.x, 1)), (0, True))}"}, "no single inequality"),
+    ],
+)
+def test_faulty_equations_are_refused_in_words(change: dict[str, str], message: str) -> None:
+    with pytest.raises(PlantError, match=message):
+        derive(plant_of(**change), frozenset(), frozenset({"a"}))
+
+
+def test_faulty_declarations_are_refused_in_words() -> None:
+    with pytest.raises(PlantError, match=r"bounds \(2.0, 1.0\)"):
+        Parameter(default=1.0, bounds=(2.0, 1.0))
+    for body, message in (
+        ({}, "declares 0 of Drive; it needs one"),
+        ({"u": _Parts.u}, "declares 0 of Output; it needs one"),
+        ({"u": _Parts.u, "y": _Parts.y}, "has no structure; name at least one"),
+        (
+            {"u": _Parts.u, "y": _Parts.y, "structures": {"s": Structure(free=("k",))}},
+            "structure 's': no parameter 'k'; the plant has none",
+        ),
+        (
+            {"u": _Parts.u, "y": _Parts.y, "structures": {"s": Structure((), parts=frozenset({"lid"}))}},
+            "structure 's': no part 'lid'; the plant has none",
+        ),
+    ):
+        with pytest.raises(PlantError, match=message):
+            type("Faulty", (Plant,), body)
+
+
+@given(output=st.floats(25.0, 90.0), period=st.sampled_from([0.5, 1.0, 2.0]))
+def test_the_linearised_plant_is_that_of_small_movements(output: float, period: float) -> None:
+    rig = MASSIVE.parameters(conductance=0.7)
+    found = linearised(rig, output, period)
+    states, u = found.rest
+    assert read(rig, states) == pytest.approx(output, abs=1e-9)
+    np.testing.assert_allclose(advance(rig, states, u, period), states, atol=1e-7)
+    np.testing.assert_allclose(
+        advance(rig, states, u + 1e-3, period), states + 1e-3 * found.B[:, 0], atol=1e-9 + 1e-8
+    )
+    bump = np.array([1e-3, -2e-3])
+    np.testing.assert_allclose(advance(rig, states + bump, u, period), states + found.A @ bump, atol=1e-7)
+
+
+def test_where_a_plant_cannot_be_held_is_said() -> None:
+    with pytest.raises(PlantError, match="no PWM between -255 and 255 holds it at 300 °C"):
+        rest_at(Peltier.model().parameters(), 300.0)
+    with pytest.raises(PlantError, match="holds it at 60 °C"):
+        rest_at(MASSIVE.parameters(sink_convection=0.0, conductance=0.0, seebeck=0.0, supply=0.001), 60.0)
+
+
+def test_an_observer_finds_the_state_no_sensor_shows() -> None:
+    """The heat sink, 15 K off at first, within three times what the observer says of itself; and the surprises
+    have the variance that was foretold."""
+    rig = MASSIVE.parameters()
+    u = 120.0 * np.sign(np.sin(np.arange(1200) / 60.0))
+    truth = simulate_driven(
+        rig, u, states=begin(rig, 22.85, starts={"sink": 311.0}), sensor=Peltier.sensor.realise(1200, 1.0, 4)
+    )
+    observer = Observer(rig, truth.output[0], period=1.0, drift=[1e-3, 1e-3], start=[0.2, 10.0])
+    ratios = []
+    for k in range(u.size):
+        surprise, variance = observer.correct(truth.output[k])
+        ratios.append(surprise**2 / variance)
+        if k < u.size - 1:
+            observer.predict(u[k])
+    off = abs(observer.states[1] - truth.states[-2, 1])
+    assert off < 3 * np.sqrt(observer.covariance[1, 1]) < 1.0
+    # The mean of 1200 squares of normal numbers is 1 ± 0.04; the camera's pauses add a little.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_plant_needs_no_loop() -> None:
+    assert Lag.loop is None
+    assert Lag.model().parameters()["lag"] == 5.0

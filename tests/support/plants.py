@@ -1,0 +1,71 @@
+"""Plants for tests, none of them thermal."""
+
+from __future__ import annotations
+
+from twinmatch.dynamics import (
+    Disturbance,
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    PidGains,
+    Plant,
+    State,
+    Structure,
+    limited,
+    magnitude,
+)
+
+__all__ = ["Lag", "Motor"]
+
+
+class Lag(Plant, name="lag"):
+    """dx/dt = (gain·u − x)/lag: the plant that `derived.py` writes out by hand."""
+
+    y = Output(unit="m", noise=0.01, span=(-100.0, 100.0))
+    u = Drive(unit="V", limits=(-10.0, 10.0), noise=0.1)
+    x = State(unit="m", span=(-50.0, 50.0))
+    gain = Parameter(unit="m/V", default=2.0, bounds=(0.1, 10.0), positive=True)
+    lag = Parameter(unit="s", default=5.0, bounds=(0.5, 50.0), positive=True)
+    structures = {"lag": Structure(free=("gain", "lag"))}  # noqa: RUF012
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """One line."""
+        return Equations(
+            rates={self.x: (self.gain * self.u - self.x) / self.lag}, output=self.x, start={self.x: self.y}
+        )
+
+
+class Motor(Plant, name="motor"):
+    """A DC motor that holds a speed against a load: current limit, dry friction, and an inertia."""
+
+    title = "DC motor"
+    parts = ("friction",)
+    speed = Output(unit="rad/s", noise=0.2, span=(-500.0, 500.0))
+    volts = Drive(unit="V", limits=(-24.0, 24.0), noise=0.3)
+    load = Disturbance(unit="N m", default=0.0)
+    omega = State(unit="rad/s", span=(-400.0, 400.0), scale=20.0)
+    k = Parameter(unit="V s/rad", default=0.05, bounds=(0.005, 0.5), positive=True, text="torque constant")
+    r = Parameter(unit="Ω", default=1.2, bounds=(0.2, 10.0), positive=True, text="resistance")
+    j = Parameter(unit="kg m²", default=4e-4, bounds=(2e-5, 1e-2), positive=True, text="inertia")
+    b = Parameter(unit="N m s/rad", default=1e-4, bounds=(0.0, 1e-2), least=0.0, text="viscous friction")
+    dry = Parameter(unit="N m", default=0.01, bounds=(0.0, 0.1), least=0.0, text="dry friction")
+    most = Parameter(unit="A", default=8.0, bounds=(1.0, 50.0), positive=True, text="current limit")
+    structures = {  # noqa: RUF012
+        "without friction": Structure(free=("k", "j", "b")),
+        "with friction": Structure(free=("k", "j", "b", "dry"), parts=frozenset({"friction"})),
+    }
+    loop = PidGains(0.15, 0.6, 0.0, 5.0, -24.0, 24.0, period=0.05)
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """Electrical side quasi-static; dry friction fades in over 1 rad/s."""
+        current = limited((self.volts - self.k * self.omega) / self.r, -self.most, self.most)
+        torque = self.k * current - self.b * self.omega - self.load
+        if "friction" in parts:
+            torque -= self.dry * self.omega / (1 + magnitude(self.omega))
+        return Equations(
+            rates={self.omega: torque / self.j},
+            output=self.omega,
+            start={self.omega: self.speed},
+            quantities={"current": current},
+        )
