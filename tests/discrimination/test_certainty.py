@@ -15,33 +15,37 @@ from twinmatch.discrimination import (
     family_uncertainty,
     identify,
     judge_uncertainty,
+    loop_margin,
+    loop_plant,
     nu_gap_matrix,
     nu_gap_of,
-    rig_margin,
-    rig_plant,
     twin_response,
 )
-from twinmatch.plant import Camera, PidGains, RigParameters, simulate_closed_loop
-from twinmatch.signals import KELVIN, FloatArray, Window
+from twinmatch.dynamics import Parameters, PidGains, begin, simulate_closed_loop
+from twinmatch.plants import Peltier
+from twinmatch.signals import FloatArray, Window
 
 REFERENCE = np.repeat([30.0, 50.0, 70.0, 55.0], [40, 120, 140, 120])
+MODEL = Peltier.model()
 RIGS = {
-    "50 °C": RigParameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),
-    "70 °C": RigParameters(seebeck=0.055, conductance=0.55, heat_capacity=28.0),
-    "90 °C": RigParameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
+    "50 °C": MODEL.parameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),
+    "70 °C": MODEL.parameters(seebeck=0.055, conductance=0.55, heat_capacity=28.0),
+    "90 °C": MODEL.parameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
 }
 
 
-def scored(name: str, rig: RigParameters, operating_point: float | None = None) -> CandidateScore:
+def scored(name: str, rig: Parameters, operating_point: float | None = None) -> CandidateScore:
     point = float(name.split(maxsplit=1)[0]) if operating_point is None else operating_point
     return CandidateScore(name, point, rig, 0, 100, (), "22221", 0.1, None, 0.1)
 
 
 @cache
 def models() -> tuple[SimoModel, ...]:
-    run = simulate_closed_loop(RIGS["50 °C"], REFERENCE, plate=30.0 + KELVIN)
+    run = simulate_closed_loop(RIGS["50 °C"], REFERENCE, states=begin(RIGS["50 °C"], 30.0))
     window = Window(REFERENCE, run.output, run.input)
-    twins = (twin_response(rig, window, PidGains(), Camera(), k) for k, rig in enumerate(RIGS.values()))
+    twins = (
+        twin_response(rig, window, Peltier.loop, Peltier.sensor, k) for k, rig in enumerate(RIGS.values())
+    )
     return tuple(identify(twin, ["22221"])[0] for twin in twins)
 
 
@@ -67,11 +71,11 @@ def smallest_sum() -> str:
 def test_every_field_is_filled_with_what_its_source_says() -> None:
     found = judged()
     known = family_uncertainty(models(), gaps(models()))
-    nominal = rig_plant(RIGS["70 °C"], 70.0)
+    nominal = loop_plant(RIGS["70 °C"], 70.0)
     for k, (candidate, (name, rig)) in enumerate(zip(found.candidates, RIGS.items(), strict=True)):
         point = float(name.split(maxsplit=1)[0])
-        assert candidate.margin == rig_margin(rig, point)
-        assert candidate.plant_gap_to_nominal == nu_gap_of(rig_plant(rig, point), nominal)
+        assert candidate.margin == loop_margin(rig, point)
+        assert candidate.plant_gap_to_nominal == nu_gap_of(loop_plant(rig, point), nominal)
         assert candidate.nu_gap_low == tuple(known.nu_gap_low[k])
         assert candidate.nu_gap_high == tuple(known.nu_gap_high[k])
         assert candidate.nu_gap_sum_low == known.sum_low[k]
@@ -110,14 +114,14 @@ def test_a_choice_against_the_probabilities_is_not_decided() -> None:
 def test_a_single_candidate_leaves_no_choice() -> None:
     found = judge_uncertainty([scored("50 °C", RIGS["50 °C"])], models()[:1], gaps(models()[:1]), "50 °C")
     assert found.decided
-    margin = rig_margin(RIGS["50 °C"], 50.0)
+    margin = loop_margin(RIGS["50 °C"], 50.0)
     assert found.certainty == (
         f"50 °C is the only candidate; the controller holds it and every plant within a ν-gap of {margin:.2f}"
     )
 
 
 def test_a_controller_that_is_too_hot_holds_nothing() -> None:
-    hot = PidGains(proportional=38.57 * 400, integral=1.46877 * 400, derivative=6.66875 * 400)
+    hot = replace(Peltier.loop, proportional=38.57 * 400, integral=1.46877 * 400, derivative=6.66875 * 400)
     found = judged(gains=hot)
     assert [c.margin for c in found.candidates] == [0.0, 0.0, 0.0]
     assert found.certainty.endswith("; the controller does not hold it")
@@ -146,7 +150,7 @@ def test_a_candidate_out_of_reach_has_no_margin() -> None:
     assert found.candidates[0].plant_gap_to_nominal is None
     assert found.candidates[1].margin is not None
     found = judge_uncertainty(candidates, models(), gaps(models()), "50 °C")
-    assert "the controller has no margin on it, because no PWM holds it at its set-point" in found.certainty
+    assert "the controller has no margin on it, because no input holds it at its set-point" in found.certainty
     assert found.candidates[1].plant_gap_to_nominal is None
 
 

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.discrimination import Candidate, CandidateScore, Family, nominal_of
-from twinmatch.plant import RigParameters
+from twinmatch.plants import Peltier
 
-RIG = RigParameters()
+RIG = Peltier.model().parameters()
 
 
 def candidate(operating_point: float, name: str | None = None) -> Candidate:

@@ -19,17 +19,19 @@ from twinmatch.discrimination import (
     twin_response,
 )
 from twinmatch.discrimination.models import ahead, deviations, operating_level
+from twinmatch.dynamics import Parameters, begin, simulate_closed_loop
 from twinmatch.identification import IdentificationError
-from twinmatch.plant import Camera, PidGains, RigParameters, simulate_closed_loop
+from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 
-RIG = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+MODEL = Peltier.model()
+RIG = MODEL.parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
 REFERENCE = np.repeat([30.0, 50.0, 70.0], [60, 120, 150])
 
 
-def measured(rig: RigParameters = RIG, seed: int = 1) -> Window:
-    camera = Camera().realise(len(REFERENCE), 1.0, seed)
-    run = simulate_closed_loop(rig, REFERENCE, plate=30.0 + KELVIN, camera=camera)
+def measured(rig: Parameters = RIG, seed: int = 1) -> Window:
+    sensor = Peltier.sensor.realise(len(REFERENCE), 1.0, seed)
+    run = simulate_closed_loop(rig, REFERENCE, states=begin(rig, 30.0), sensor=sensor)
     return Window(REFERENCE, run.output, run.input)
 
 
@@ -82,8 +84,8 @@ def test_models_of_the_loop_have_its_gain_and_its_poles_inside() -> None:
 def test_more_noise_free_information_is_explained_by_the_right_model_than_by_a_wrong_one() -> None:
     window = measured()
     own = identify(window)[0]
-    slow = identify(measured(RigParameters(seebeck=0.03, conductance=0.6, heat_capacity=60.0)))[0]
-    right, wrong = score(own, window), score(slow, window)
+    slow = identify(measured(MODEL.parameters(seebeck=0.03, conductance=0.6, heat_capacity=60.0)))[0]
+    right, wrong = score(own, window, absolute=KELVIN), score(slow, window, absolute=KELVIN)
     assert right.y.gain > wrong.y.gain
     assert right.y.naic < wrong.y.naic
     assert 0.0 < right.y.explanation < 1.0
@@ -91,7 +93,7 @@ def test_more_noise_free_information_is_explained_by_the_right_model_than_by_a_w
 
 def test_lengths_are_those_of_the_tables() -> None:
     window = measured()
-    scored = score(identify(window)[0], window, decimals=1)
+    scored = score(identify(window)[0], window, decimals=1, absolute=KELVIN)
     assert scored.y.trivial_length == code_length(window.output + KELVIN, 1) + 15
     assert scored.u.trivial_length == code_length(window.input, 1) + 15
     assert scored.total.gain == scored.y.gain + scored.u.gain
@@ -100,10 +102,10 @@ def test_lengths_are_those_of_the_tables() -> None:
 def test_the_gap_of_a_twin_to_its_own_plant_is_small_and_to_another_large() -> None:
     window = measured()
     plant = identify(window)[0]
-    gains, camera = PidGains(), Camera()
-    near = identify(twin_response(RIG, window, gains, camera, seed=7))[0]
-    far_rig = RigParameters(seebeck=0.15, conductance=0.2, heat_capacity=20.0)
-    far = identify(twin_response(far_rig, window, gains, camera, seed=7))[0]
+    gains, sensor = Peltier.loop, Peltier.sensor
+    near = identify(twin_response(RIG, window, gains, sensor, seed=7))[0]
+    far_rig = MODEL.parameters(seebeck=0.15, conductance=0.2, heat_capacity=20.0)
+    far = identify(twin_response(far_rig, window, gains, sensor, seed=7))[0]
     assert nu_gap_of(near.symbol, plant.symbol) < 0.1
     assert nu_gap_of(far.symbol, plant.symbol) > 2 * nu_gap_of(near.symbol, plant.symbol)
 
@@ -119,7 +121,7 @@ def test_the_twin_response_repeats_with_its_seed_only() -> None:
     window = measured()
 
     def run(seed: int) -> Any:
-        return twin_response(RIG, window, PidGains(), Camera(), seed).output
+        return twin_response(RIG, window, Peltier.loop, Peltier.sensor, seed).output
 
     np.testing.assert_array_equal(run(5), run(5))
     assert not np.array_equal(run(5), run(6))

@@ -23,16 +23,18 @@ from twinmatch.discrimination import (
 )
 from twinmatch.discrimination.certainty import DECIDED_FROM
 from twinmatch.discrimination.models import ahead, deviations, operating_level
+from twinmatch.dynamics import Parameters, begin, simulate_closed_loop
 from twinmatch.identification import BoxJenkins, estimate
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
-from twinmatch.signals import KELVIN, FloatArray, Window
+from twinmatch.plants import Peltier
+from twinmatch.signals import FloatArray, Window
 
 ORDER = "22221"
 REFERENCE = np.repeat([30.0, 50.0, 70.0, 55.0], [40, 120, 140, 120])
+MODEL = Peltier.model()
 RIGS = (
-    RigParameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),
-    RigParameters(seebeck=0.050, conductance=0.50, heat_capacity=31.0),
-    RigParameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
+    MODEL.parameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),
+    MODEL.parameters(seebeck=0.050, conductance=0.50, heat_capacity=31.0),
+    MODEL.parameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
 )
 
 
@@ -42,9 +44,9 @@ def truth() -> tuple[SimoModel, ...]:
     return tuple(identify(seen(rig, seed), [ORDER])[0] for seed, rig in enumerate(RIGS))
 
 
-def seen(rig: RigParameters, seed: int) -> Window:
-    camera = Camera().realise(len(REFERENCE), 1.0, seed)
-    run = simulate_closed_loop(rig, REFERENCE, plate=30.0 + KELVIN, camera=camera)
+def seen(rig: Parameters, seed: int) -> Window:
+    sensor = Peltier.sensor.realise(len(REFERENCE), 1.0, seed)
+    run = simulate_closed_loop(rig, REFERENCE, states=begin(rig, 30.0), sensor=sensor)
     return Window(REFERENCE, run.output, run.input)
 
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.discrimination import DiscriminationError, aic, akaike_weights, identify, loss, score_orders
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.dynamics import begin, simulate_closed_loop
+from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 
 
@@ -48,12 +49,12 @@ def test_what_is_no_criterion_is_refused(values: list[float]) -> None:
 
 def test_orders_are_weighed_by_the_aic_of_both_outputs() -> None:
     reference = np.repeat([30.0, 50.0, 70.0], [60, 120, 150])
-    rig = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
-    camera = Camera().realise(len(reference), 1.0, 3)
-    run = simulate_closed_loop(rig, reference, plate=30.0 + KELVIN, camera=camera)
+    rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+    sensor = Peltier.sensor.realise(len(reference), 1.0, 3)
+    run = simulate_closed_loop(rig, reference, states=begin(rig, 30.0), sensor=sensor)
     window = Window(reference, run.output, run.input)
     models = identify(window)
-    scores = score_orders(models, window)
+    scores = score_orders(models, window, absolute=KELVIN)
     totals = []
     for model, s in zip(models, scores, strict=True):
         # AIC from nAIC: both differ by a constant that no order changes

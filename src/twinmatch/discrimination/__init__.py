@@ -3,7 +3,7 @@
 `code_length` and `information_gain` price what a model leaves unexplained in characters. `naic`, `bic` and
 `mdl` price its prediction errors against its parameters. `nu_gap` is the distance between two models that
 counts for feedback: small where one controller serves both; `stability_margin` says how small it has to be
-for a given controller, and `rig_margin` says it of the running PID.
+for a given controller, and `loop_margin` says it of the running PID.
 
 On these rests the judgement of a `Family` of candidates: `twin_response` runs a candidate's twin on its
 window, `identify` finds Box–Jenkins models of it, `score` holds them against the measured window, and
@@ -22,10 +22,10 @@ from twinmatch.discrimination.criteria import aic, bic, loss, mdl, mdl_as_printe
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.discrimination.family import Candidate, Family
 from twinmatch.discrimination.graph_symbol import GraphSymbol, graph_symbol
+from twinmatch.discrimination.loop import Scales, loop_controller, loop_margin, loop_plant
 from twinmatch.discrimination.margin import stability_margin
 from twinmatch.discrimination.models import SimoModel, identify, twin_response
 from twinmatch.discrimination.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
-from twinmatch.discrimination.rig_loop import Scales, rig_controller, rig_margin, rig_plant
 from twinmatch.discrimination.score import Criteria, OrderScore, choose_order, common_order, score
 from twinmatch.discrimination.uncertainty import FamilyUncertainty, family_uncertainty
 from twinmatch.discrimination.verdict import CandidateScore, TrustLevel, Verdict, nominal_of
@@ -59,6 +59,9 @@ __all__ = [
     "identify",
     "information_gain",
     "judge_uncertainty",
+    "loop_controller",
+    "loop_margin",
+    "loop_plant",
     "loss",
     "mdl",
     "mdl_as_printed",
@@ -68,9 +71,6 @@ __all__ = [
     "nu_gap",
     "nu_gap_matrix",
     "nu_gap_of",
-    "rig_controller",
-    "rig_margin",
-    "rig_plant",
     "score",
     "score_orders",
     "stability_margin",

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.discrimination.graph_symbol import GraphSymbol
+from twinmatch.discrimination.loop import loop_controller, loop_plant
 from twinmatch.discrimination.margin import stability_margin
 from twinmatch.discrimination.models import SimoModel
 from twinmatch.discrimination.nu_gap import nu_gap_of
-from twinmatch.discrimination.rig_loop import Scales, rig_controller, rig_plant
 from twinmatch.discrimination.uncertainty import CONFIDENCE, SEED, FamilyUncertainty, family_uncertainty
 from twinmatch.discrimination.verdict import CandidateScore
+from twinmatch.dynamics import PidGains, gains_of
 from twinmatch.errors import TwinmatchError
-from twinmatch.plant import Driver, PidGains
 
 __all__ = ["DECIDED_FROM", "Certainty", "judge_uncertainty"]
 
@@ -46,7 +46,6 @@ def judge_uncertainty(
     *,
     plant: SimoModel | None = None,
     gains: PidGains | None = None,
-    driver: Driver | None = None,
     seed: int = SEED,
 ) -> Certainty:
     """Fill in what is known about how sure the scores of a family are.
@@ -60,16 +59,14 @@ def judge_uncertainty(
         gaps: ν-gaps between these models, shape (n, n).
         nominal: name of the candidate that was chosen.
         plant: the model identified on the newest window, if any; it decides between two.
-        gains: of the running controller.
-        driver: between PWM and module.
+        gains: of the running controller; those of the plant file, at 1 s, if not given.
         seed: of the draws.
     """
-    gains, driver = gains or PidGains(), driver or Driver()
     names = [c.name for c in candidates]
     if nominal not in names:
         return Certainty(tuple(candidates), False, "")
     chosen = names.index(nominal)
-    scored = _with_margins(candidates, chosen, gains, driver)
+    scored = _with_margins(candidates, chosen, gains)
     try:
         known = family_uncertainty(models, gaps, plant=plant, seed=seed)
     except TwinmatchError as error:
@@ -81,13 +78,14 @@ def judge_uncertainty(
 
 
 def _with_margins(
-    candidates: Sequence[CandidateScore], chosen: int, gains: PidGains, driver: Driver
+    candidates: Sequence[CandidateScore], chosen: int, gains: PidGains | None
 ) -> tuple[CandidateScore, ...]:
     try:
-        controller = rig_controller(gains)
-    except TwinmatchError:  # no proportional part: nothing to scale by
+        gains = gains or gains_of(candidates[chosen].parameters.model.plant, 1.0)
+        controller = loop_controller(gains)
+    except TwinmatchError:  # no controller is known, or it has no proportional part to scale by
         return tuple(candidates)
-    plants = [_plant(c, gains, driver) for c in candidates]
+    plants = [_plant(c, gains) for c in candidates]
     centre = plants[chosen]
     return tuple(
         replace(
@@ -99,11 +97,9 @@ def _with_margins(
     )
 
 
-def _plant(candidate: CandidateScore, gains: PidGains, driver: Driver) -> GraphSymbol | None:
+def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:
     try:
-        return rig_plant(
-            candidate.parameters, candidate.operating_point, gains, driver=driver, scales=Scales.of(gains)
-        )
+        return loop_plant(candidate.parameters, candidate.operating_point, gains)
     except TwinmatchError:
         return None
 
@@ -150,7 +146,7 @@ def _reach(candidates: Sequence[CandidateScore], chosen: int) -> str:
     margin = candidates[chosen].margin
     lost = [c.name for c in candidates if c.margin == 0]
     if margin is None:
-        return "the controller has no margin on it, because no PWM holds it at its set-point"
+        return "the controller has no margin on it, because no input holds it at its set-point"
     if margin == 0:
         return "the controller does not hold it"
     begin = f"the controller holds it and every plant within a ν-gap of {margin:.2f}"

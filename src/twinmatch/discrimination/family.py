@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twinmatch.plant import RigParameters
+from twinmatch.dynamics import Parameters
 from twinmatch.signals import Window
 
 __all__ = ["Candidate", "Family"]
@@ -16,8 +16,8 @@ class Candidate:
 
     name: str
     operating_point: float
-    """Set-point at the end of the window it was matched on, °C."""
-    parameters: RigParameters
+    """Set-point at the end of the window it was matched on."""
+    parameters: Parameters
     window: Window | None
     """The window it was matched on; None for one that was given, not matched."""
 
@@ -30,7 +30,7 @@ class Family:
 
         Args:
             most: how many candidates are kept; the one matched longest ago leaves first.
-            regime_width: operating points closer than half of this, in °C, are one regime.
+            regime_width: operating points closer than half of this, in the output's unit, are one regime.
         """
         self.most = most
         self.regime_width = regime_width
@@ -45,7 +45,7 @@ class Family:
         return tuple(sorted(self._candidates, key=lambda c: (c.operating_point, c.name)))
 
     def standing_at(self, operating_point: float) -> Candidate | None:
-        """The candidate whose regime holds this set-point (°C), if there is one."""
+        """The candidate whose regime holds this set-point, if there is one."""
         near = [
             c for c in self._candidates if abs(c.operating_point - operating_point) < self.regime_width / 2
         ]

@@ -1,4 +1,4 @@
-"""From a window to its Box–Jenkins models, set-point → temperature and set-point → control.
+"""From a window to its Box–Jenkins models, set-point → output and set-point → input.
 
 Where the paper's text is open, this is where the reading is taken; `docs/method.md` gives the reasons.
 """
@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from twinmatch.discrimination.graph_symbol import GraphSymbol
+from twinmatch.dynamics import Parameters, PidGains, Sensor, simulate_window
 from twinmatch.identification import ORDERS, BoxJenkins, estimate_ladder
-from twinmatch.plant import Camera, PidGains, RigParameters, simulate_window
 from twinmatch.signals import FloatArray, Window
 
 __all__ = ["Level", "SimoModel", "ahead", "deviations", "identify", "operating_level", "twin_response"]
 
 LEAD = 20
-"""Samples before the first step whose mean is the window's steady control."""
+"""Samples before the first step whose mean is the window's steady input."""
 
 
 class Level(NamedTuple):
@@ -33,7 +33,7 @@ class Level(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SimoModel:
-    """One input, the set-point; two outputs, temperature and control."""
+    """One input, the set-point; two outputs, y and u of the loop."""
 
     order: str
     y: BoxJenkins
@@ -43,17 +43,16 @@ class SimoModel:
 
     @cached_property
     def symbol(self) -> GraphSymbol:
-        """Graph symbol of [y/r; u/r], for the ν-gap; y in °C, u in PWM counts, as in the paper."""
-        control = self.u.B[1:]  # without the delay that `ahead` put in
-        return GraphSymbol.of_fractions([(self.y.B, self.y.F), (control, self.u.F)], period=self.y.period)
+        """Graph symbol of [y/r; u/r], for the ν-gap; y and u in their units, as in the paper."""
+        input_ = self.u.B[1:]  # without the delay that `ahead` put in
+        return GraphSymbol.of_fractions([(self.y.B, self.y.F), (input_, self.u.F)], period=self.y.period)
 
 
 def operating_level(window: Window) -> Level:
     """What to subtract so that the window begins at zero.
 
-    The set-point before the first step stands for reference and temperature; for the control the mean
-    of the last samples before that step, when the loop has come to rest even if the window began in
-    a transient.
+    The set-point before the first step stands for reference and output; for the input the mean of the last
+    samples before that step, when the loop has come to rest even if the window began in a transient.
     """
     moved = np.flatnonzero(window.reference != window.reference[0])
     step = int(moved[0]) if moved.size else len(window)
@@ -62,7 +61,7 @@ def operating_level(window: Window) -> Level:
 
 
 def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Reference, temperature and control of a window as deviations from `level`, shape (N,) each."""
+    """Reference, output and input of a window as deviations from `level`, shape (N,) each."""
     return (
         window.reference - level.output,
         window.output - level.output,
@@ -71,7 +70,7 @@ def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, Fl
 
 
 def ahead(reference: FloatArray) -> FloatArray:
-    """The set-point one tick early, shape (N,): what the control's model is driven with.
+    """The set-point one tick early, shape (N,): what the input's model is driven with.
 
     The controller answers a set-point in the same tick, so u[k] depends on r[k]; orders with nk = 1 know
     no such thing and would take the whole kick at a step for noise. Counted from the tick in which the
@@ -81,7 +80,7 @@ def ahead(reference: FloatArray) -> FloatArray:
 
 
 def identify(window: Window, orders: Sequence[str] = ORDERS) -> tuple[SimoModel, ...]:
-    """Box–Jenkins models of every order from a window's set-point to its temperature and control.
+    """Box–Jenkins models of every order from a window's set-point to its output and input.
 
     They are the minima next to the start values, not the lowest of all: on windows of the rig the lowest
     differ by a few per cent in the prediction errors, and reach them with a noise model that takes over
@@ -98,13 +97,13 @@ def identify(window: Window, orders: Sequence[str] = ORDERS) -> tuple[SimoModel,
 
 
 def twin_response(
-    parameters: RigParameters, window: Window, gains: PidGains, camera: Camera, seed: int
+    parameters: Parameters, window: Window, gains: PidGains | None, sensor: Sensor | None, seed: int
 ) -> Window:
-    """The closed-loop twin on a window's reference, seen through the camera.
+    """The closed-loop twin on a window's reference, seen through the sensor.
 
     It starts from the window's third sample: the first two give the controller's state.
     """
-    response = simulate_window(parameters, window, gains=gains, camera=camera, seed=seed)
+    response = simulate_window(parameters, window, gains=gains, sensor=sensor, seed=seed)
     return Window(
         window.reference[2:],
         response.output,

@@ -13,7 +13,7 @@ from twinmatch.discrimination.code_length import information_gain, two_part_leng
 from twinmatch.discrimination.criteria import bic, mdl, naic
 from twinmatch.discrimination.models import SimoModel, ahead, deviations, operating_level
 from twinmatch.identification import BoxJenkins
-from twinmatch.signals import KELVIN, FloatArray, Window
+from twinmatch.signals import FloatArray, Window
 
 __all__ = ["Criteria", "OrderScore", "choose_order", "common_order", "score"]
 
@@ -67,18 +67,19 @@ class OrderScore:
     """Akaike weight of this order among those scored beside it, 0 to 1; NaN where not computed."""
 
 
-def score(model: SimoModel, window: Window, decimals: int = 2) -> OrderScore:
+def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: float) -> OrderScore:
     """Judge a model on a measured window, whichever data it was identified on.
 
     Args:
-        model: set-point to temperature and to control.
+        model: set-point to output and to input.
         window: measured samples.
-        decimals: places the tables of the information gain are written with; temperatures in kelvin,
-            as the published lengths show (paper, table IV).
+        decimals: places the tables of the information gain are written with.
+        absolute: added to outputs in these tables (`Output.absolute`): the published lengths show that
+            they hold kelvin (paper, table IV).
     """
     level = operating_level(window)
     r, y, u = deviations(window, level)
-    on_y = _criteria(model.y, r, y, level.output + KELVIN, decimals)
+    on_y = _criteria(model.y, r, y, level.output + absolute, decimals)
     on_u = _criteria(model.u, ahead(r), u, level.input, decimals)
     return OrderScore(model.order, on_y, on_u, on_y + on_u)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from twinmatch.discrimination.score import Criteria, OrderScore
-from twinmatch.plant import RigParameters
+from twinmatch.dynamics import Parameters
 
 __all__ = ["CandidateScore", "TrustLevel", "Verdict", "nominal_of"]
 
@@ -31,8 +31,8 @@ class CandidateScore:
 
     name: str
     operating_point: float
-    """°C"""
-    parameters: RigParameters
+    """In the output's unit."""
+    parameters: Parameters
     first: int
     """First sample of the window it was matched on; equal to `last` + 1 for one that was given."""
     last: int
@@ -48,7 +48,7 @@ class CandidateScore:
     margin: float | None = None
     """Stability margin b(P, C) of the running controller on this candidate's plant, 0 to 1."""
     plant_gap_to_nominal: float | None = None
-    """ν-gap from the nominal candidate's plant to this one's, PWM to temperature, scaled as `margin`."""
+    """ν-gap from the nominal candidate's plant to this one's, input to output, scaled as `margin`."""
     nu_gap_low: tuple[float, ...] = ()
     """Lower ends of the 90 % intervals of the ν-gaps to the candidates, in their order."""
     nu_gap_high: tuple[float, ...] = ()
@@ -84,9 +84,9 @@ class Verdict:
     nu_gap: tuple[tuple[float, ...], ...]
     """ν-gap between the candidates, in the order of `candidates`."""
     residual_y: float
-    """RMS over the newest samples of measured minus driven-twin temperature, °C; NaN without a nominal."""
+    """RMS over the newest samples of measured minus driven-twin output; NaN without a nominal."""
     residual_u: float
-    """RMS over the same samples of measured minus closed-loop-twin control, PWM; NaN without a nominal."""
+    """RMS over the same samples of measured minus closed-loop-twin input; NaN without a nominal."""
     decided: bool = False
     """Whether the data tell which candidate is nominal."""
     certainty: str = ""
@@ -97,8 +97,8 @@ class Verdict:
     """Index of the sample since which that fault shows; None without a fault."""
     structure: str = ""
     """Name of the plant structure that the samples pay for; empty before the first comparison."""
-    structure_parameters: RigParameters | None = None
-    """The rig as that structure has it; the candidates stay those of the structure that is matched."""
+    structure_parameters: Parameters | None = None
+    """The plant as that structure has it; the candidates stay those of the structure that is matched."""
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:

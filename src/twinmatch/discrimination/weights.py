@@ -54,13 +54,15 @@ def akaike_weights(criteria: ArrayLike) -> AkaikeWeights:
     return AkaikeWeights(differences, likelihoods / likelihoods.sum())
 
 
-def score_orders(models: Sequence[SimoModel], window: Window, decimals: int = 2) -> tuple[OrderScore, ...]:
+def score_orders(
+    models: Sequence[SimoModel], window: Window, decimals: int = 2, *, absolute: float
+) -> tuple[OrderScore, ...]:
     """`score` of every order of one candidate, with the Akaike differences and weights among them.
 
     Raises:
         DiscriminationError: no model, or as `score`.
     """
-    scores = [score(model, window, decimals) for model in models]
+    scores = [score(model, window, decimals, absolute=absolute) for model in models]
     found = akaike_weights([len(window) * s.total.naic for s in scores])
     return tuple(
         replace(s, aic_difference=float(d), weight=float(w))

@@ -77,6 +77,8 @@ class Output(Declaration):
     """Standard deviation of a reading; weighs what is left of y in a match."""
     span: tuple[float, float]
     """Readings that a working sensor can give."""
+    absolute: float = 0.0
+    """What to add to a reading to count it from where its quantity is zero: 273.15 for °C."""
 
 
 @dataclass(frozen=True, kw_only=True)

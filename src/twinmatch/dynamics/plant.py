@@ -63,7 +63,7 @@ class Plant:
         cls.title = cls.title or cls.__name__
         found: dict[str, Declaration] = {}
         for base in reversed(cls.__mro__):
-            found |= {n: v for n, v in vars(base).items() if isinstance(v, Declaration)}
+            found |= {n: v for n, v in vars(base).items() if isinstance(v, Declaration) and v.name == n}
         cls.declarations = found
         cls.states = cls._of(State)
         cls.parameters = cls._of(Parameter)

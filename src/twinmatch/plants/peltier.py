@@ -72,7 +72,9 @@ class Peltier(Plant, name="peltier"):
     title = "Peltier rig"
     parts = (_MASS, _LAG, _SLOPE)
 
-    temperature = Output(unit="°C", noise=0.1, span=(-60.0, 250.0), text="plate temperature", symbol="y")
+    temperature = Output(
+        unit="°C", noise=0.1, span=(-60.0, 250.0), absolute=KELVIN, text="plate temperature", symbol="y"
+    )
     pwm = Drive(unit="PWM", limits=(-COUNTS, COUNTS), noise=7.0, text="PWM, positive heats", symbol="u")
 
     plate = State(unit="K", span=(250.0, 400.0), text="plate (side A)", symbol="T_A")

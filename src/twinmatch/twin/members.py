@@ -84,11 +84,12 @@ class Members:
         """
         settings = self._settings
         response = twin_response(
-            candidate.parameters, window, settings.gains, settings.camera, settings.seed + window.first
+            candidate.parameters, window, settings.gains, settings.sensor, settings.seed + window.first
         )
         models = {m.order: m for m in identify(response)}
         measured = window.part(response.first, response.last)
-        orders = score_orders(list(models.values()), measured, settings.decimals)
+        absolute = settings.plant.output.absolute
+        orders = score_orders(list(models.values()), measured, settings.decimals, absolute=absolute)
         leaving = self._family.admit(candidate)
         if leaving is not None:
             del self._members[leaving.name]
@@ -114,6 +115,7 @@ class Members:
         family = [self._members[c.name] for c in self._family.candidates]
         models = [j.models[plant.order] for j in family]
         matrix = nu_gap_matrix([m.symbol for m in models])
+        decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
         scores = tuple(
             CandidateScore(
                 name=member.candidate.name,
@@ -124,7 +126,7 @@ class Members:
                 orders=member.orders,
                 chosen_order=member.chosen,
                 nu_gap_sum=float(total),
-                newest=score(model, newest, self._settings.decimals).total,
+                newest=score(model, newest, decimals, absolute=absolute).total,
                 nu_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
             )
             for member, model, total in zip(family, models, matrix.sum(axis=0), strict=True)
