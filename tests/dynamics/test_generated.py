@@ -83,7 +83,8 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
     experiment = Experiment(base, free, window, free_starts=starts, closed=closed)
     values = experiment.values_of(base)
     exact = experiment.tangents(values)
-    np.testing.assert_array_equal(exact.output, experiment.simulate(values).output)
+    # The derivatives share subexpressions with the rates, which rounds them another way.
+    np.testing.assert_allclose(exact.output, experiment.simulate(values).output, rtol=1e-12)
     for j, name in enumerate([*free, *starts]):
         scale = base.model.declared[name].scale if j < len(free) else 1.0
         step = np.zeros(values.size)
@@ -197,13 +198,13 @@ def test_what_cannot_be_run_is_refused() -> None:
         simulate_driven(p, [4.0], states=begin(p, 0.0), period=0)
     with pytest.raises(PlantError, match="the input is inf"):
         advance(p, np.array([0.0]), math.inf, 0.05)
-    with pytest.raises(PlantError, match="begin at .*nan"):
+    with pytest.raises(PlantError, match=r"begin at .*nan"):
         begin(p, math.nan)
     with pytest.raises(PlantError, match="no state 'sink'; it has omega"):
         begin(p, 0.0, starts={"sink": 1.0})
     with pytest.raises(PlantError, match="sensor was realised for 2 samples, the run has 3"):
         simulate_closed_loop(p, [1.0, 2.0, 3.0], states=begin(p, 0.0), sensor=Sensor().realise(2, 0.05, 1))
-    with pytest.raises(PlantError, match=r"a time constant of .* s is too short for a period of 1e\+04 s"):
+    with pytest.raises(PlantError, match=r"a time constant of .* s is too short for a period of 10000 s"):
         advance(p, np.array([0.0]), 0.0, 1e4)
     with pytest.raises(PlantError, match="plant lag: its controller is not known"):
         simulate_closed_loop(Lag.model().parameters(), [1.0], states=np.zeros(1))

@@ -18,6 +18,7 @@ from twinmatch.dynamics import (
     Parameter,
     Plant,
     PlantError,
+    Sensor,
     State,
     Structure,
     advance,
@@ -48,7 +49,7 @@ def test_parameters_are_a_mapping_with_units() -> None:
 def test_impossible_parameters_are_refused_in_words() -> None:
     model = Motor.model()
     with pytest.raises(
-        PlantError, match="DC motor, without friction: no parameter 'dry' in this structure; it has k, r"
+        PlantError, match=r"DC motor, without friction: no parameter 'dry' in this structure; it has k, r"
     ):
         model.parameters(dry=1.0)
     with pytest.raises(PlantError, match="j is 0 kg m²; it must be finite and positive"):
@@ -159,12 +160,17 @@ def test_where_a_plant_cannot_be_held_is_said() -> None:
 
 
 def test_an_observer_finds_the_state_no_sensor_shows() -> None:
-    """The heat sink, 15 K off at first, within three times what the observer says of itself; and the surprises
-    have the variance that was foretold."""
+    """The heat sink, 15 K off at first, within three times what the observer says of itself.
+
+    And the surprises have the variance that was foretold.
+    """
     rig = MASSIVE.parameters()
     u = 120.0 * np.sign(np.sin(np.arange(1200) / 60.0))
     truth = simulate_driven(
-        rig, u, states=begin(rig, 22.85, starts={"sink": 311.0}), sensor=Peltier.sensor.realise(1200, 1.0, 4)
+        rig,
+        u,
+        states=begin(rig, 22.85, starts={"sink": 311.0}),
+        sensor=Sensor(noise=0.1).realise(1200, 1.0, 4),
     )
     observer = Observer(rig, truth.output[0], period=1.0, drift=[1e-3, 1e-3], start=[0.2, 10.0])
     ratios = []
@@ -175,7 +181,7 @@ def test_an_observer_finds_the_state_no_sensor_shows() -> None:
             observer.predict(u[k])
     off = abs(observer.states[1] - truth.states[-2, 1])
     assert off < 3 * np.sqrt(observer.covariance[1, 1]) < 1.0
-    # The mean of 1200 squares of normal numbers is 1 ± 0.04; the camera's pauses add a little.
+    # The mean of 1200 squares of normal numbers is 1 ± 0.04.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 

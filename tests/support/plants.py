@@ -58,11 +58,11 @@ class Motor(Plant, name="motor"):
     loop = PidGains(0.15, 0.6, 0.0, 5.0, -24.0, 24.0, period=0.05)
 
     def equations(self, parts: frozenset[str]) -> Equations:
-        """Electrical side quasi-static; dry friction fades in over 1 rad/s."""
+        """Electrical side quasi-static; dry friction fades in over 20 rad/s."""
         current = limited((self.volts - self.k * self.omega) / self.r, -self.most, self.most)
         torque = self.k * current - self.b * self.omega - self.load
         if "friction" in parts:
-            torque -= self.dry * self.omega / (1 + magnitude(self.omega))
+            torque -= self.dry * self.omega / (20 + magnitude(self.omega))
         return Equations(
             rates={self.omega: torque / self.j},
             output=self.omega,

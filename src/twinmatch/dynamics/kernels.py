@@ -47,7 +47,7 @@ from twinmatch.signals import FloatArray
 
 __all__ = ["advance", "begin", "look", "rate_bound", "run", "run_with_tangents", "slopes_at", "tick_slopes"]
 
-MOST_EVENTS = 8
+MOST_EVENTS = 24
 """Kinks crossed in one step before it is taken as it is."""
 BISECTIONS = 48
 MOST_SWITCHES = 6
@@ -55,27 +55,39 @@ MOST_SWITCHES = 6
 
 
 @compiled
+def _crossed(a: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any) -> bool:
+    """Whether some states lie beyond a kink."""
+    return N_SWITCHES > 0 and switches(a, u, d, p, c) != b
+
+
+@compiled
 def _runge_kutta(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> Any:
-    """States after one step with the switches held."""
+    """States after one step with the switches held, and whether a kink lies on the way.
+
+    The stages are asked too: beyond a kink the equations of this side may mean nothing.
+    """
     k1 = rates(x, u, d, p, c, b)
-    k2 = rates(shifted(x, k1, 0.5 * h), u, d, p, c, b)
-    k3 = rates(shifted(x, k2, 0.5 * h), u, d, p, c, b)
-    k4 = rates(shifted(x, k3, h), u, d, p, c, b)
-    return combined(x, k1, k2, k3, k4, h)
+    x2 = shifted(x, k1, 0.5 * h)
+    k2 = rates(x2, u, d, p, c, b)
+    x3 = shifted(x, k2, 0.5 * h)
+    k3 = rates(x3, u, d, p, c, b)
+    x4 = shifted(x, k3, h)
+    k4 = rates(x4, u, d, p, c, b)
+    there = combined(x, k1, k2, k3, k4, h)
+    crossed = _crossed(there, u, d, p, c, b) or _crossed(x4, u, d, p, c, b)
+    return there, crossed or _crossed(x3, u, d, p, c, b) or _crossed(x2, u, d, p, c, b)
 
 
 @compiled
 def _reach(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> float:
-    """How far a step may go: h, or just beyond the first kink before."""
-    if switches(_runge_kutta(x, u, d, p, c, b, h), u, d, p, c) == b:
-        return h
+    """Length of the step that ends just beyond the first kink on the way of a step by h."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if switches(_runge_kutta(x, u, d, p, c, b, middle), u, d, p, c) == b:
-            low = middle
-        else:
+        if _runge_kutta(x, u, d, p, c, b, middle)[1]:
             high = middle
+        else:
+            low = middle
     return high
 
 
@@ -86,11 +98,11 @@ def _tick(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float,
         left = period / steps
         for event in range(MOST_EVENTS):
             b = switches(x, u, d, p, c)
-            there = _runge_kutta(x, u, d, p, c, b, left)
             went = left
-            if N_SWITCHES > 0 and event < MOST_EVENTS - 1 and switches(there, u, d, p, c) != b:
+            there, crossed = _runge_kutta(x, u, d, p, c, b, left)
+            if crossed and event < MOST_EVENTS - 1:
                 went = _reach(x, u, d, p, c, b, left)
-                there = _runge_kutta(x, u, d, p, c, b, went)
+                there, _ = _runge_kutta(x, u, d, p, c, b, went)
             x = there
             left -= went
             if not left > 0.0:
@@ -114,13 +126,17 @@ def _tick_with_tangents(
             h = left
             while True:
                 k1, fx1, fu1 = rates_and_slopes(x, u, d, p, c, b, fp, 0)
-                k2, fx2, fu2 = rates_and_slopes(shifted(x, k1, 0.5 * h), u, d, p, c, b, fp, 1)
-                k3, fx3, fu3 = rates_and_slopes(shifted(x, k2, 0.5 * h), u, d, p, c, b, fp, 2)
-                k4, fx4, fu4 = rates_and_slopes(shifted(x, k3, h), u, d, p, c, b, fp, 3)
+                x2 = shifted(x, k1, 0.5 * h)
+                k2, fx2, fu2 = rates_and_slopes(x2, u, d, p, c, b, fp, 1)
+                x3 = shifted(x, k2, 0.5 * h)
+                k3, fx3, fu3 = rates_and_slopes(x3, u, d, p, c, b, fp, 2)
+                x4 = shifted(x, k3, h)
+                k4, fx4, fu4 = rates_and_slopes(x4, u, d, p, c, b, fp, 3)
                 there = combined(x, k1, k2, k3, k4, h)
                 if N_SWITCHES == 0 or h < left or event == MOST_EVENTS - 1:
                     break
-                if switches(there, u, d, p, c) == b:
+                crossed = _crossed(there, u, d, p, c, b) or _crossed(x4, u, d, p, c, b)
+                if not (crossed or _crossed(x3, u, d, p, c, b) or _crossed(x2, u, d, p, c, b)):
                     break
                 reach = _reach(x, u, d, p, c, b, left)
                 if not reach < h:

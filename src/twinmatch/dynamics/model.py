@@ -147,7 +147,8 @@ class Model:
     @cached_property
     def _corners(self) -> FloatArray:
         spans = [self.plant.states[name].span for name in self.states]
-        return np.array(list(itertools.product(*spans)), dtype=np.float64)
+        corners = np.array(list(itertools.product(*spans)), dtype=np.float64)
+        return np.vstack([corners, corners.mean(axis=0)])
 
     @cached_property
     def _drives(self) -> FloatArray:
