@@ -77,20 +77,20 @@ def test_samples_are_steps_of_the_pid(start: Callable[..., Process], bench: Benc
     samples = [sample_from(message) for message in bench.samples]
     assert all(s.reference == (40.0 if s.index % 40 < 20 else 60.0) for s in samples)
     assert [m.data for m in references] == [40.0, 60.0, 40.0]
-    assert samples[0].pwm == 0
+    assert samples[0].input == 0
     gains = PidGains(period=0.05)
     for before, after in pairwise(samples):
         if after.index != before.index + 1:
             continue  # a tick was missed on a busy machine
-        error, error_before = after.reference - after.temperature, before.reference - before.temperature
-        if abs(before.pwm) < 255 and abs(after.pwm) < 255:
+        error, error_before = after.reference - after.output, before.reference - before.output
+        if abs(before.input) < 255 and abs(after.input) < 255:
             change = (
                 gains.proportional * (error - error_before) + gains.period * gains.integral * error_before
             )
             jump = gains.derivative * (error - error_before) / gains.period
-            assert after.pwm - before.pwm == pytest.approx(change + jump, abs=1e-6)
+            assert after.input - before.input == pytest.approx(change + jump, abs=1e-6)
     at_tick = {m.index: m.pwm for m in reversed(bench.commands)}
-    assert all(at_tick[s.index] == s.pwm for s in samples if s.index in at_tick)
+    assert all(at_tick[s.index] == s.input for s in samples if s.index in at_tick)
     assert len(bench.commands) > len(samples), "commands are repeated between ticks"
 
 
