@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,27 +14,17 @@ import pytest
 import scipy.io
 from hypothesis import settings
 
+from tests.support.places import PROJECT
 from twinmatch.signals import Window
 
-PROJECT = Path(__file__).resolve().parents[1]
 RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "shared" / "rig_recordings"))
 """Hours of the real rig. They have no licence for copying, so they stay outside the project."""
 
-ON_WALL_CLOCKS = (
-    *("camera_server", "dashboard", "emulation", "foxglove"),
-    *("launching", "links", "nodes", "system"),
-)
-"""Folders whose tests wait for other processes; see docs/decisions/0006."""
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("repeatable")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A test that waits for other processes may be tried again; pytest prints every such try."""
-    for item in items:
-        if item.path.relative_to(PROJECT / "tests").parts[0] in ON_WALL_CLOCKS:
-            item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=2))
 
 
 @pytest.fixture(scope="session", autouse=True)

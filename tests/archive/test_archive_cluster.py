@@ -6,13 +6,14 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from tests.support.processes import Process
+from tests.support.waiting import wait_for
 from twinmatch.archive import Archive, ClusterError, judge_archive
 
 pytest.importorskip("distributed", reason="distributed is not installed; it is in the extra 'cluster'")
@@ -23,29 +24,15 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def dask(stack: ExitStack, folder: Path, *arguments: str) -> None:
     """Run one of Dask's programs until the stack ends; what it says goes into the folder."""
     quiet = os.environ | {"DASK_DISTRIBUTED__ADMIN__LOW_LEVEL_LOG_LENGTH": "0"}
-    log = stack.enter_context((folder / f"{arguments[0]}.log").open("w"))
     command = [sys.executable, "-m", "dask", *arguments, "--host", "127.0.0.1", "--no-dashboard"]
-    process = subprocess.Popen(command, cwd=folder, env=quiet, stdout=log, stderr=subprocess.STDOUT)
-
-    def end() -> None:
-        process.terminate()
-        try:
-            process.wait(timeout=20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-    stack.callback(end)
+    process = Process(*command, output=folder / f"{arguments[0]}.log", environment=quiet, folder=folder)
+    stack.callback(process.end)
 
 
-def address_in(file: Path, timeout: float = 60.0) -> str:
+def address_in(file: Path) -> str:
     """The address a scheduler writes into its file once it listens."""
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        if file.exists() and (text := file.read_text()).rstrip().endswith("}"):
-            return str(json.loads(text)["address"])
-        time.sleep(0.1)
-    pytest.fail(f"no scheduler wrote {file}")
+    wait_for(lambda: file.exists() and file.read_text().rstrip().endswith("}"), f"a scheduler in {file}")
+    return str(json.loads(file.read_text())["address"])
 
 
 @pytest.fixture(scope="module")

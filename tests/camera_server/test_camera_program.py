@@ -6,12 +6,14 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from tests.support.camera import CameraProgram
+from tests.support.places import CAMERA_PATHS
+from tests.support.waiting import wait_for
 from twinmatch.emulation.lepton import PLATE
 from twinmatch.emulation.lepton_feed import PlateFeed
 from twinmatch.links.thermal_client import ThermalClient
@@ -19,43 +21,43 @@ from twinmatch.links.thermal_region import region
 from twinmatch.links.thermal_status import ClientSettings, Received
 
 SETTINGS = ClientSettings(first_wait=0.05, longest_wait=0.2)
-PATIENCE = 20.0
 
 
 def next_news(client: ThermalClient) -> Received:
-    deadline = time.monotonic() + PATIENCE
     before = client.news()
-    while time.monotonic() < deadline:
+
+    def another() -> Received | None:
         news = client.news()
-        if news is not None and news is not before:
-            return news
-        time.sleep(0.01)
-    raise AssertionError(client.status)
+        return news if news is not before else None
+
+    found = wait_for(another, lambda: str(client.status))
+    assert found is not None
+    return found
 
 
-def test_a_plate_at_one_temperature(camera: Callable) -> None:
+def test_a_plate_at_one_temperature(camera: Callable[..., CameraProgram]) -> None:
     server = camera("emulated", "--plate", "60", "--seed", "3")
     with ThermalClient("127.0.0.1", server.port, SETTINGS) as client:
         for _ in range(5):
             # Common noise 0.08 °C, gradient 0.02 of 37 °C at most.
             assert region(next_news(client).frame, PLATE).mean == pytest.approx(60.0, abs=1.2)
         assert client.status.missed == 0
-    server.process.send_signal(signal.SIGTERM)
-    assert server.end() == 0
-    assert server.lines[-1].endswith("stopped")
+    assert server.process.end() == 0
+    assert server.process.lines[-1].endswith("stopped")
 
 
-def test_interrupt_is_a_clean_stop_too(camera: Callable) -> None:
+def test_interrupt_is_a_clean_stop_too(camera: Callable[..., CameraProgram]) -> None:
     server = camera("emulated", "--plate", "60")
     assert server.port
-    server.process.send_signal(signal.SIGINT)
-    assert server.end() == 0
+    assert server.process.end(signal.SIGINT) == 0
 
 
-def test_a_fed_plate_is_followed_and_silence_is_no_frame(camera: Callable, tmp_path: Path) -> None:
+def test_a_fed_plate_is_followed_and_silence_is_no_frame(
+    camera: Callable[..., CameraProgram], tmp_path: Path
+) -> None:
     path = tmp_path / "plate.sock"
     server = camera("emulated", "--feed", str(path))
-    server.said("no plate temperature on .*plate.sock; no frames until one comes")
+    server.process.said("no plate temperature on .*plate.sock; no frames until one comes")
     with ThermalClient("127.0.0.1", server.port, SETTINGS) as client, PlateFeed(path) as feed:
         assert client.newest() is None
         for plate in (30.0, 80.0):
@@ -63,24 +65,19 @@ def test_a_fed_plate_is_followed_and_silence_is_no_frame(camera: Callable, tmp_p
             for _ in range(2):
                 received = next_news(client)
             assert region(received.frame, PLATE).mean == pytest.approx(plate, abs=1.5)
-        server.said("plate temperature 30.00 °C on .*; frames again")
-        deadline = time.monotonic() + PATIENCE
-        while "ThermalStallError" not in client.status.errors:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-    server.process.terminate()
-    assert server.end() == 0
+        server.process.said("plate temperature 30.00 °C on .*; frames again")
+        wait_for(lambda: "ThermalStallError" in client.status.errors, "the stall")
+    assert server.process.end() == 0
     assert not path.exists()
 
 
-def test_a_killed_server_is_found_again(camera: Callable) -> None:
+def test_a_killed_server_is_found_again(camera: Callable[..., CameraProgram]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"127.0.0.1:{free.getsockname()[1]}"
     first = camera("emulated", "--plate", "60", listen=address)
     with ThermalClient("127.0.0.1", first.port, SETTINGS) as client:
         next_news(client)
         first.process.kill()
-        assert first.end() == -signal.SIGKILL
         second = camera("emulated", "--plate", "60", listen=address)
         assert second.port == first.port
         before = client.status.connections
@@ -90,31 +87,31 @@ def test_a_killed_server_is_found_again(camera: Callable) -> None:
         assert client.status.errors["ThermalEndError"] == 1
 
 
-def test_this_computer_only_unless_told_otherwise(camera: Callable) -> None:
+def test_this_computer_only_unless_told_otherwise(camera: Callable[..., CameraProgram]) -> None:
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", 5580))
         except OSError:
             pytest.skip("port 5580 is in use here")
     server = camera("emulated", "--plate", "60", listen=None)
-    assert server.said(r"serving .* on (.*):5580$")[1] == "127.0.0.1"
+    assert server.process.said(r"serving .* on (.*):5580$")[1] == "127.0.0.1"
 
 
-def test_a_taken_port(camera: Callable) -> None:
+def test_a_taken_port(camera: Callable[..., CameraProgram]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         server = camera("emulated", "--plate", "60", listen=address)
-        assert server.end() == 3
-    assert len(server.lines) == 1
-    assert f"cannot listen on {address}" in server.lines[0]
+        assert server.process.wait() == 3
+    assert len(server.process.lines) == 1
+    assert f"cannot listen on {address}" in server.process.lines[0]
 
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:", ":5580", "127.0.0.1:99999", "127.0.0.1:http"])
-def test_an_address_that_is_none(camera: Callable, listen: str) -> None:
+def test_an_address_that_is_none(camera: Callable[..., CameraProgram], listen: str) -> None:
     server = camera("emulated", "--plate", "60", listen=listen)
-    assert server.end() == 2
-    assert len(server.lines) == 1
-    assert "give HOST or HOST:PORT" in server.lines[0]
+    assert server.process.wait() == 2
+    assert len(server.process.lines) == 1
+    assert "give HOST or HOST:PORT" in server.process.lines[0]
 
 
 @pytest.mark.parametrize(
@@ -132,22 +129,26 @@ def test_an_address_that_is_none(camera: Callable, listen: str) -> None:
         (["v4l2", "/dev/no-such-video"], 4, "/dev/no-such-video"),
     ],
 )
-def test_one_line_says_what_is_wrong(camera: Callable, arguments: list[str], code: int, message: str) -> None:
+def test_one_line_says_what_is_wrong(
+    camera: Callable[..., CameraProgram], arguments: list[str], code: int, message: str
+) -> None:
     server = camera(*arguments)
-    assert server.end() == code, server.lines
-    assert len(server.lines) == 1
-    assert server.lines[0].startswith("twinmatch-camera: ")
-    assert message in server.lines[0]
+    assert server.process.wait() == code, server.process.lines
+    assert len(server.process.lines) == 1
+    assert server.process.lines[0].startswith("twinmatch-camera: ")
+    assert message in server.process.lines[0]
 
 
 @pytest.mark.parametrize("arguments", [[], ["emulated"], ["emulated", "--plate", "4", "--max-clients", "0"]])
-def test_arguments_that_argparse_refuses(camera: Callable, arguments: list[str]) -> None:
+def test_arguments_that_argparse_refuses(camera: Callable[..., CameraProgram], arguments: list[str]) -> None:
     server = camera(*arguments, listen=None)
-    assert server.end() == 2
-    assert "error:" in server.lines[-1]
+    assert server.process.wait() == 2
+    assert "error:" in server.process.lines[-1]
 
 
-def test_a_recording_made_from_the_stream_plays_back(camera: Callable, tmp_path: Path) -> None:
+def test_a_recording_made_from_the_stream_plays_back(
+    camera: Callable[..., CameraProgram], tmp_path: Path
+) -> None:
     path = tmp_path / "plate.cborseq"
     server = camera("emulated", "--plate", "60")
     with socket.create_connection(("127.0.0.1", server.port)) as connection:
@@ -163,7 +164,7 @@ def test_a_recording_made_from_the_stream_plays_back(camera: Callable, tmp_path:
     assert client.status.errors == {}
 
 
-def test_a_recording_ends(camera: Callable, tmp_path: Path) -> None:
+def test_a_recording_ends(camera: Callable[..., CameraProgram], tmp_path: Path) -> None:
     path = tmp_path / "plate.cborseq"
     server = camera("emulated", "--plate", "60")
     with socket.create_connection(("127.0.0.1", server.port)) as connection:
@@ -172,8 +173,8 @@ def test_a_recording_ends(camera: Callable, tmp_path: Path) -> None:
             data += connection.recv(65_536)
     path.write_bytes(data[:30_000])  # three frames and a bit of the fourth
     player = camera("recorded", str(path))
-    assert player.end() == 0
-    assert player.said(r"ends after (\d+) frames")[1] == "3"
+    assert player.process.wait() == 0
+    assert player.process.said(r"ends after (\d+) frames")[1] == "3"
 
 
 LIGHT = """
@@ -192,10 +193,9 @@ import twinmatch_camera.sources.recorded, twinmatch_camera.sources.lepton, twinm
 
 
 def test_the_program_needs_nothing_of_twinmatch_but_numpy_and_cbor2() -> None:
-    sources = Path(__file__).resolve().parents[2]
     done = subprocess.run(
         [sys.executable, "-c", LIGHT],
-        env={"PYTHONPATH": f"{sources / 'camera_server' / 'src'}:{sources / 'src'}"},
+        env={"PYTHONPATH": CAMERA_PATHS},
         capture_output=True,
         text=True,
         check=False,

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from tests.support.processes import Process, Processes
+from tests.support.steps import quarter_of_an_hour
+from tests.support.waiting import wait_for
 from twinmatch.replay import Judgement, judge_samples
-from twinmatch.sessions import samples_of
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
-
-PATIENCE = 40.0
-"""Seconds after which a test gives up on something that should come within one."""
 
 DEEP = """
 const deep = (root) => [...root.querySelectorAll('*')].flatMap(
@@ -33,12 +25,7 @@ const deep = (root) => [...root.querySelectorAll('*')].flatMap(
 
 @pytest.fixture(scope="session")
 def steps() -> list[Sample]:
-    """A quarter of an hour of a simulated rig: three set-point steps, the last of which loses the drive."""
-    reference = np.repeat([25.0, 40.0, 60.0, 45.0], [60, 300, 300, 260])
-    parameters = RigParameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
-    camera = Camera().realise(reference.size, 1.0, 7)
-    response = simulate_closed_loop(parameters, reference, plate=296.0, camera=camera)
-    return samples_of(Window(reference=reference, output=response.output, input=response.input))
+    return quarter_of_an_hour()
 
 
 @pytest.fixture(scope="session")
@@ -47,56 +34,33 @@ def judged(steps: list[Sample]) -> Judgement:
     return judge_samples("steps", steps, TwinSettings())
 
 
-def until(condition: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
-    """Wait until something holds; the test fails if it does not come to."""
-    deadline = time.monotonic() + patience
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what} did not come within {patience} s"
-        time.sleep(0.05)
-    return found
-
-
 class PageProcess:
     """`twinmatch dashboard` in a process of its own."""
 
-    def __init__(self, output: Path, *options: str) -> None:
-        self.output = output
-        command = [sys.executable, "-m", "twinmatch.cli", "dashboard", "--port", "0", *options]
-        with output.open("w") as stream:
-            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
+    def __init__(self, process: Process) -> None:
+        self._process = process
 
     @property
     def text(self) -> str:
-        return self.output.read_text()
+        return self._process.text
 
     @property
     def url(self) -> str:
-        def address() -> str | None:
-            assert self.process.poll() is None, self.text
-            found = re.search(r"^page: (\S+)$", self.text, re.MULTILINE)
-            return found[1] if found else None
-
-        return str(until(address, "the page's address"))
+        return self._process.said(r"^page: (\S+)$")[1]
 
     def end(self) -> int:
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(20)
+        return self._process.end()
 
 
 @pytest.fixture(scope="module")
 def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., PageProcess]]:  # noqa: ARG001
     """Start a page: `page_process("--control")`; it ends with the module."""
-    started: list[PageProcess] = []
-    folder = tmp_path_factory.mktemp("pages")
-
-    def start(*options: str) -> PageProcess:
-        started.append(PageProcess(folder / f"{len(started)}.txt", *options))
-        return started[-1]
-
-    yield start
-    codes = [(page.end(), page.text) for page in started]
-    assert all(code == 0 and "Traceback" not in text for code, text in codes), codes
+    processes = Processes(tmp_path_factory.mktemp("pages"))
+    yield lambda *options: PageProcess(
+        processes.python("-m", "twinmatch.cli", "dashboard", "--port", "0", *options)
+    )
+    ended = processes.end()
+    assert all(code == 0 and "Traceback" not in text for code, text in ended), ended
 
 
 class Browser:
@@ -128,15 +92,15 @@ class Browser:
         self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
-        return until(condition, what)
+        return wait_for(condition, what)
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(DEEP + script, *arguments)
 
     def open(self, url: str) -> None:
         self.driver.get(url)
-        until(lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"), "the document")
-        until(lambda: "verdict" in self.text, "the first text")
+        wait_for(lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"), "the document")
+        wait_for(lambda: "verdict" in self.text, "the first text")
 
     @property
     def text(self) -> str:
@@ -159,7 +123,7 @@ class Browser:
         )
 
     def click(self, label: str) -> None:
-        until(lambda: self.button(label), f"the button {label}").click()
+        wait_for(lambda: self.button(label), f"the button {label}").click()
 
     def column(self, chart: str, renderer: int, name: str) -> list[float]:
         """What a chart draws."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,6 +22,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, Temperature
 
+from tests.support.processes import Process, Processes
 from twinmatch.nodes.conversions import match_message, sample_message, score_message, state_message
 from twinmatch.nodes.samples import RELIABLE
 from twinmatch.replay import Judgement
@@ -103,22 +102,16 @@ def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
 
 
 @pytest.fixture
-def node(tmp_path: Path) -> Iterator[Callable[..., Any]]:
+def node(tmp_path: Path) -> Iterator[Callable[..., Process]]:
     """Start a node of ours in a process of its own."""
-    started: list[subprocess.Popen[bytes]] = []
+    processes = Processes(tmp_path / "nodes")
 
-    def start(name: str, *parameters: str) -> Any:
+    def start(name: str, *parameters: str) -> Process:
         words = [word for parameter in parameters for word in ("-p", parameter)]
-        command = [sys.executable, "-m", f"twinmatch.nodes.{name}", "--ros-args", *words]
-        with (tmp_path / f"{name}.txt").open("w") as stream:
-            started.append(subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT))
-        return started[-1]
+        return processes.python("-m", f"twinmatch.nodes.{name}", "--ros-args", *words)
 
     yield start
-    for process in started:
-        process.terminate()
-    for process in started:
-        process.wait(20)
+    processes.end()
 
 
 def counted(number: int, period: float = 1.0, first: int = 0) -> list[Sample]:
@@ -264,7 +257,7 @@ def test_without_control_nothing_can_be_asked_of_the_rig(page: Any, graph: Graph
 
 
 def test_control_asks_the_controller_and_the_bridge(
-    page_process: Callable[..., Any], graph: Graph, browser: Any, node: Callable[..., Any]
+    page_process: Callable[..., Any], graph: Graph, browser: Any, node: Callable[..., Process]
 ) -> None:
     """A set-point entered on the page is the reference of the next sample of a real controller."""
     commanding = page_process("--control")
@@ -338,7 +331,7 @@ def test_an_open_tab_comes_back_with_the_server(
 
 
 def test_a_replay_is_paused_and_hurried(
-    page: Any, browser: Any, node: Callable[..., Any], tmp_path: Path
+    page: Any, browser: Any, node: Callable[..., Process], tmp_path: Path
 ) -> None:
     session = write_session(tmp_path / "hour", counted(3600))
     browser.open(page.url)
@@ -355,7 +348,7 @@ def test_a_replay_is_paused_and_hurried(
     browser.click("Continue")
     browser.wait_for(lambda: browser.column("temperature", 0, "t")[-1] > stands + 300, "five minutes more")
     browser.click("max")
-    assert player.wait(40) == 0
+    assert player.wait() == 0
     browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")
     browser.wait_for(lambda: browser.button("Pause") is None, "that the player has gone")
     assert browser.complaints() == []

@@ -59,7 +59,7 @@ def test_impossible_parameters_are_refused_in_words() -> None:
     with pytest.raises(PlantError, match="k is nan"):
         model.parameters(k=float("nan"))
     with pytest.raises(
-        PlantError, match="drive_ripple is 1.5 ; it must be finite and at least 0 and at most 1"
+        PlantError, match=r"drive_ripple is 1\.5 ; it must be finite and at least 0 and at most 1"
     ):
         Peltier.model().parameters(drive_ripple=1.5)
     with pytest.raises(PlantError, match="ambient is 23 K; it must be finite and at least 150"):

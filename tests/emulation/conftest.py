@@ -5,17 +5,16 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
-import subprocess
-import sys
+import re
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
+from tests.support.processes import Process, Processes
+from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.emulation.lepton import PLATE
 from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
 from twinmatch.emulation.virtual_rig_control import tell
@@ -24,49 +23,16 @@ from twinmatch.links.thermal_client import ThermalClient
 from twinmatch.links.thermal_region import region
 from twinmatch.plant import Pid
 
-PATIENCE = 60.0
-"""Wall time after which a test gives up, s; everything comes within a few."""
-
 
 class RigProcess:
-    """`twinmatch virtual-rig` with what it prints."""
+    """`twinmatch virtual-rig` in a process of its own."""
 
-    def __init__(self, folder: Path, *arguments: str) -> None:
-        self.folder = folder
-        environment = {**os.environ, "TMPDIR": str(folder), "OPENBLAS_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "twinmatch.cli", "virtual-rig", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=environment,
-        )
-        self.lines: list[str] = []
-        self._said = threading.Condition()
-        self._ended = False
-        self._thread = threading.Thread(target=self._listen, daemon=True)
-        self._thread.start()
-
-    def _listen(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with self._said:
-                self.lines.append(line.rstrip())
-                self._said.notify_all()
-        with self._said:
-            self._ended = True
-            self._said.notify_all()
+    def __init__(self, process: Process) -> None:
+        self.process = process
 
     def said(self, beginning: str) -> str:
         """Wait for a line that begins so; the rest of it."""
-
-        def found() -> list[str]:
-            return [line for line in self.lines if line.startswith(beginning)]
-
-        with self._said:
-            self._said.wait_for(lambda: found() or self._ended, PATIENCE)
-            assert found(), f"{beginning!r} was not said: {self.lines}"
-            return found()[0].removeprefix(beginning).strip()
+        return self.process.said(f"^{re.escape(beginning)}(.*)")[1].strip()
 
     def address(self, name: str) -> str:
         return self.said(f"{name}:")
@@ -81,27 +47,7 @@ class RigProcess:
 
     def wait_for_time(self, seconds: float) -> None:
         """Wait until so much plant time has passed."""
-        deadline = time.monotonic() + PATIENCE
-        while self.state()["time"] < seconds:
-            assert time.monotonic() < deadline, "plant time does not pass"
-            time.sleep(0.01)
-
-    def children(self) -> list[int]:
-        threads = Path(f"/proc/{self.process.pid}/task").glob("*/children")
-        return [int(child) for thread in threads for child in thread.read_text().split()]
-
-    def end(self, number: signal.Signals = signal.SIGTERM) -> int:
-        """Exit code after a signal."""
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        try:
-            return self.process.wait(20)
-        finally:
-            self.process.kill()
-            self.process.wait()
-            self._thread.join(20)
-            if self.process.stdout is not None:
-                self.process.stdout.close()
+        wait_for(lambda: self.state()["time"] >= seconds, "plant time")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -113,19 +59,19 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Callable[..., RigProcess]]:
-    """Start a virtual rig: `rig("--speed", "20")`; it is ready on return."""
-    started: list[RigProcess] = []
+def rig(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., RigProcess]]:
+    """Start a virtual rig, its files in `tmp_path`: `rig("--speed", "20")`; it is ready on return."""
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    processes = Processes(tmp_path_factory.mktemp("output"), environment)
 
     def start(*arguments: str, ready: bool = True) -> RigProcess:
-        started.append(RigProcess(tmp_path, *arguments))
+        started = RigProcess(processes.python("-m", "twinmatch.cli", "virtual-rig", *arguments))
         if ready:
-            started[-1].said("ready")
-        return started[-1]
+            started.said("ready")
+        return started
 
     yield start
-    for process in started:
-        process.end()
+    processes.end()
 
 
 class Tick(NamedTuple):

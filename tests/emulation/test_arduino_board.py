@@ -2,41 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import sys
 import termios
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support import boards, pwm_mutations
+from tests.support.boards import Wire
 from twinmatch.emulation.arduino_pins import Board
 from twinmatch.links.pwm_frame import seal
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
 from twinmatch.links.pwm_messages import PROTOCOL, Banner, Code, Flags, Refusal, Status
-
-TESTS = Path(__file__).parents[1]
-
-
-def load(path: Path) -> ModuleType:
-    if path.stem not in sys.modules:
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[path.stem] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[path.stem])
-    return sys.modules[path.stem]
-
-
-boards: Any = load(TESTS / "emulation" / "arduino_boards.py")
-if TYPE_CHECKING:
-    Wire = Any
-else:
-    Wire = boards.Wire
-mutations: Any = load(TESTS / "links" / "pwm_mutations.py")
 
 FUZZ = int(os.environ.get("TWINMATCH_FUZZ", "2000"))
 DEADLINE = 1.0
@@ -334,7 +312,7 @@ def allowed(payload: str, now: int) -> set[int]:
 
 
 def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire: Wire) -> None:
-    for n, (payload, line) in enumerate(mutations.damaged_lines(FUZZ, seed=11)):
+    for n, (payload, line) in enumerate(pwm_mutations.damaged_lines(FUZZ, seed=11)):
         if n % 50 == 0:
             wire.ready()
             now = wire.status("P 2 -77").applied

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 import shutil
 import stat
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from tests.support import boards
+from tests.support.places import PROJECT
 from twinmatch.emulation import arduino_virtual
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.emulation.arduino_pins import ArduinoError, Board
 from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
-
-if "arduino_boards" not in sys.modules:
-    spec = importlib.util.spec_from_file_location(
-        "arduino_boards", Path(__file__).with_name("arduino_boards.py")
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    sys.modules["arduino_boards"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules["arduino_boards"])
-boards: Any = sys.modules["arduino_boards"]
 
 
 @pytest.fixture(params=["stand-in", "simavr"])
@@ -93,14 +82,14 @@ def test_a_stand_in_takes_nobody_elses_place(tmp_path: Path) -> None:
 def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(shutil, "which", lambda tool: None if tool == "avr-g++" else f"/usr/bin/{tool}")
     with pytest.raises(ArduinoError, match="install gcc-avr"):
-        build_virtual_board(boards.PROJECT, tmp_path)
+        build_virtual_board(PROJECT, tmp_path)
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(shutil, "which", lambda tool: f"/usr/bin/{tool}")
     monkeypatch.setattr(arduino_virtual, "SIMAVR_HEADER", tmp_path / "nowhere.h")
     with pytest.raises(ArduinoError, match="install libsimavr-dev"):
-        build_virtual_board(boards.PROJECT, tmp_path)
+        build_virtual_board(PROJECT, tmp_path)
 
 
 def test_sources_that_do_not_compile(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.waiting import wait_for
 from twinmatch.emulation.virtual_rig_clock import parse_address
 from twinmatch.links.pwm import PwmLatchedError, PwmPortLostError, PwmPortMissingError, PwmResetError
 from twinmatch.links.thermal_status import LinkState
@@ -32,13 +33,6 @@ BOARDS = [
         ),
     ),
 ]
-
-
-def wait_until(condition: Callable[[], Any], what: str, patience: float = 30.0) -> None:
-    deadline = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < deadline, f"{what}: not within {patience} s"
-        time.sleep(0.01)
 
 
 def lives(process: int) -> bool:
@@ -63,19 +57,19 @@ def test_a_loop_closed_through_port_and_stream_reaches_its_set_point(
     assert state["enabled"]
     # What the eye sees is the plate's mean, a little colder than its middle.
     assert state["plate"] == pytest.approx(32.0, abs=0.6)
-    assert running.end() == 0
+    assert running.process.end() == 0
     print(f"\n{board} board: {running.said('ended:')}; {len(loop.errors)} errors of the link")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_and_nothing_is_left(rig: Start, number: signal.Signals, tmp_path: Path) -> None:
     running = rig()
-    children = running.children()
+    children = running.process.children
     assert children
-    for process in (running.process.pid, *children):  # it needs no shared memory, so it leaves none
+    for process in (running.process.id, *children):  # it needs no shared memory, so it leaves none
         assert "/dev/shm" not in Path(f"/proc/{process}/maps").read_text()
     assert Path(running.address("serial")).exists()
-    assert running.end(number) == 0
+    assert running.process.end(number) == 0
     assert not any(map(lives, children))
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ConnectionRefusedError):
@@ -87,14 +81,14 @@ def test_killed_it_leaves_no_orphans_and_the_next_one_tidies_up(
     rig: Start, board: str, tmp_path: Path
 ) -> None:
     running = rig("--board", board)
-    children = running.children()
+    children = running.process.children
     assert len(children) == (2 if board == "simavr" else 1)
-    assert running.end(signal.SIGKILL) == -signal.SIGKILL
-    wait_until(lambda: not any(map(lives, children)), "the end of the children")
+    assert running.process.end(signal.SIGKILL) == -signal.SIGKILL
+    wait_for(lambda: not any(map(lives, children)), "the end of the children")
     left = list(tmp_path.iterdir())
     following = rig("--board", "python")
     assert set(left).isdisjoint(tmp_path.iterdir())
-    assert following.end() == 0
+    assert following.process.end() == 0
     assert list(tmp_path.iterdir()) == []
 
 
@@ -111,7 +105,7 @@ def test_it_ends_with_whoever_reads_its_output(tmp_path: Path) -> None:
 
 def test_two_rigs_leave_each_other_alone(rig: Start) -> None:
     first, second = rig("--board", "python"), rig("--board", "python")
-    assert second.end() == 0
+    assert second.process.end() == 0
     assert Path(first.address("serial")).exists()
     first.state()
 
@@ -119,7 +113,7 @@ def test_two_rigs_leave_each_other_alone(rig: Start) -> None:
 def test_it_ends_when_its_duration_is_over(rig: Start) -> None:
     running = rig("--speed", "100", "--duration", "5", "--board", "python")
     assert running.said("ended:").startswith("5.0 s of plant time")
-    assert running.end() == 0
+    assert running.process.end() == 0
 
 
 def test_the_clock_tells_plant_time_and_never_runs_ahead(rig: Start) -> None:
@@ -152,37 +146,37 @@ def test_a_broken_wire_lets_the_plate_go_while_the_board_goes_on(rig: Start, con
 def test_a_frozen_sensor_goes_on_sending_but_has_no_news(rig: Start, controller: Start) -> None:
     running = rig("--speed", "20", "--board", "python")
     loop = controller(running)
-    wait_until(loop.thermal.news, "an image")
+    wait_for(loop.thermal.news, "an image")
     running.tell("sensor-frozen+40")
-    wait_until(lambda: running.state()["faults"], "the fault")
+    wait_for(lambda: running.state()["faults"], "the fault")
     time.sleep(0.1)
     last, status = loop.thermal.news(), loop.thermal.status
     time.sleep(0.3)
     assert loop.thermal.news() is last
     assert loop.thermal.status.frames > status.frames + 5
-    wait_until(lambda: loop.thermal.news() is not last, "the end of the fault")
+    wait_for(lambda: loop.thermal.news() is not last, "the end of the fault")
 
 
 def test_a_camera_that_is_gone_comes_back_at_its_address(rig: Start, controller: Start) -> None:
     running = rig("--speed", "20", "--board", "python")
     loop = controller(running)
-    wait_until(loop.thermal.news, "an image")
+    wait_for(loop.thermal.news, "an image")
     running.tell("camera-gone")
-    wait_until(lambda: loop.thermal.status.state is LinkState.WAITING, "the loss")
+    wait_for(lambda: loop.thermal.status.state is LinkState.WAITING, "the loss")
     time.sleep(0.5)
     assert loop.thermal.status.failures > 1
     running.tell("end camera-gone")
-    wait_until(lambda: loop.thermal.status.restarts == 1, "the new camera")
-    assert running.children()
+    wait_for(lambda: loop.thermal.status.restarts == 1, "the new camera")
+    assert running.process.children
 
 
 def test_garbage_from_the_camera_is_refused_and_the_camera_comes_back(rig: Start, controller: Start) -> None:
     running = rig("--speed", "20", "--board", "python")
     loop = controller(running)
-    wait_until(loop.thermal.news, "an image")
+    wait_for(loop.thermal.news, "an image")
     running.tell("garbage-camera+40")
-    wait_until(lambda: any("Frame" in name for name in loop.thermal.status.errors), "the refusal")
-    wait_until(lambda: loop.thermal.status.restarts == 1, "the camera again")
+    wait_for(lambda: any("Frame" in name for name in loop.thermal.status.errors), "the refusal")
+    wait_for(lambda: loop.thermal.status.restarts == 1, "the camera again")
 
 
 @pytest.mark.parametrize("board", BOARDS)
@@ -191,10 +185,10 @@ def test_a_pulled_cable_comes_back_latched(rig: Start, controller: Start, board:
     loop = controller(running)
     loop.hold(30.0, 5.0)
     running.tell("cable-pulled")
-    wait_until(lambda: not Path(running.address("serial")).exists(), "the port's end")
+    wait_for(lambda: not Path(running.address("serial")).exists(), "the port's end")
     with pytest.raises((PwmPortLostError, PwmPortMissingError)):
         loop.link.command(10)
-    wait_until(lambda: not running.state()["enabled"], "the board's deadline")
+    wait_for(lambda: not running.state()["enabled"], "the board's deadline")
     running.tell("end cable-pulled")
     loop.link.reopen()
     with pytest.raises(PwmLatchedError, match="no new set-point"):
@@ -209,7 +203,7 @@ def test_noise_on_the_line_is_survived(rig: Start, controller: Start, board: str
     running.tell("garbage-serial+20")
     loop.hold(30.0, 25.0)
     assert loop.errors
-    wait_until(lambda: not running.state()["faults"], "the end of the fault")
+    wait_for(lambda: not running.state()["faults"], "the end of the fault")
     loop.link.reopen()
     loop.link.clear()
     assert loop.link.command(7).pwm == 7  # the line is as good as before
@@ -220,7 +214,7 @@ def test_a_fault_of_the_driver_trips_the_board(rig: Start, controller: Start) ->
     loop = controller(running)
     loop.hold(30.0, 3.0)
     running.tell("driver-fault")
-    wait_until(lambda: not running.state()["enabled"], "the trip")
+    wait_for(lambda: not running.state()["enabled"], "the trip")
     with pytest.raises(PwmLatchedError, match="driver"):
         loop.link.command(10)
 
@@ -231,7 +225,7 @@ def test_a_hung_board_is_started_anew_by_its_watchdog(rig: Start, controller: St
     loop = controller(running)
     loop.hold(30.0, 1.0)
     running.tell("board-hung+1")
-    wait_until(lambda: not running.state()["enabled"], "the restart")
+    wait_for(lambda: not running.state()["enabled"], "the restart")
     time.sleep(0.5)
     loop.link.reopen()
     with pytest.raises((PwmLatchedError, PwmResetError)):
@@ -252,7 +246,7 @@ def test_faults_at_run_time_are_checked_too(rig: Start) -> None:
     with pytest.raises(Exception, match="empty command"):
         running.tell("")
     running.tell("stop")
-    assert running.end() == 0
+    assert running.process.end() == 0
 
 
 @pytest.mark.parametrize(
@@ -268,13 +262,13 @@ def test_faults_at_run_time_are_checked_too(rig: Start) -> None:
 def test_what_cannot_be_is_said_in_one_line(rig: Start, arguments: list[str], message: str) -> None:
     refused = rig(*arguments, ready=False)
     assert message in refused.said("twinmatch:")
-    assert refused.process.wait(20) == 2
-    assert len(refused.lines) == 1
+    assert refused.process.wait() == 2
+    assert len(refused.process.lines) == 1
 
 
 def test_a_camera_program_that_dies_ends_the_rig_with_a_reason(rig: Start) -> None:
     running = rig("--board", "python")
-    (camera,) = running.children()
+    (camera,) = running.process.children
     os.kill(camera, signal.SIGKILL)
     assert "its program has ended by itself" in running.said("twinmatch:")
-    assert running.process.wait(20) == 1
+    assert running.process.wait() == 1

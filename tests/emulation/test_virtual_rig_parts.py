@@ -6,14 +6,13 @@ import os
 import socket
 import subprocess
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.waiting import wait_for
 from twinmatch.emulation import virtual_rig_board, virtual_rig_camera
 from twinmatch.emulation.arduino_pins import ArduinoError, Drive
 from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig
@@ -42,13 +41,6 @@ from twinmatch.plant import PlantState, simulate_driven
 from twinmatch.signals import KELVIN
 
 INFINITE = float("inf")
-
-
-def wait_until(condition: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.005)
 
 
 def test_faults_are_read() -> None:
@@ -192,13 +184,13 @@ def test_the_clock_reaches_its_readers_and_they_come_back() -> None:
         server.send(next(stamps))
         return bool(heard)
 
-    wait_until(tick, "the first update")
+    wait_for(tick, "the first update")
     address = server.address
     server.close()
-    wait_until(lambda: client.error, "the loss")
+    wait_for(lambda: client.error, "the loss")
     heard.clear()
     server = ClockServer(*address)
-    wait_until(tick, "an update of the new server")
+    wait_for(tick, "an update of the new server")
     assert client.close()
     assert client.failure is None
     server.close()
@@ -223,7 +215,7 @@ def test_a_stream_that_is_no_clock_is_refused() -> None:
         connection, _ = listener.accept()
         with connection:
             connection.sendall(b"SSH-2.0\n")
-            wait_until(lambda: "no clock" in client.error, "the refusal")
+            wait_for(lambda: "no clock" in client.error, "the refusal")
         assert client.close()
 
 
@@ -239,7 +231,7 @@ def test_a_defect_of_a_reader_is_kept() -> None:
         server.send(1)
         return client.failure is not None
 
-    wait_until(failed, "the defect")
+    wait_for(failed, "the defect")
     assert client.close()
     server.close()
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from tests.support import pwm_mutations
 from twinmatch.links.pwm_frame import Damage, FrameReader, seal
 from twinmatch.links.pwm_messages import parse_request
 
@@ -34,12 +34,7 @@ def what_we_make_of(stream: bytes) -> list[str]:
 
 
 def test_both_make_the_same_of_a_hundred_thousand_damaged_frames(probe: Path) -> None:
-    spec = importlib.util.spec_from_file_location("pwm_mutations", HERE.parent / "links" / "pwm_mutations.py")
-    assert spec is not None
-    assert spec.loader is not None
-    mutations = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(mutations)
-    stream = b"".join(line + b"\n" + seal("Q 9") for _, line in mutations.damaged_lines(100_000, seed=7))
+    stream = b"".join(line + b"\n" + seal("Q 9") for _, line in pwm_mutations.damaged_lines(100_000, seed=7))
     # Sealed nonsense reaches the parser behind a right check sum.
     nonsense = [
         "P 1 -0",

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 import signal
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -22,8 +19,9 @@ pytest.importorskip("websockets", reason="websockets is not installed; it is in 
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-PATIENCE = 40.0
-"""Seconds after which a test gives up on something that should come within one."""
+from tests.support.processes import Process, Processes
+from tests.support.waiting import wait_for
+
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
 
 
@@ -74,11 +72,7 @@ class Viewer:
             self.times.append(struct.unpack_from("<Q", frame, 1)[0])
 
     def wait(self, condition: Callable[[], Any], what: str) -> Any:
-        deadline = time.monotonic() + PATIENCE
-        while not (found := condition()):
-            assert time.monotonic() < deadline, f"{what} did not come within {PATIENCE} s"
-            self.read()
-        return found
+        return wait_for(condition, what, meanwhile=self.read)
 
     def read_for(self, seconds: float) -> None:
         deadline = time.monotonic() + seconds
@@ -120,43 +114,28 @@ def view() -> Iterator[Callable[[str], Viewer]]:
         viewer.close()
 
 
-class ServerProcess:
+class Server:
     """`twinmatch foxglove` in a process of its own."""
 
-    def __init__(self, output: Path, *options: str) -> None:
-        self.output = output
-        command = [sys.executable, "-m", "twinmatch.foxglove", "--port", "0", *options]
-        with output.open("w") as stream:
-            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
+    def __init__(self, process: Process) -> None:
+        self.process = process
 
     @property
     def text(self) -> str:
-        return self.output.read_text()
+        return self.process.text
 
     @property
     def url(self) -> str:
-        deadline = time.monotonic() + PATIENCE
-        while not (found := re.search(r"^foxglove: (ws://\S+)", self.text, re.MULTILINE)):
-            assert self.process.poll() is None, self.text
-            assert time.monotonic() < deadline, f"no address within {PATIENCE} s: {self.text}"
-            time.sleep(0.05)
-        return found[1].replace("0.0.0.0", "127.0.0.1")
+        return self.process.said(r"^foxglove: (ws://\S+)")[1].replace("0.0.0.0", "127.0.0.1")
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        return self.process.wait(20)
+        return self.process.end(number)
 
 
 @pytest.fixture
-def serve(ros: None, tmp_path: Path) -> Iterator[Callable[..., ServerProcess]]:  # noqa: ARG001
+def serve(ros: None, tmp_path: Path) -> Iterator[Callable[..., Server]]:  # noqa: ARG001
     """Start a server: `serve("--namespace", "/rig_a")`; it ends with the test, and cleanly."""
-    started: list[ServerProcess] = []
-
-    def start(*options: str) -> ServerProcess:
-        started.append(ServerProcess(tmp_path / f"{len(started)}.txt", *options))
-        return started[-1]
-
-    yield start
-    codes = [(server.end(), server.text) for server in started]
-    assert all(code == 0 and "Traceback" not in text for code, text in codes), codes
+    processes = Processes(tmp_path / "servers")
+    yield lambda *options: Server(processes.python("-m", "twinmatch.foxglove", "--port", "0", *options))
+    ended = processes.end(signal.SIGINT)
+    assert all(code == 0 and "Traceback" not in text for code, text in ended), ended

@@ -28,10 +28,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64
 
+from tests.support.places import SHIPPED
+from tests.support.processes import Process
 from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore
 
 pytestmark = pytest.mark.ros
-PROJECT = Path(__file__).resolve().parents[2]
 RELIABLE = QoSProfile(depth=100)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -144,7 +145,7 @@ def test_definitions_are_those_of_an_imported_session_and_there_before_the_graph
     serve: Callable[..., Any], view: Callable[[str], Any]
 ) -> None:
     viewer = view(serve().url)
-    [path] = (PROJECT / "bags" / "four_setpoints").glob("*.mcap")
+    [path] = SHIPPED.glob("*.mcap")
     recorded = definitions(path)
     assert {"/plant/sample", "/plant/reference", "/plant/temperature"} <= set(recorded)
     viewer.wait(lambda: set(recorded) <= set(viewer.channels), "the topics")
@@ -157,15 +158,15 @@ def test_definitions_are_those_of_a_session_recorded_at_the_same_time(
     rig = graph()
     viewer = view(serve().url)
     options = ["--ros-args", "-p", f"folder:={tmp_path}", "-p", "name:=session"]
-    recorder = subprocess.Popen([sys.executable, "-m", "twinmatch.nodes.recorder", *options])
+    command = [sys.executable, "-m", "twinmatch.nodes.recorder", *options]
+    recorder = Process(*command, output=tmp_path / "recorder.txt")
     try:
         readers = (rig.samples, rig.scores, rig.images, rig.references)
         viewer.wait(lambda: all(p.get_subscription_count() == 2 for p in readers), "both readers")
         rig.sample(0)
         rig.scores.publish(ModelScore())
     finally:
-        recorder.send_signal(signal.SIGINT)
-        assert recorder.wait(20) == 0
+        assert recorder.end(signal.SIGINT) == 0, recorder.text
     [path] = (tmp_path / "session").glob("*.mcap")
     recorded = definitions(path)
     assert {"/plant/sample", "/twin/model_score", "/thermal/image", "/diagnostics"} <= set(recorded)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.support import faulty_rig as rig
 from twinmatch.health import Balance, HealthError, HealthSettings
 from twinmatch.plant import RigParameters, simulate_closed_loop, simulate_driven
 
@@ -25,7 +25,7 @@ def test_nothing_is_left_of_the_twin_itself() -> None:
         assert movement.drive + movement.passive == pytest.approx(after - y, abs=1e-9)
 
 
-def test_an_error_of_drive_and_losses_is_learned(rig: Any) -> None:
+def test_an_error_of_drive_and_losses_is_learned() -> None:
     # A quarter more heat capacity slows everything by the same share: both corrections are 1/1.25 − 1.
     slow = RIG.replace(heat_capacity=1.25 * RIG.heat_capacity)
     reference = rig.profile(5, 3000)

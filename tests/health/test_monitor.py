@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support import faulty_rig as rig
 from twinmatch.health import Fault, HealthSettings, Monitor, State
 from twinmatch.plant import RigParameters
 from twinmatch.sessions import samples_of
@@ -27,7 +28,7 @@ FOREIGN = [
 HEALTHY = (2, 5, 9, 14, 20)
 
 
-def holding(rig: Any, level: float, broken: Any, samples: int = 900) -> list[Sample]:
+def holding(level: float, broken: Any, samples: int = 900) -> list[Sample]:
     """A hold at one level (°C), from a start at 40 °C, with something broken."""
     reference = np.concatenate([np.full(200, 40.0), np.full(samples - 200, level)])
     found: list[Sample] = rig.run(reference, broken, seed=4)[0]
@@ -36,7 +37,7 @@ def holding(rig: Any, level: float, broken: Any, samples: int = 900) -> list[Sam
 
 @pytest.mark.parametrize("number", HEALTHY)
 def test_no_alarm_and_no_suspicion_in_a_healthy_hour(
-    number: int, recorded_hour: Callable[[int], Window], rig: Any
+    number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
     monitor, healths = rig.watch(samples_of(recorded_hour(number)))
     assert monitor.alarms == ()
@@ -57,7 +58,7 @@ def test_no_alarm_whatever_twin_is_nominal(number: int, recorded_hour: Callable[
 
 @pytest.mark.parametrize("reference", [FOREIGN[0], FOREIGN[1]])
 def test_another_matched_twin_does_as_the_first_one(
-    reference: RigParameters, recordings: dict[int, Path], recorded_hour: Callable[[int], Window], rig: Any
+    reference: RigParameters, recordings: dict[int, Path], recorded_hour: Callable[[int], Window]
 ) -> None:
     for number in sorted(set(recordings) & set(HEALTHY)):
         monitor, _ = rig.watch(
@@ -66,9 +67,7 @@ def test_another_matched_twin_does_as_the_first_one(
         assert [a for a in monitor.alarms if a.fault is not Fault.DRIFT] == []
 
 
-def test_a_camera_late_at_the_start_is_suspected_and_no_alarm(
-    recorded_hour: Callable[[int], Window], rig: Any
-) -> None:
+def test_a_camera_late_at_the_start_is_suspected_and_no_alarm(recorded_hour: Callable[[int], Window]) -> None:
     monitor, healths = rig.watch(samples_of(recorded_hour(1)))
     assert monitor.alarms == ()
     suspects = [h for h in healths if h.state is State.SUSPECT]
@@ -77,9 +76,7 @@ def test_a_camera_late_at_the_start_is_suspected_and_no_alarm(
     assert all(h.reason.startswith("only just begun") for h in suspects)
 
 
-def test_the_real_failure_is_told_in_time_and_by_name(
-    recorded_hour: Callable[[int], Window], rig: Any
-) -> None:
+def test_the_real_failure_is_told_in_time_and_by_name(recorded_hour: Callable[[int], Window]) -> None:
     monitor, healths = rig.watch(samples_of(recorded_hour(27)))
     (alarm,) = monitor.alarms
     assert alarm.fault is Fault.DRIVE_LOST
@@ -113,9 +110,9 @@ def test_the_real_failure_is_told_in_time_and_by_name(
     ],
 )
 def test_a_failure_is_told_in_time_and_by_name(
-    level: float, broken: tuple[Any, ...], fault: Fault, within: int, rig: Any
+    level: float, broken: tuple[Any, ...], fault: Fault, within: int
 ) -> None:
-    monitor, healths = rig.watch(holding(rig, level, rig.Break(*broken)))
+    monitor, healths = rig.watch(holding(level, rig.Break(*broken)))
     assert monitor.alarms
     alarm = monitor.alarms[0]
     assert alarm.fault is fault
@@ -127,8 +124,8 @@ def test_a_failure_is_told_in_time_and_by_name(
 
 
 @pytest.mark.parametrize("kind", ["drive-lost", "sensor-frozen", "sensor-off"])
-def test_what_is_mended_is_healthy_again_and_stays_in_the_record(kind: str, rig: Any) -> None:
-    monitor, healths = rig.watch(holding(rig, 60.0, rig.Break(kind, 400, 30)))
+def test_what_is_mended_is_healthy_again_and_stays_in_the_record(kind: str) -> None:
+    monitor, healths = rig.watch(holding(60.0, rig.Break(kind, 400, 30)))
     assert healths[-1].state is State.HEALTHY
     alarm = monitor.alarms[0]
     assert alarm.last is not None
@@ -140,7 +137,7 @@ def test_what_is_mended_is_healthy_again_and_stays_in_the_record(kind: str, rig:
     assert monitor.fault_between(alarm.last + 200, alarm.last + 300) is None
 
 
-def test_healthy_steps_saturation_and_corrections_of_the_camera_are_no_fault(rig: Any) -> None:
+def test_healthy_steps_saturation_and_corrections_of_the_camera_are_no_fault() -> None:
     for seed in range(3):
         samples, _ = rig.run(rig.profile(seed, 2400), rig=rig.some_rig(seed), seed=seed)
         assert max(abs(s.input) for s in samples) == 255.0
@@ -148,13 +145,13 @@ def test_healthy_steps_saturation_and_corrections_of_the_camera_are_no_fault(rig
         assert monitor.alarms == ()
 
 
-def test_a_drift_spoils_no_window(rig: Any) -> None:
-    monitor, _ = rig.watch(holding(rig, 60.0, rig.Break("room+25", 700), 1100))
+def test_a_drift_spoils_no_window() -> None:
+    monitor, _ = rig.watch(holding(60.0, rig.Break("room+25", 700), 1100))
     assert [a.fault for a in monitor.alarms] == [Fault.DRIFT]
     assert monitor.fault_between(0, 1099) is None
 
 
-def test_a_nominal_twin_is_taken_where_the_own_one_is_rough(rig: Any) -> None:
+def test_a_nominal_twin_is_taken_where_the_own_one_is_rough() -> None:
     plant = rig.RICH_RIG.replace(heat_capacity=80.0)  # a third of the heat the monitor's own twin would give
     samples, _ = rig.run(rig.profile(1, 1500), rig.Break("drive-lost", 1200, 20), rig=plant, seed=1)
     alone, _ = rig.watch(samples)
@@ -165,8 +162,8 @@ def test_a_nominal_twin_is_taken_where_the_own_one_is_rough(rig: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -273.15, 400.0])
-def test_an_impossible_reading_is_told_at_once(value: float, rig: Any) -> None:
-    samples = holding(rig, 60.0, None, 400)
+def test_an_impossible_reading_is_told_at_once(value: float) -> None:
+    samples = holding(60.0, None, 400)
     samples[3] = dataclasses.replace(samples[3], output=value)
     monitor, healths = rig.watch(samples)
     assert healths[3].news is not None
@@ -176,13 +173,13 @@ def test_an_impossible_reading_is_told_at_once(value: float, rig: Any) -> None:
     assert len(monitor.alarms) == 1
 
 
-def test_a_gap_starts_anew_and_a_new_session_has_a_new_record(rig: Any) -> None:
-    samples = holding(rig, 60.0, rig.Break("sensor-off", 300))
+def test_a_gap_starts_anew_and_a_new_session_has_a_new_record() -> None:
+    samples = holding(60.0, rig.Break("sensor-off", 300))
     monitor = Monitor()
     for s in samples[:310]:
         monitor.push(s)
     assert len(monitor.alarms) == 1
-    whole = holding(rig, 60.0, None)
+    whole = holding(60.0, None)
     for s in whole[400:500]:
         monitor.push(s)  # 31 °C elsewhere, but behind a gap
     assert len(monitor.alarms) == 1
@@ -190,12 +187,12 @@ def test_a_gap_starts_anew_and_a_new_session_has_a_new_record(rig: Any) -> None:
     assert monitor.alarms == ()
 
 
-def test_the_same_samples_give_the_same_judgements(rig: Any) -> None:
-    samples = holding(rig, 60.0, rig.Break("drive-lost", 300, 30), 500)
+def test_the_same_samples_give_the_same_judgements() -> None:
+    samples = holding(60.0, rig.Break("drive-lost", 300, 30), 500)
     assert repr(rig.watch(samples, FOREIGN[2])[1]) == repr(rig.watch(samples, FOREIGN[2])[1])
 
 
-def test_a_loop_twice_as_fast_is_watched_as_well(rig: Any) -> None:
+def test_a_loop_twice_as_fast_is_watched_as_well() -> None:
     reference = np.repeat([40.0, 70.0], 600)
     samples, _ = rig.run(reference, rig.Break("drive-lost", 1000, 40), period=0.5)
     monitor, _ = rig.watch(samples, settings=HealthSettings(period=0.5))

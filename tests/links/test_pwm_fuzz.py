@@ -1,22 +1,14 @@
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
+from tests.support import pwm_mutations
 from twinmatch.links.pwm_frame import Damage, FrameReader, seal
 from twinmatch.links.pwm_messages import Request, parse_request
-
-_SPEC = importlib.util.spec_from_file_location("pwm_mutations", Path(__file__).with_name("pwm_mutations.py"))
-assert _SPEC is not None
-assert _SPEC.loader is not None
-mutations = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(mutations)
 
 
 def test_no_damaged_frame_is_acted_on_with_a_changed_meaning_and_the_next_one_always_arrives() -> None:
     reader = FrameReader()
     found_damage = 0
-    for payload, line in mutations.damaged_lines(100_000, seed=20220):
+    for payload, line in pwm_mutations.damaged_lines(100_000, seed=20220):
         # The line end in front stands for what the line before may have lost.
         events = reader.feed(line + b"\n" + seal("Q 9"))
         assert events[-1] == b"Q 9", (payload, line)

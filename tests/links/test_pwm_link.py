@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib.util
 import math
 import os
 import pty
@@ -8,16 +7,17 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.support import boards
+from tests.support.waiting import wait_for
+from twinmatch.emulation.arduino_pins import Board
 from twinmatch.links import pwm_link
 from twinmatch.links.pwm import (
     AMPERES_PER_COUNT,
@@ -40,26 +40,9 @@ from twinmatch.links.pwm import (
 from twinmatch.links.pwm_frame import FrameReader, seal
 from twinmatch.links.pwm_messages import Request, parse_request
 
-TESTS = Path(__file__).parents[1]
-
 PATIENT = LinkSettings(timeout=2.0)
 """For boards that share a busy machine with the tests; nothing here measures by the wall clock."""
 HASTY = LinkSettings(timeout=0.05, retries=1, first_pause=0.01, longest_pause=0.05)
-
-
-def load(path: Path) -> ModuleType:
-    if path.stem not in sys.modules:
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[path.stem] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[path.stem])
-    return sys.modules[path.stem]
-
-
-boards: Any = load(TESTS / "emulation" / "arduino_boards.py")
-if TYPE_CHECKING:
-    from twinmatch.emulation.arduino_pins import Board
 
 
 @pytest.fixture(params=boards.KINDS)
@@ -79,13 +62,6 @@ def link(board: Board) -> Iterator[pwm_link.PwmLink]:
         yield opened
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end, "it did not happen within 20 s"
-        time.sleep(0.005)
-
-
 def test_a_command_reaches_the_pins_and_says_so(board: Board, link: pwm_link.PwmLink) -> None:
     applied = link.command(120.4)
     assert applied.pwm == 120
@@ -96,7 +72,7 @@ def test_a_command_reaches_the_pins_and_says_so(board: Board, link: pwm_link.Pwm
 
 def test_current_comes_in_amperes(board: Board, link: pwm_link.PwmLink) -> None:
     board.set_current(2.5)
-    wait_for(lambda: abs(link.query().current - 2.5) < 2 * AMPERES_PER_COUNT)
+    wait_for(lambda: abs(link.query().current - 2.5) < 2 * AMPERES_PER_COUNT, "the current")
 
 
 @pytest.mark.parametrize("pwm", [math.nan, math.inf, -math.inf, 255.001, -256, np.float64("nan")])
@@ -119,7 +95,7 @@ def test_a_fresh_board_wants_clearing(board: Board) -> None:
 
 def test_silence_latches_and_clear_mends_it(link: pwm_link.PwmLink) -> None:
     link.command(50)
-    wait_for(lambda: bool(link.query().flags & Flags.TRIPPED))
+    wait_for(lambda: link.query().flags & Flags.TRIPPED, "the trip")
     with pytest.raises(PwmLatchedError, match="no new set-point in time") as caught:
         link.command(50)
     assert caught.value.flags == Flags.TRIPPED | Flags.DEADLINE
@@ -130,7 +106,7 @@ def test_silence_latches_and_clear_mends_it(link: pwm_link.PwmLink) -> None:
 def test_a_driver_fault_is_named(board: Board, link: pwm_link.PwmLink) -> None:
     link.command(50)
     board.set_fault(True)
-    wait_for(lambda: not board.drive().enabled)
+    wait_for(lambda: not board.drive().enabled, "the trip")
     with pytest.raises(PwmLatchedError, match="motor driver reported a fault"):
         link.command(50)
 
@@ -154,7 +130,7 @@ def test_the_port_is_ours_alone(board: Board, link: pwm_link.PwmLink) -> None:
 def test_a_pulled_cable_is_noticed_and_mended(board: Board, link: pwm_link.PwmLink) -> None:
     link.command(100)
     board.unplug()
-    wait_for(lambda: not Path(board.port).exists())
+    wait_for(lambda: not Path(board.port).exists(), "the port's end")
     with pytest.raises(PwmPortLostError, match="was lost"):
         link.command(100)
     with pytest.raises(PwmPortMissingError, match="cannot be opened"):
@@ -169,7 +145,7 @@ def test_a_pulled_cable_is_noticed_and_mended(board: Board, link: pwm_link.PwmLi
 def test_a_restarted_board_is_noticed(board: Board, link: pwm_link.PwmLink) -> None:
     link.command(100)
     board.hang()
-    wait_for(lambda: not Path(board.port).exists())
+    wait_for(lambda: not Path(board.port).exists(), "the port's end")
     with pytest.raises(PwmPortLostError, match="was lost"):
         link.command(100)
     banner = link.reopen(patience=20)

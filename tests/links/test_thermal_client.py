@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.links.thermal_client import ThermalClient
 from twinmatch.links.thermal_codec import encode_frame
 from twinmatch.links.thermal_errors import (
@@ -30,7 +31,6 @@ from twinmatch.links.thermal_status import ClientSettings, LinkState, LinkStatus
 
 QUICK = ClientSettings(connect_timeout=1.0, stall_timeout=0.3, first_wait=0.01, longest_wait=0.05)
 BOOT = b"B" * 16
-PATIENCE = 10.0
 """Seconds after which a test gives up; none waits as long when all is well."""
 
 Script = Callable[[socket.socket], None]
@@ -89,10 +89,7 @@ def served(*scripts: Script, settings: ClientSettings = QUICK) -> Iterator[Therm
 
 
 def until(client: ThermalClient, condition: Callable[[LinkStatus], bool]) -> LinkStatus:
-    deadline = time.monotonic() + PATIENCE
-    while not condition(client.status):
-        assert time.monotonic() < deadline, client.status
-        time.sleep(0.002)
+    wait_for(lambda: condition(client.status), lambda: str(client.status))
     return client.status
 
 

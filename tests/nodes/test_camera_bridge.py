@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import re
-import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,61 +21,27 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
 
+from tests.support.camera import CameraProgram
+from tests.support.processes import Process, Processes
 from twinmatch.emulation.lepton import EmulatedLepton, LeptonSettings
 from twinmatch.links.thermal_codec import encode_frame
 from twinmatch.nodes.network import sockets_elsewhere
 
 pytestmark = pytest.mark.ros
 
-PROJECT = Path(__file__).resolve().parents[2]
 FAST = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-LINE = re.compile(r"serving .*:(\d+)$", re.MULTILINE)
-
-
-class CameraProgram:
-    """The camera program in a process, on a free port or a given one."""
-
-    def __init__(self, folder: Path, *arguments: str, port: int = 0) -> None:
-        paths = [str(PROJECT / "camera_server" / "src"), str(PROJECT / "src")]
-        output = folder / f"camera{len(list(folder.iterdir()))}.txt"
-        command = [sys.executable, "-m", "twinmatch_camera", "emulated", *arguments]
-        with output.open("w") as stream:
-            self._process = subprocess.Popen(
-                [*command, "--listen", f"127.0.0.1:{port}"],
-                stderr=stream,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            )
-        end = time.monotonic() + 60
-        while not (found := LINE.search(output.read_text())):
-            assert time.monotonic() < end, output.read_text()
-            assert self._process.poll() is None, output.read_text()
-            time.sleep(0.02)
-        self.port = int(found[1])
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
-
-    def freeze(self) -> None:
-        self._process.send_signal(signal.SIGSTOP)
-
-    def thaw(self) -> None:
-        self._process.send_signal(signal.SIGCONT)
 
 
 @pytest.fixture
-def camera(tmp_path: Path) -> Iterator[Callable[..., CameraProgram]]:
-    started: list[CameraProgram] = []
-    folder = tmp_path / "camera"
-    folder.mkdir()
+def camera(processes: Processes) -> Callable[..., CameraProgram]:
+    """Start an emulated camera that serves, on a free port or a given one: `camera("--plate", "60")`."""
 
     def start_camera(*arguments: str, port: int = 0) -> CameraProgram:
-        started.append(CameraProgram(folder, *arguments, port=port))
-        return started[-1]
+        made = CameraProgram(processes, "emulated", *arguments, listen=f"127.0.0.1:{port}")
+        assert made.port
+        return made
 
-    yield start_camera
-    for program in started:
-        program.kill()
+    return start_camera
 
 
 class Ears:
@@ -136,7 +96,7 @@ def stamp_of(message: Any) -> float:
 
 
 def test_an_emulated_lepton_is_seen(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     bridge = start("camera_bridge", "-p", f"port:={camera('--plate', '60').port}", "-p", "image_rate:=0.0")
     ears.until(lambda: len(ears.temperatures) > 20 and ears.level == b"\x00", "temperatures and health")
@@ -168,7 +128,7 @@ def test_an_emulated_lepton_is_seen(
 
 
 def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     """A correction every 4 s takes 0.9 s: eight frames that repeat the one before."""
     port = camera("--plate", "60", "--flat-field-period", "4").port
@@ -187,12 +147,12 @@ def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
 
 
 def test_a_camera_that_goes_and_comes_back(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     first = camera("--plate", "40")
     start("camera_bridge", "-p", f"port:={first.port}", "-p", "stale_after:=1.0")
     ears.go_on()
-    first.kill()
+    first.process.kill()
     ears.until(
         lambda: ears.level == b"\x02" and "is the camera server running" in ears.complaint, "the error"
     )
@@ -208,20 +168,20 @@ def test_a_camera_that_goes_and_comes_back(
 
 
 def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     program = camera("--plate", "40")
     start("camera_bridge", "-p", f"port:={program.port}", "-p", "stall_timeout:=0.5")
     ears.go_on()
-    program.freeze()
+    program.process.freeze()
     ears.until(lambda: "no whole frame within" in ears.complaint, "the stall")
-    program.thaw()
+    program.process.thaw()
     ears.go_on()
     ears.until(lambda: ears.level == b"\x00", "health")
 
 
 def test_no_camera_at_the_start_is_waited_for(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -233,7 +193,7 @@ def test_no_camera_at_the_start_is_waited_for(
 
 
 def test_an_image_too_small_for_the_region_is_shown_but_not_measured(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "roi.x:=75")
     ears.until(lambda: "leave the image of 60 by 80" in ears.complaint, "the complaint")
@@ -276,7 +236,7 @@ class Liar:
                     client.sendall(b"\xff" * 500 if self.lies else data)
 
 
-def test_bad_frames_are_counted_and_good_ones_taken_again(start: Callable[..., Any], ears: Ears) -> None:
+def test_bad_frames_are_counted_and_good_ones_taken_again(start: Callable[..., Process], ears: Ears) -> None:
     liar = Liar()
     try:
         start("camera_bridge", "-p", f"port:={liar.port}")
@@ -291,7 +251,7 @@ def test_bad_frames_are_counted_and_good_ones_taken_again(start: Callable[..., A
 
 
 def test_rates_can_be_limited(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     port = camera("--plate", "40").port
     start("camera_bridge", "-p", f"port:={port}", "-p", "temperature_rate:=2.0", "-p", "image_rate:=1.0")
@@ -302,7 +262,7 @@ def test_rates_can_be_limited(
 
 
 def test_stamps_are_of_the_simulated_clock(
-    start: Callable[..., Any], camera: Callable[..., CameraProgram], ears: Ears, listener: Any
+    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears, listener: Any
 ) -> None:
     clock = listener.node.create_publisher(Clock, "/clock", 10)
     start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "use_sim_time:=true")
@@ -325,7 +285,7 @@ def test_stamps_are_of_the_simulated_clock(
         (["-p", "hots:=pi"], "there is no parameter hots; did you mean host?"),
     ],
 )
-def test_wrong_parameters_end_it(start: Callable[..., Any], arguments: list[str], line: str) -> None:
+def test_wrong_parameters_end_it(start: Callable[..., Process], arguments: list[str], line: str) -> None:
     bridge = start("camera_bridge", *arguments)
     assert bridge.wait() == 2
     assert line in bridge.text

@@ -18,6 +18,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
+from tests.support.processes import Process
+from tests.support.ros import Listener
 from twinmatch.nodes.conversions import sample_from
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.plant import Pid, PidGains
@@ -31,7 +33,7 @@ FAST = ("-p", "period:=0.05", "-p", "command_period:=0.02", "-p", "max_age:=0.5"
 class Bench:
     """What stands around a controller."""
 
-    def __init__(self, listener: Any) -> None:
+    def __init__(self, listener: Listener) -> None:
         self.listener = listener
         self.samples = listener.hear(LoopSample, "plant/sample", EVERYTHING)
         self.commands = listener.hear(PwmCommand, "plant/pwm_command", EVERYTHING)
@@ -64,35 +66,35 @@ class Bench:
 
 
 @pytest.fixture
-def bench(listener: Any) -> Bench:
+def bench(listener: Listener) -> Bench:
     return Bench(listener)
 
 
-def test_samples_are_steps_of_the_pid(start: Callable[..., Any], bench: Bench) -> None:
+def test_samples_are_steps_of_the_pid(start: Callable[..., Process], bench: Bench) -> None:
     references = bench.listener.hear(Float64, "plant/reference", LATCHED)
     start("controller", *FAST, "-p", "profile.levels:=[40.0, 60.0]", "-p", "profile.holds:=[1.0, 1.0]")
     bench.feed(lambda: len(bench.samples) >= 50, "samples")
     samples = [sample_from(message) for message in bench.samples]
     assert all(s.reference == (40.0 if s.index % 40 < 20 else 60.0) for s in samples)
     assert [m.data for m in references] == [40.0, 60.0, 40.0]
-    assert samples[0].pwm == 0
+    assert samples[0].input == 0
     gains = PidGains(period=0.05)
     for before, after in pairwise(samples):
         if after.index != before.index + 1:
             continue  # a tick was missed on a busy machine
-        error, error_before = after.reference - after.temperature, before.reference - before.temperature
-        if abs(before.pwm) < 255 and abs(after.pwm) < 255:
+        error, error_before = after.reference - after.output, before.reference - before.output
+        if abs(before.input) < 255 and abs(after.input) < 255:
             change = (
                 gains.proportional * (error - error_before) + gains.period * gains.integral * error_before
             )
             jump = gains.derivative * (error - error_before) / gains.period
-            assert after.pwm - before.pwm == pytest.approx(change + jump, abs=1e-6)
+            assert after.input - before.input == pytest.approx(change + jump, abs=1e-6)
     at_tick = {m.index: m.pwm for m in reversed(bench.commands)}
-    assert all(at_tick[s.index] == s.pwm for s in samples if s.index in at_tick)
+    assert all(at_tick[s.index] == s.input for s in samples if s.index in at_tick)
     assert len(bench.commands) > len(samples), "commands are repeated between ticks"
 
 
-def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Any], bench: Bench) -> None:
+def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Process], bench: Bench) -> None:
     """From the second sample on a `Pid` that followed the first two computes the same."""
     start("controller", "-p", "period:=1.0", "-p", "profile.levels:=[26.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 4, "samples")
@@ -105,7 +107,7 @@ def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Any], benc
 
 
 def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
-    start: Callable[..., Any], bench: Bench
+    start: Callable[..., Process], bench: Bench
 ) -> None:
     start("controller", *FAST, "-p", "profile.levels:=[30.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 20, "samples")
@@ -127,7 +129,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
     assert again.pwm == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Any], bench: Bench) -> None:
+def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Process], bench: Bench) -> None:
     bench.stamp = 1000
     start("controller", *FAST)
     bench.feed(lambda: bench.said("s old; is the camera up?"), "the complaint")
@@ -135,7 +137,7 @@ def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Any], bench: Be
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_last_word_is_zero(start: Callable[..., Any], bench: Bench, number: signal.Signals) -> None:
+def test_the_last_word_is_zero(start: Callable[..., Process], bench: Bench, number: signal.Signals) -> None:
     process = start("controller", *FAST)
     bench.feed(lambda: any(m.pwm for m in bench.commands), "a command")
     assert process.end(number) == 0
@@ -145,7 +147,7 @@ def test_the_last_word_is_zero(start: Callable[..., Any], bench: Bench, number: 
     assert len(bench.commands) == heard
 
 
-def test_a_defect_commands_zero_first(start_script: Callable[[str], Any], bench: Bench) -> None:
+def test_a_defect_commands_zero_first(start_script: Callable[[str], Process], bench: Bench) -> None:
     process = start_script("""
 import sys
 from twinmatch.nodes import controller
@@ -166,7 +168,7 @@ sys.exit(run([Defect]))
     assert "fell over" in process.text
 
 
-def test_it_ends_with_the_profile(start: Callable[..., Any], bench: Bench) -> None:
+def test_it_ends_with_the_profile(start: Callable[..., Process], bench: Bench) -> None:
     process = start(
         "controller",
         *FAST,
@@ -179,7 +181,7 @@ def test_it_ends_with_the_profile(start: Callable[..., Any], bench: Bench) -> No
     assert 37 <= bench.samples[-1].index <= 39
 
 
-def test_the_set_point_may_come_from_a_topic(start: Callable[..., Any], bench: Bench) -> None:
+def test_the_set_point_may_come_from_a_topic(start: Callable[..., Process], bench: Bench) -> None:
     latched = bench.listener.node.create_publisher(Float64, "plant/reference", LATCHED)
     latched.publish(Float64(data=33.0))
     start("controller", *FAST, "-p", "reference_source:=topic")
@@ -196,7 +198,7 @@ def test_the_set_point_may_come_from_a_topic(start: Callable[..., Any], bench: B
     assert bench.samples[-1].reference == 44.0
 
 
-def test_it_waits_for_its_readers(start: Callable[..., Any], bench: Bench) -> None:
+def test_it_waits_for_its_readers(start: Callable[..., Process], bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=2", "-p", "wait_timeout:=30.0")
     bench.feed(lambda: bench.said("waiting"), "the report")
     assert not bench.samples
@@ -206,13 +208,13 @@ def test_it_waits_for_its_readers(start: Callable[..., Any], bench: Bench) -> No
     assert bench.samples[0].index == 0
 
 
-def test_readers_that_do_not_come_are_said(start: Callable[..., Any], bench: Bench) -> None:
+def test_readers_that_do_not_come_are_said(start: Callable[..., Process], bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=5", "-p", "wait_timeout:=0.5")
     bench.feed(lambda: bench.said("of 5 readers of /plant/sample came"), "the complaint")
     assert bench.samples
 
 
-def test_ticks_follow_the_clock(start: Callable[..., Any], bench: Bench) -> None:
+def test_ticks_follow_the_clock(start: Callable[..., Process], bench: Bench) -> None:
     """Twenty times as fast, and not at all when it stands."""
     clock = bench.listener.node.create_publisher(Clock, "/clock", 10)
     start(
@@ -260,7 +262,9 @@ def test_ticks_follow_the_clock(start: Callable[..., Any], bench: Bench) -> None
         (["-p", "pid.limt:=3.0"], "did you mean pid.limit?"),
     ],
 )
-def test_wrong_parameters_are_one_line(start: Callable[..., Any], arguments: list[str], line: str) -> None:
+def test_wrong_parameters_are_one_line(
+    start: Callable[..., Process], arguments: list[str], line: str
+) -> None:
     process = start("controller", *arguments)
     assert process.wait() == 2
     assert re.search(re.escape(line), process.text)

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
+from tests.support.waiting import wait_for
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.diagnostics import Health, Level, Report, status_message
 from twinmatch.nodes.samples import SampleWatch
 from twinmatch.nodes.worker import Worker
-
-
-def settle(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
 
 
 def test_nothing_to_complain_about() -> None:
@@ -90,7 +82,7 @@ def test_worker_keeps_the_order_and_is_idle_then() -> None:
     worker = Worker(done.append, Health())
     for number in range(1000):
         worker.put(number)
-    settle(lambda: worker.idle)
+    wait_for(lambda: worker.idle, "the end of the work")
     assert worker.close()
     assert done == list(range(1000))
 
@@ -106,10 +98,10 @@ def test_worker_reports_errors_of_the_outside_and_goes_on() -> None:
 
     worker = Worker(handle, health)
     worker.put(0)
-    settle(lambda: worker.idle)
+    wait_for(lambda: worker.idle, "the end of the work")
     assert health.report()[:2] == (Level.ERROR, "zero is no number of ours")
     worker.put(1)
-    settle(lambda: worker.idle)
+    wait_for(lambda: worker.idle, "the end of the work")
     assert worker.failure is None
     assert worker.close()
     assert done == [1]
@@ -120,7 +112,7 @@ def test_worker_reports_errors_of_the_outside_and_goes_on() -> None:
 def test_worker_hands_a_defect_over() -> None:
     worker = Worker(lambda number: 1 / number, Health())  # type: ignore[arg-type, return-value]
     worker.put(0)
-    settle(lambda: not worker.alive)
+    wait_for(lambda: not worker.alive, "the end of the thread")
     assert isinstance(worker.failure, ZeroDivisionError)
 
 
@@ -130,7 +122,7 @@ def test_worker_reports_its_backlog() -> None:
     worker = Worker(lambda _: gate.wait() and None, health, backlog=3)
     for number in range(5):
         worker.put(number)
-    settle(lambda: worker.depth == 4)
+    wait_for(lambda: worker.depth == 4, "the first message being handled")
     worker.watch()
     assert health.report()[:2] == (Level.WARN, "4 messages wait; the work takes longer than they come in")
     assert not worker.close(timeout=0.01)

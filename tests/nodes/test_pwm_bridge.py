@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -26,6 +21,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
+from tests.support import boards
+from tests.support.processes import Process
+from tests.support.ros import Listener
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm import Flags
 from twinmatch.nodes.network import sockets_elsewhere
@@ -33,7 +31,6 @@ from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
 
 pytestmark = pytest.mark.ros
 
-TESTS = Path(__file__).parents[1]
 QUIET = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0"]
 """For tests that are not about time, on a busy machine."""
 SCRIPT = """
@@ -44,17 +41,6 @@ main()
 """
 
 
-def load(path: Path) -> ModuleType:
-    if path.stem not in sys.modules:
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[path.stem] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[path.stem])
-    return sys.modules[path.stem]
-
-
-boards: Any = load(TESTS / "emulation" / "arduino_boards.py")
 KINDS = [kind for kind in boards.KINDS if kind != "real"]
 
 
@@ -77,7 +63,7 @@ def board() -> Iterator[StandInArduino]:
 class Rig:
     """Controller and camera as the bridge sees them, and what it says."""
 
-    def __init__(self, listener: Any) -> None:
+    def __init__(self, listener: Listener) -> None:
         self.listener = listener
         node = listener.node
         self.applied = listener.hear(PwmApplied, "plant/pwm_applied", QoSProfile(depth=100))
@@ -160,14 +146,14 @@ def stamp(nanoseconds: int) -> Time:
 
 
 @pytest.fixture
-def rig(listener: Any) -> Iterator[Rig]:
+def rig(listener: Listener) -> Iterator[Rig]:
     made = Rig(listener)
     yield made
     made.close()
 
 
 def test_commands_reach_the_pins_and_what_was_applied_is_told(
-    start: Callable[..., Any], rig: Rig, any_board: Any
+    start: Callable[..., Process], rig: Rig, any_board: Any
 ) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.until(lambda: rig.applied, "a report")
@@ -186,7 +172,7 @@ def test_commands_reach_the_pins_and_what_was_applied_is_told(
 
 
 def test_a_killed_bridge_costs_at_most_the_boards_deadline(
-    start_script: Callable[[str], Any], rig: Rig, any_board: Any
+    start_script: Callable[[str], Process], rig: Rig, any_board: Any
 ) -> None:
     arguments = ["-p", f"port:={any_board.port}", *QUIET]
     bridge = start_script(SCRIPT.format(arguments=", ".join(map(repr, arguments))))
@@ -200,12 +186,14 @@ def test_a_killed_bridge_costs_at_most_the_boards_deadline(
     assert after.time - before.time == pytest.approx(1.05, abs=0.005)
 
 
-def test_a_frozen_bridge_lets_go_and_stays_off(start: Callable[..., Any], rig: Rig, any_board: Any) -> None:
+def test_a_frozen_bridge_lets_go_and_stays_off(
+    start: Callable[..., Process], rig: Rig, any_board: Any
+) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.drive(200.0, any_board)
-    os.kill(bridge.id, signal.SIGSTOP)
+    bridge.freeze()
     rig.until(lambda: not any_board.drive().enabled, "the board's deadline")
-    os.kill(bridge.id, signal.SIGCONT)
+    bridge.thaw()
     rig.until(lambda: rig.fault, "a fault")
     rig.stays_at_zero(any_board)
     assert rig.fault.split(":")[0] in {"board", "link", "command_silent"}
@@ -213,7 +201,7 @@ def test_a_frozen_bridge_lets_go_and_stays_off(start: Callable[..., Any], rig: R
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_with_zero(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino, number: signal.Signals
+    start: Callable[..., Process], rig: Rig, board: StandInArduino, number: signal.Signals
 ) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(200.0, board)
@@ -236,7 +224,7 @@ def test_a_signal_ends_it_with_zero(
     ],
 )
 def test_doubt_is_zero_and_latches_until_cleared(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino, kind: str, break_it: dict[str, Any]
+    start: Callable[..., Process], rig: Rig, board: StandInArduino, kind: str, break_it: dict[str, Any]
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "command_timeout:=2.0")
     rig.drive(120.0, board)
@@ -257,7 +245,7 @@ def test_doubt_is_zero_and_latches_until_cleared(
 
 @pytest.mark.parametrize(("reference", "pwm"), [(60.0, 255.0), (0.0, -255.0)], ids=["heating", "cooling"])
 def test_a_runaway_is_zero(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino, reference: float, pwm: float
+    start: Callable[..., Process], rig: Rig, board: StandInArduino, reference: float, pwm: float
 ) -> None:
     limits = ["-p", "runaway.gain_time:=1.0", "-p", "runaway.patience:=20.0"]
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET, *limits)
@@ -267,7 +255,7 @@ def test_a_runaway_is_zero(
 
 
 def test_stop_is_a_fault_that_is_asked_for(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino
+    start: Callable[..., Process], rig: Rig, board: StandInArduino
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(120.0, board)
@@ -277,7 +265,7 @@ def test_stop_is_a_fault_that_is_asked_for(
     rig.drive(120.0, board)
 
 
-def test_a_cable_pulled_and_put_back(start: Callable[..., Any], rig: Rig, any_board: Any) -> None:
+def test_a_cable_pulled_and_put_back(start: Callable[..., Process], rig: Rig, any_board: Any) -> None:
     start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.drive(120.0, any_board)
     any_board.unplug()
@@ -294,7 +282,7 @@ def test_a_cable_pulled_and_put_back(start: Callable[..., Any], rig: Rig, any_bo
 
 
 def test_a_bridge_started_before_there_is_a_board_drives_once_there_is(
-    start: Callable[..., Any], rig: Rig, any_board: Any
+    start: Callable[..., Process], rig: Rig, any_board: Any
 ) -> None:
     any_board.unplug()
     start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
@@ -339,7 +327,7 @@ def simulated(rig: Rig) -> Iterator[SimulatedTime]:
 
 
 def test_a_simulated_clock_that_stands_still_is_zero(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino, simulated: SimulatedTime
+    start: Callable[..., Process], rig: Rig, board: StandInArduino, simulated: SimulatedTime
 ) -> None:
     """Although commands and temperatures go on coming: in their time none of them is old."""
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
@@ -353,7 +341,7 @@ def test_a_simulated_clock_that_stands_still_is_zero(
 
 
 def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino, simulated: SimulatedTime
+    start: Callable[..., Process], rig: Rig, board: StandInArduino, simulated: SimulatedTime
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.drive(120.0, board)
@@ -364,7 +352,7 @@ def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
 
 
 def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino
+    start: Callable[..., Process], rig: Rig, board: StandInArduino
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.pwm, rig.stamp = 120.0, lambda: 0
@@ -374,7 +362,7 @@ def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
 
 
 def test_no_samples_no_runaway_watch_and_that_is_said(
-    start: Callable[..., Any], rig: Rig, board: StandInArduino
+    start: Callable[..., Process], rig: Rig, board: StandInArduino
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(50.0, board)
@@ -383,7 +371,9 @@ def test_no_samples_no_runaway_watch_and_that_is_said(
     rig.until(lambda: "watches" not in rig.complaints(), "samples that are seen")
 
 
-def test_two_controllers_are_warned_of(start: Callable[..., Any], rig: Rig, board: StandInArduino) -> None:
+def test_two_controllers_are_warned_of(
+    start: Callable[..., Process], rig: Rig, board: StandInArduino
+) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.until(lambda: rig.complaints() and "two nodes" not in rig.complaints(), "health")
     other = rig.listener.node.create_publisher(PwmCommand, "plant/pwm_command", 10)
@@ -400,14 +390,14 @@ def test_two_controllers_are_warned_of(start: Callable[..., Any], rig: Rig, boar
         (["-p", "prot:=/dev/ttyACM1"], "there is no parameter prot; did you mean port?"),
     ],
 )
-def test_wrong_parameters_end_it(start: Callable[..., Any], arguments: list[str], line: str) -> None:
+def test_wrong_parameters_end_it(start: Callable[..., Process], arguments: list[str], line: str) -> None:
     bridge = start("pwm_bridge", *arguments)
     assert bridge.wait() == 2
     assert line in bridge.text
 
 
 def test_another_protocol_ends_it_in_one_line(
-    start: Callable[..., Any], board: StandInArduino, monkeypatch: pytest.MonkeyPatch
+    start: Callable[..., Process], board: StandInArduino, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinmatch.emulation.arduino_model.PROTOCOL", 9)
     bridge = start("pwm_bridge", "-p", f"port:={board.port}")

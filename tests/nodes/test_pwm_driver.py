@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
+from tests.support import boards
+from tests.support.waiting import wait_for
 from twinmatch.emulation import arduino_model
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm import Applied, Flags, LinkSettings, PwmLink, PwmVersionError
@@ -24,22 +23,10 @@ from twinmatch.nodes.output_gate import OutputGate, Times
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
 from twinmatch.safety import FaultKind, GuardLimits
 
-TESTS = Path(__file__).parents[1]
 PATIENT = LinkSettings(timeout=1.0)
 """For boards that share a busy machine with the tests."""
 
 
-def load(path: Path) -> ModuleType:
-    if path.stem not in sys.modules:
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[path.stem] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[path.stem])
-    return sys.modules[path.stem]
-
-
-boards: Any = load(TESTS / "emulation" / "arduino_boards.py")
 KINDS = [kind for kind in boards.KINDS if kind != "real"]
 
 
@@ -70,10 +57,7 @@ class Bench:
         self.until(lambda: self.board.drive().pwm == pytest.approx(pwm, abs=0.16))
 
     def until(self, condition: Callable[[], Any]) -> None:
-        end = time.monotonic() + 30
-        while not condition():
-            assert time.monotonic() < end, f"it did not happen within 30 s; {self.health.report()}"
-            time.sleep(0.005)
+        wait_for(condition, lambda: str(self.health.report()))
 
     def kind(self) -> FaultKind | None:
         return None if self.gate.fault is None else self.gate.fault.kind
@@ -289,9 +273,7 @@ def test_a_board_that_had_tripped_on_its_driver_is_not_cleared_by_itself() -> No
         link.clear()
         link.command(50.0)
         board.set_fault(True)
-        end = time.monotonic() + 30
-        while not link.query().flags & Flags.DRIVER:
-            assert time.monotonic() < end
+        wait_for(lambda: link.query().flags & Flags.DRIVER, "the board's trip")
     board.set_fault(False)
     bench = Bench(board).start()
     try:

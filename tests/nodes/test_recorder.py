@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +19,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, String
 
+from tests.support.processes import Process
+from tests.support.ros import Listener
+from tests.support.waiting import wait_for
 from twinmatch.nodes.conversions import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.sessions import Session, read_session
@@ -40,7 +40,7 @@ SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 class Rig:
     """Publishes what a rig publishes."""
 
-    def __init__(self, listener: Any, namespace: str = "") -> None:
+    def __init__(self, listener: Listener, namespace: str = "") -> None:
         self.listener = listener
         make = listener.node.create_publisher
         self.samples = make(LoopSample, f"{namespace}plant/sample", RELIABLE)
@@ -63,12 +63,15 @@ class Rig:
 
 
 @pytest.fixture
-def rig(listener: Any) -> Rig:
+def rig(listener: Listener) -> Rig:
     return Rig(listener)
 
 
+Record = Callable[..., Process]
+
+
 @pytest.fixture
-def record(start: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+def record(start: Callable[..., Process], tmp_path: Path) -> Record:
     """Start a recorder; it records into `run` in the test's folder."""
     return lambda *arguments: start(
         "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0", *arguments
@@ -80,7 +83,7 @@ def messages_of(session: Session, topic: str, kind: Any) -> list[Any]:
     return [deserialize_message(message.data, kind) for message in session.messages([topic])]
 
 
-def test_everything_is_recorded_as_it_was_sent(record: Any, rig: Rig, tmp_path: Path) -> None:
+def test_everything_is_recorded_as_it_was_sent(record: Record, rig: Rig, tmp_path: Path) -> None:
     rig.references.publish(Float64(data=40.0))
     process = record()
     rig.wait_for_reader()
@@ -117,7 +120,7 @@ def test_everything_is_recorded_as_it_was_sent(record: Any, rig: Rig, tmp_path: 
     assert (sample.schema, sample.type_hash) == (SAMPLE.schema, SAMPLE.type_hash)
 
 
-def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Any, rig: Rig, tmp_path: Path) -> None:
+def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Record, rig: Rig, tmp_path: Path) -> None:
     """Twenty times the rig: 20 samples, 180 images and temperatures a second."""
     process = record()
     rig.wait_for_reader()
@@ -136,29 +139,11 @@ def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Any, rig: Rig, tmp_p
     assert [s.index for s in session.samples] == list(range(100))
 
 
-@pytest.fixture
-def start_to_kill() -> Iterator[Callable[[Path], subprocess.Popen[bytes]]]:
-    """Start a recorder that may be killed; the shared fixture takes a killed process for a failure."""
-    started: list[subprocess.Popen[bytes]] = []
-
-    def start_one(folder: Path) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "twinmatch.nodes.recorder", "--ros-args"]
-        for value in (f"folder:={folder}", "name:=run", "min_free_mb:=1.0"):
-            command += ["-p", value]
-        started.append(subprocess.Popen(command, stderr=subprocess.DEVNULL))
-        return started[-1]
-
-    yield start_one
-    for process in started:
-        process.kill()
-        process.wait()
-
-
 @pytest.mark.parametrize("after", [0.7, 1.5])
 def test_a_killed_recorder_loses_less_than_a_second(
-    start_to_kill: Callable[[Path], subprocess.Popen[bytes]], rig: Rig, tmp_path: Path, after: float
+    record: Record, rig: Rig, tmp_path: Path, after: float
 ) -> None:
-    process = start_to_kill(tmp_path)
+    process = record()
     rig.wait_for_reader()
     sent = []
     deadline = time.monotonic() + after
@@ -166,9 +151,8 @@ def test_a_killed_recorder_loses_less_than_a_second(
         rig.sample(len(sent))
         sent.append(time.monotonic())
         time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
     killed = time.monotonic()
-    process.wait()
+    process.kill()
     session = read_session(tmp_path / "run")
     indices = [s.index for s in session.samples]
     assert indices == list(range(len(indices)))
@@ -182,7 +166,7 @@ def test_a_killed_recorder_loses_less_than_a_second(
 
 
 def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
-    record: Any, listener: Any, tmp_path: Path
+    record: Record, listener: Listener, tmp_path: Path
 ) -> None:
     mine, other = Rig(listener, "/one/"), Rig(listener, "/two/")
     process = record("-r", "__ns:=/one", "-p", "leave_out:=[thermal/]", "-p", "also:=[/weather]")
@@ -203,7 +187,7 @@ def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
 
 
 def test_a_publisher_that_offers_less_is_heard_too(
-    record: Any, listener: Any, rig: Rig, tmp_path: Path
+    record: Record, listener: Listener, rig: Rig, tmp_path: Path
 ) -> None:
     process = record()
     first = listener.node.create_publisher(Float64, "extra", RELIABLE)
@@ -223,7 +207,7 @@ def test_a_publisher_that_offers_less_is_heard_too(
 
 
 def test_parameters_of_the_nodes_are_in_the_session(
-    record: Any, start: Callable[..., Any], rig: Rig, tmp_path: Path
+    record: Record, start: Callable[..., Process], rig: Rig, tmp_path: Path
 ) -> None:
     family = tmp_path / "family.yaml"
     family.write_text("candidates:\n  - {name: a, operating_point: 40.0, seebeck: 0.08}\n")
@@ -249,7 +233,7 @@ def test_parameters_of_the_nodes_are_in_the_session(
 
 
 def test_a_recorded_run_of_the_twin_verifies(
-    record: Any, start: Callable[..., Any], listener: Any, session: Path, tmp_path: Path
+    record: Record, start: Callable[..., Process], listener: Listener, session: Path, tmp_path: Path
 ) -> None:
     """Everything together: a plant, the twin beside it, the recorder beside both; then the same verdicts."""
     process = record()
@@ -271,7 +255,7 @@ def test_a_recorded_run_of_the_twin_verifies(
     assert found.verdicts >= 14
 
 
-def test_files_are_split(record: Any, rig: Rig, tmp_path: Path) -> None:
+def test_files_are_split(record: Record, rig: Rig, tmp_path: Path) -> None:
     process = record("-p", "split_s:=0.5")
     rig.wait_for_reader()
     for k in range(100):
@@ -286,7 +270,7 @@ def test_files_are_split(record: Any, rig: Rig, tmp_path: Path) -> None:
         assert reader.message_count == sum(session.counts.values())
 
 
-def test_too_little_room_is_one_line(start: Callable[..., Any], tmp_path: Path) -> None:
+def test_too_little_room_is_one_line(start: Callable[..., Process], tmp_path: Path) -> None:
     process = start(
         "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=900000000.0"
     )
@@ -295,7 +279,7 @@ def test_too_little_room_is_one_line(start: Callable[..., Any], tmp_path: Path) 
     assert not (tmp_path / "run").exists()
 
 
-def test_a_session_that_exists_is_refused(record: Any, tmp_path: Path) -> None:
+def test_a_session_that_exists_is_refused(record: Record, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     process = record()
     assert process.wait() == 2
@@ -303,7 +287,7 @@ def test_a_session_that_exists_is_refused(record: Any, tmp_path: Path) -> None:
 
 
 def test_a_full_disk_ends_it_with_one_line(
-    start_script: Callable[[str], Any], rig: Rig, tmp_path: Path
+    start_script: Callable[[str], Process], rig: Rig, tmp_path: Path
 ) -> None:
     """A limit on the size of files stands for the disk; the session is readable up to there."""
     process = start_script(f"""
@@ -316,13 +300,15 @@ main()
     rig.wait_for_reader()
     image = Image(height=60, width=80, encoding="mono16", step=160, data=bytes(9600))
     k = 0
-    deadline = time.monotonic() + 60
-    while process.running:
-        assert time.monotonic() < deadline
+
+    def publish() -> None:
+        nonlocal k
         rig.images.publish(image)
         rig.sample(k)
         k += 1
         time.sleep(0.02)
+
+    wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
     assert process.wait() == 2
     assert "make room or choose another folder" in process.text
     assert "Traceback" not in process.text
@@ -336,7 +322,7 @@ main()
 
 
 def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
-    start_script: Callable[[str], Any], rig: Rig, tmp_path: Path
+    start_script: Callable[[str], Process], rig: Rig, tmp_path: Path
 ) -> None:
     process = start_script(f"""
 import sys, time
@@ -350,13 +336,15 @@ for given in ("folder:={tmp_path}", "name:=run", "min_free_mb:=10.0"):
 main()
 """)
     rig.wait_for_reader()
-    deadline = time.monotonic() + 60
     k = 0
-    while process.running:
-        assert time.monotonic() < deadline
+
+    def publish() -> None:
+        nonlocal k
         rig.sample(k)
         k += 1
         time.sleep(0.02)
+
+    wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
     assert process.wait() == 2
     assert "recording run: stopped after" in process.text
     assert "9 MB are free on the disk and 10 MB have to stay" in process.text
@@ -365,7 +353,7 @@ main()
     assert len(session.samples) > 5
 
 
-def test_rates_and_silence_are_on_diagnostics(record: Any, rig: Rig) -> None:
+def test_rates_and_silence_are_on_diagnostics(record: Record, rig: Rig) -> None:
     record()
     rig.wait_for_reader()
     for k in range(40):
@@ -385,7 +373,7 @@ def test_rates_and_silence_are_on_diagnostics(record: Any, rig: Rig) -> None:
 
 
 def test_a_type_that_is_not_installed_is_named(
-    rig: Rig, start_script: Callable[[str], Any], tmp_path: Path
+    rig: Rig, start_script: Callable[[str], Process], tmp_path: Path
 ) -> None:
     start_script(f"""
 import sys
@@ -407,7 +395,9 @@ recorder.main()
     rig.wait_for_reader()
 
 
-def test_with_simulated_time_the_times_are_those_of_the_clock(record: Any, rig: Rig, tmp_path: Path) -> None:
+def test_with_simulated_time_the_times_are_those_of_the_clock(
+    record: Record, rig: Rig, tmp_path: Path
+) -> None:
     clock = rig.listener.node.create_publisher(Clock, "/clock", 10)
     process = record("-p", "use_sim_time:=true")
     rig.listener.spin_until(clock.get_subscription_count, "the recorder")

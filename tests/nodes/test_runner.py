@@ -6,9 +6,10 @@ import signal
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+
+from tests.support.processes import Process
 
 pytestmark = pytest.mark.ros
 
@@ -51,23 +52,23 @@ def program(
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signal_ends_with_zero_and_leaves_nothing(
-    start_script: Callable[[str], Any], number: signal.Signals
+    start_script: Callable[[str], Process], number: signal.Signals
 ) -> None:
     process = start_script(program())
-    process.wait_for_text("up")
-    files = process.shared_memory()
+    process.said("^up$")
+    files = shared_memory(process.id)
     assert files
     assert process.end(number) == 0
     assert not [name for name in files if Path(name).exists()]
 
 
-def test_node_ends_its_process_with_its_code(start_script: Callable[[str], Any]) -> None:
+def test_node_ends_its_process_with_its_code(start_script: Callable[[str], Process]) -> None:
     process = start_script(program(opening="self.exit_code = 7"))
     assert process.wait() == 7
 
 
 @pytest.mark.parametrize("place", ["opening", "ticking"])
-def test_users_mistake_is_one_line(start_script: Callable[[str], Any], place: str) -> None:
+def test_users_mistake_is_one_line(start_script: Callable[[str], Process], place: str) -> None:
     wrong = "raise TwinmatchError('the rig is unplugged; plug it in')"
     opening = wrong if place == "opening" else "self.create_timer(0.01, self.tick)"
     process = start_script(program(opening=opening, ticking=wrong))
@@ -77,30 +78,30 @@ def test_users_mistake_is_one_line(start_script: Callable[[str], Any], place: st
     assert "Traceback" not in process.text
 
 
-def test_our_mistake_keeps_its_traceback(start_script: Callable[[str], Any]) -> None:
+def test_our_mistake_keeps_its_traceback(start_script: Callable[[str], Process]) -> None:
     process = start_script(program(opening="self.create_timer(0.01, self.tick)", ticking="1 / 0"))
     assert process.wait() == 1
     assert "Traceback" in process.text
     assert "ZeroDivisionError" in process.text
 
 
-def test_end_that_hangs_is_cut_short(start_script: Callable[[str], Any]) -> None:
+def test_end_that_hangs_is_cut_short(start_script: Callable[[str], Process]) -> None:
     process = start_script(program(closing="time.sleep(600)", before="runner.TEARDOWN = 1"))
-    process.wait_for_text("up")
+    process.said("^up$")
     assert process.end() == -signal.SIGALRM
 
 
-def test_end_may_take_as_long_as_a_node_says(start_script: Callable[[str], Any]) -> None:
+def test_end_may_take_as_long_as_a_node_says(start_script: Callable[[str], Process]) -> None:
     process = start_script(
         program(closing="time.sleep(1.5)", before="runner.TEARDOWN = 1; First.CLOSING = 20")
     )
-    process.wait_for_text("up")
+    process.said("^up$")
     assert process.end() == 0
 
 
-def test_thread_that_goes_on_does_not_hold_the_end_up(start_script: Callable[[str], Any]) -> None:
+def test_thread_that_goes_on_does_not_hold_the_end_up(start_script: Callable[[str], Process]) -> None:
     process = start_script(program(closing="return False"))
-    process.wait_for_text("up")
+    process.said("^up$")
     assert process.end() == 0
 
 
@@ -115,14 +116,14 @@ def test_thread_that_goes_on_does_not_hold_the_end_up(start_script: Callable[[st
         ),
     ],
 )
-def test_wrong_command_line(start_script: Callable[[str], Any], arguments: str, line: str) -> None:
+def test_wrong_command_line(start_script: Callable[[str], Process], arguments: str, line: str) -> None:
     process = start_script(program(arguments=arguments))
     assert process.wait() == 2
     assert process.text.splitlines()[-1].startswith(line)
     assert "Traceback" not in process.text
 
 
-def test_help_shows_the_parameters(start_script: Callable[[str], Any]) -> None:
+def test_help_shows_the_parameters(start_script: Callable[[str], Process]) -> None:
     process = start_script(
         "import sys; from twinmatch.nodes.player import Player; from twinmatch.nodes.runner import run\n"
         "sys.exit(run([Player], ['player', '--help']))"
@@ -131,20 +132,20 @@ def test_help_shows_the_parameters(start_script: Callable[[str], Any]) -> None:
     assert "rate: 1.0" in process.text
 
 
-def test_sockets_are_on_loopback(start_script: Callable[[str], Any]) -> None:
+def test_sockets_are_on_loopback(start_script: Callable[[str], Process]) -> None:
     from twinmatch.nodes.network import sockets_elsewhere
 
     process = start_script(program())
-    process.wait_for_text("up")
+    process.said("^up$")
     assert sockets_elsewhere(process.id) == []
 
 
-def test_discovery_is_joined_on_loopback_alone(start_script: Callable[[str], Any]) -> None:
+def test_discovery_is_joined_on_loopback_alone(start_script: Callable[[str], Process]) -> None:
     """Counted over the whole machine, where others may come and go: so one undisturbed try is enough."""
     for _ in range(5):
         before = members("0100FFEF")  # 239.255.0.1
         process = start_script(program())
-        process.wait_for_text("up")
+        process.said("^up$")
         joined = members("0100FFEF") - before
         process.end()
         if set(joined) == {"lo"}:
@@ -153,7 +154,7 @@ def test_discovery_is_joined_on_loopback_alone(start_script: Callable[[str], Any
 
 
 def test_open_network_has_to_be_written_and_is_loud(
-    start_script: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+    start_script: Callable[[str], Process], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the range of one machine, so that this test sends nothing to the network either."""
     from twinmatch.nodes.network import sockets_elsewhere
@@ -162,17 +163,27 @@ def test_open_network_has_to_be_written_and_is_loud(
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.delenv("FASTDDS_DEFAULT_PROFILES_FILE", raising=False)
     process = start_script(program())
-    process.wait_for_text("up")
+    process.said("^up$")
     assert "NETWORK OPEN" in process.text
     assert sockets_elsewhere(process.id)
 
 
-def test_profile_that_is_not_read_stops_the_node(start_script: Callable[[str], Any]) -> None:
+def test_profile_that_is_not_read_stops_the_node(start_script: Callable[[str], Process]) -> None:
     """Sockets elsewhere in spite of the profile: a process with one of its own stands in for it."""
     holder = "import socket; held = socket.socket(type=socket.SOCK_DGRAM); held.bind(('', 0))"
     process = start_script(program(before=holder))
     assert process.wait() == 2
     assert "network: bound to udp 0.0.0.0:" in process.text
+
+
+def shared_memory(process: int) -> set[str]:
+    """Names of the files of Fast DDS in /dev/shm that belong to this process alone."""
+    names = set()
+    for line in Path(f"/proc/{process}/maps").read_text().splitlines():
+        name = line.split()[-1]
+        if name.startswith("/dev/shm/fastdds_") and "_port" not in name:
+            names.add(name)
+    return names
 
 
 def members(group: str) -> Counter[str]:
@@ -187,11 +198,11 @@ def members(group: str) -> Counter[str]:
     return found
 
 
-def test_end_is_prompt_in_a_row_of_starts(start_script: Callable[[str], Any]) -> None:
+def test_end_is_prompt_in_a_row_of_starts(start_script: Callable[[str], Process]) -> None:
     """A lost SIGTERM or a hanging end shows here as another code."""
     codes = []
     for _ in range(5):
         process = start_script(program())
-        process.wait_for_text("up")
+        process.said("^up$")
         codes.append(process.end())
     assert codes == [0] * 5

@@ -13,6 +13,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
 
+from tests.support.processes import Process
+from tests.support.ros import Listener
 from twinmatch.nodes.conversions import (
     match_from,
     match_message,
@@ -37,7 +39,11 @@ def offline(steps: list[Sample]) -> list[Outcome]:
 
 
 def test_live_verdicts_are_the_offline_ones(
-    start: Callable[..., Any], listener: Any, session: Path, steps: list[Sample], offline: list[Outcome]
+    start: Callable[..., Process],
+    listener: Listener,
+    session: Path,
+    steps: list[Sample],
+    offline: list[Outcome],
 ) -> None:
     verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
     matches = [outcome.match for outcome in offline if outcome.match is not None]
@@ -64,7 +70,7 @@ def test_live_verdicts_are_the_offline_ones(
 
 
 def test_late_simulator_is_given_the_nominal(
-    start: Callable[..., Any], listener: Any, steps: list[Sample]
+    start: Callable[..., Process], listener: Listener, steps: list[Sample]
 ) -> None:
     """And its state is that of a mirror with those parameters."""
     candidate = Candidate(name="60 °C")
@@ -88,7 +94,7 @@ def test_late_simulator_is_given_the_nominal(
 
 
 def test_gap_is_an_error_on_diagnostics(
-    start: Callable[..., Any], listener: Any, steps: list[Sample]
+    start: Callable[..., Process], listener: Listener, steps: list[Sample]
 ) -> None:
     samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
@@ -114,7 +120,7 @@ def test_gap_is_an_error_on_diagnostics(
     ],
 )
 def test_wrong_parameters_are_one_line_and_exit_code_2(
-    start: Callable[..., Any], name: str, arguments: list[str], line: str
+    start: Callable[..., Process], name: str, arguments: list[str], line: str
 ) -> None:
     process = start(name, *arguments)
     assert process.wait() == 2
@@ -122,7 +128,7 @@ def test_wrong_parameters_are_one_line_and_exit_code_2(
     assert len(process.text.splitlines()) == 1
 
 
-def test_three_in_one_process_have_nothing_to_say(start: Callable[..., Any], listener: Any) -> None:
+def test_three_in_one_process_have_nothing_to_say(start: Callable[..., Process], listener: Listener) -> None:
     process = start("twin")
     names = {"matcher", "discriminator", "twin_simulator"}
     listener.spin_until(lambda: names <= set(listener.node.get_node_names()), "the nodes")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import platform
 import shutil
 import sys
@@ -10,24 +9,18 @@ import sysconfig
 from pathlib import Path
 from types import ModuleType
 
+import check_machine
 import pytest
-
-PROJECT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The module, on a machine that has everything."""
-    spec = importlib.util.spec_from_file_location("check_machine", PROJECT / ".ci" / "check_machine.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(platform, "machine", lambda: "x86_64")
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     monkeypatch.setattr(Path, "exists", lambda _: True)
-    return module
+    return check_machine
 
 
 def test_complete_machine(machine: ModuleType) -> None:

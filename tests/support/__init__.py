@@ -1,0 +1,1 @@
+"""What tests of several rooms need: waiting, processes, boards, rigs, steps, ROS."""

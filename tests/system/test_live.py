@@ -17,15 +17,17 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
+from tests.support.places import PROJECT
+from tests.support.processes import Process
+from tests.support.waiting import PATIENCE
 from twinmatch.emulation.virtual_rig_control import tell
 from twinmatch.sessions import read_session
 from twinmatch.sessions.repair import repair_session
 from twinmatch.verify import verify_session
 
-PROJECT = Path(__file__).resolve().parents[2]
 SPEED = 4.0
 """Slow enough for a busy machine: a second of the plant is a quarter of one here."""
-PATIENCE = 90.0
+LIVE = PROJECT / "launch_scripts" / "live.py"
 MODULES = {
     "rig": "twinmatch.nodes.rig",
     "twin": "twinmatch.nodes.twin",
@@ -48,15 +50,12 @@ class LiveRun:
             "    profile.levels: [30.0, 45.0, 30.0]\n    profile.holds: [40.0, 90.0, 40.0]\n"
             "    profile.repeat: false\n    exit_at_end: true\n"
         )
-        command = [sys.executable, str(PROJECT / "launch_scripts" / "live.py"), "--virtual"]
-        command += ["--speed", f"{SPEED}", "--config", str(config), "--session", str(self.session), *options]
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        with self.output.open("w") as stream:
-            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT, env=environment)
+        command = [sys.executable, LIVE, "--virtual", "--speed", f"{SPEED}", "--config", config]
+        self.process = Process(*command, "--session", self.session, *options, output=self.output)
 
     @property
     def text(self) -> str:
-        return self.output.read_text()
+        return self.process.text
 
     @property
     def control(self) -> str:
@@ -67,16 +66,13 @@ class LiveRun:
     def state(self) -> dict[str, float]:
         return dict(json.loads(tell(self.control, "state")))
 
-    def wait_for(self, condition: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + PATIENCE
-        while not condition():
-            assert self.process.poll() is None, f"live ended while waiting for {what}:\n{self.text}"
-            assert time.monotonic() < deadline, f"{what} did not come:\n{self.text}"
-            time.sleep(0.05)
+    def wait_until(self, condition: Callable[[], object], what: str) -> None:
+        self.process.wait_until(condition, what)
 
     def wait_until_driving(self) -> None:
-        self.wait_for(lambda: "ready" in self.text and "recording into" in self.text, "the rig")
-        self.wait_for(lambda: abs(self.state()["pwm"]) > 5, "a driven plate")
+        self.process.said("ready")
+        self.process.said("recording into")
+        self.wait_until(lambda: abs(self.state()["pwm"]) > 5, "a driven plate")
 
     def child(self, name: str) -> int | None:
         """Process id of a child by its module."""
@@ -86,7 +82,7 @@ class LiveRun:
                 parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
             except (OSError, ValueError):
                 continue
-            if parent == self.process.pid and MODULES[name].encode() in words:
+            if parent == self.process.id and MODULES[name].encode() in words:
                 return int(entry.name)
         return None
 
@@ -96,14 +92,8 @@ class LiveRun:
         os.kill(victim, signal.SIGKILL)
         return victim
 
-    def end(self) -> None:
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-            try:
-                self.process.wait(60)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
+    def end(self) -> int:
+        return self.process.end(signal.SIGINT)
 
 
 @pytest.fixture
@@ -139,7 +129,7 @@ def test_a_run_to_the_end_of_its_profile_verifies_and_leaves_nothing(
     assert found.identical, found.difference
     assert found.verdicts >= 2
     assert not control.parent.exists()
-    assert not children_of(run.process.pid)
+    assert not children_of(run.process.id)
 
 
 @pytest.mark.slow
@@ -159,7 +149,7 @@ def test_without_the_rigs_process_the_output_is_off_within_two_seconds_of_the_pl
         time.sleep(0.01)
     # Two seconds for the board's deadline, and what passes between asking and shooting.
     assert after - before <= 2.0 + 0.5 * SPEED, f"{after - before} s of plant time"
-    assert run.process.wait(60) == 3, run.text
+    assert run.process.wait() == 3, run.text
     assert "rig was lost" in run.text
     assert "the output is off" in run.text
 
@@ -173,10 +163,9 @@ def test_what_may_be_restarted_is_and_nothing_recorded_is_lost(
     run.wait_until_driving()
     time.sleep(3.0)
     victim = run.shoot(name)
-    run.wait_for(lambda: f"{name} ended with code -9; starting it again" in run.text, "a word of the loss")
-    run.wait_for(lambda: run.child(name) not in (None, victim), "another process")
-    run.end()
-    assert run.process.returncode == 0, run.text
+    run.wait_until(lambda: f"{name} ended with code -9; starting it again" in run.text, "a word of the loss")
+    run.wait_until(lambda: run.child(name) not in (None, victim), "another process")
+    assert run.end() == 0, run.text
     if name == "recorder":
         repair_session(run.session)
         assert len(read_session(run.session).samples) > 3
@@ -188,7 +177,7 @@ def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[...
     run = live_run()
     run.wait_until_driving()
     run.shoot("virtual_rig")
-    assert run.process.wait(60) == 3, run.text
+    assert run.process.wait() == 3, run.text
     assert "virtual_rig was lost" in run.text
 
 
@@ -196,7 +185,7 @@ def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[...
 def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., LiveRun]) -> None:
     run = live_run()
     run.wait_until_driving()
-    command = [sys.executable, str(PROJECT / "launch_scripts" / "live.py"), "--virtual", "--no-record"]
+    command = [sys.executable, LIVE, "--virtual", "--no-record"]
     second = subprocess.run(
         command,
         capture_output=True,
@@ -217,7 +206,7 @@ def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., Liv
     ],
 )
 def test_options_that_do_not_fit_are_refused(options: tuple[str, ...], words: str) -> None:
-    command = [sys.executable, str(PROJECT / "launch_scripts" / "live.py"), *options]
+    command = [sys.executable, LIVE, *options]
     result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert result.returncode == 2
     assert words in result.stderr

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
+from bags.make_four_setpoints import four_setpoints
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin
-
-GENERATOR = Path(__file__).resolve().parents[2] / "bags" / "make_four_setpoints.py"
 
 
 @pytest.fixture(scope="session")
 def simulated_session() -> list[Sample]:
     """The samples of the shipped session, made anew by its generator."""
-    spec = importlib.util.spec_from_file_location("make_four_setpoints", GENERATOR)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return samples_of(module.four_setpoints())
+    return samples_of(four_setpoints())
 
 
 @pytest.fixture(scope="session")

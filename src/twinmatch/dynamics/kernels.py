@@ -197,7 +197,7 @@ def slopes_at(
 
 @compiled
 def rate_bound(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray) -> float:
-    """Fastest rate over corners of the states, shape (m, N_STATES), and drives, on every side of the kinks, 1/s.
+    """Fastest rate over some states, shape (m, N_STATES), and drives, on every side of the kinks, 1/s.
 
     At each the least of three norms of df/dx (rows, columns, Frobenius); no eigenvalue is above any of them.
     """

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Model"]
 
 RATE_LIMIT: Final = 0.06
-"""Runge–Kutta step in units of the fastest time constant: the error of a step is below 1e-7 of its movement."""
+"""Runge–Kutta step in units of the fastest time constant: its error is below 1e-7 of its movement."""
 MOST_STEPS: Final = 2000
 
 

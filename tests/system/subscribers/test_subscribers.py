@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import shlex
-import signal
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.waiting import wait_for
 from twinmatch.nodes import network
 from twinmatch.replay import judge_session
 from twinmatch.sessions import read_session
@@ -43,13 +43,9 @@ needs_cyclone = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def said(session: Path) -> list[dict[str, Any]]:
     """The verdicts of an offline run, as reader.py shows them."""
+    from tests.system.subscribers import reader
     from twinmatch.nodes.conversions import score_message
 
-    specification = importlib.util.spec_from_file_location("reader", HERE / "reader.py")
-    assert specification is not None
-    assert specification.loader is not None
-    reader = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(reader)
     stamps = {sample.index: sample.stamp for sample in read_session(session).samples}
     verdicts = judge_session(session).verdicts
     shown = [reader.plain(score_message(verdict, stamps[verdict.sample])) for verdict in verdicts]
@@ -88,10 +84,10 @@ def replayed(lasting_programs: Any, session: Path, project: Path) -> Replayed:
     cyclone = None
     if importlib.util.find_spec("cyclonedds") is not None:
         cyclone = start.start(HERE / "cyclone_reader.py")
-        cyclone.wait_for(lambda text: "ready" in text)
-    elsewhere = {name: network.sockets_elsewhere(reader.process.pid) for name, reader in readers.items()}
+        cyclone.said("^ready$")
+    elsewhere = {name: network.sockets_elsewhere(reader.id) for name, reader in readers.items()}
     replay = start.start(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
-    assert replay.wait(120) == 0, replay.text
+    assert replay.wait() == 0, replay.text
     time.sleep(0.5)  # for what is still on its way
     for reader in readers.values():
         assert reader.end() == 0, reader.text
@@ -161,13 +157,13 @@ def test_cyclone_reads_the_temperatures(replayed: Replayed, session: Path) -> No
 def test_cyclone_reads_every_sample(programs: Any, session: Path) -> None:
     """Reliable: from when it has found the player on, all of them, to the last bit."""
     cyclone = programs.start(HERE / "cyclone_reader.py")
-    cyclone.wait_for(lambda text: "ready" in text)
+    cyclone.said("^ready$")
     player = programs.start(
         *("-m", "twinmatch.nodes.player", "--ros-args", "-p", f"session:={session}", "-p", f"rate:={RATE}.0")
     )
     assert player.wait() == 0, player.text
     samples = read_session(session).samples
-    cyclone.wait_for(lambda text: f'["sample", {samples[-1].stamp},' in text)
+    cyclone.said(rf'\["sample", {samples[-1].stamp},')
     heard = [line for line in cyclone.json if line[0] == "sample"]
     assert heard == [
         ["sample", s.stamp, s.index, s.reference, s.output, s.input] for s in samples[-len(heard) :]
@@ -192,7 +188,7 @@ def test_late_reader_is_given_the_nominal(programs: Any, session: Path) -> None:
     play(programs, session)
     last = session_end(scores)
     late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
-    late.wait_for(lambda text: "{" in text, patience=20)
+    late.said("{")
     (nominal,) = late.json
     (candidate,) = [c for c in last["candidates"] if c["name"] == last["nominal"]]
     identity = ("name", "first", "last", "parameters")
@@ -201,7 +197,9 @@ def test_late_reader_is_given_the_nominal(programs: Any, session: Path) -> None:
 
 def session_end(scores: Any, sample: int = 599) -> Any:
     """Wait for the verdict on a sample, and the one after which nothing comes for a second."""
-    scores.wait_for(lambda _: any(score["sample"] >= sample for score in scores.json))
+    scores.wait_until(
+        lambda: any(score["sample"] >= sample for score in scores.json), f"the verdict on {sample}"
+    )
     while True:
         count = len(scores.json)
         time.sleep(1.0)
@@ -216,7 +214,7 @@ def test_volatile_late_reader_is_given_nothing(programs: Any, session: Path) -> 
     session_end(scores)
     late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal")
     latched = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
-    latched.wait_for(lambda text: "{" in text, patience=20)
+    latched.said("{")
     assert late.json == []
 
 
@@ -241,7 +239,8 @@ def test_rigs_do_not_mix(programs: Any, session: Path, tmp_path: Path) -> None:
     for player in players:
         assert player.wait() == 0, player.text
     for topic, length in topics.items():
-        readers[topic].wait_for(lambda text, length=length: text.count("{") >= length)
+        reader = readers[topic]
+        wait_for(lambda reader=reader, length=length: len(reader.json) >= length, f"{length} of {topic}")
         assert [message["index"] for message in readers[topic].json] == list(range(length))
     assert outside.json == []
 
@@ -253,8 +252,8 @@ def test_readers_that_hang_or_die_hold_nobody_up(
     dying = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
     healthy = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
     replay = programs.start(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
-    healthy.wait_for(lambda text: "{" in text)
-    hanging.process.send_signal(signal.SIGSTOP)
-    dying.process.send_signal(signal.SIGKILL)
-    assert replay.wait(120) == 0, replay.text
+    healthy.said("{")
+    hanging.freeze()
+    dying.kill()
+    assert replay.wait() == 0, replay.text
     assert_heard_from_then_on(healthy.json, said)

@@ -5,7 +5,6 @@ Debian's colcon and ament_cmake are used together with the ROS wheels (see wheel
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -15,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from tests.system.subscribers.wheels_shim import write_shim
 from twinmatch.sessions import read_session
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -22,15 +22,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 HERE = Path(__file__).resolve().parent
 DEBIAN = Path("/usr/lib/python3/dist-packages/ament_package")
 PACKAGES = "colcon python3-colcon-ros ament-cmake"
-
-
-def write_shim(prefix: Path) -> None:
-    specification = importlib.util.spec_from_file_location("wheels_shim", HERE / "wheels_shim.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    module.write_shim(prefix)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +76,7 @@ def test_nodes_and_messages_of_the_install_space(programs: Any, installed: Path,
     assert where.text.count(str(installed)) == 2
 
     ours = start(programs, installed, HERE / "reader.py", "twinmatch_msgs/LoopSample", "plant/sample")
-    ours.wait_for(lambda text: "ready" in text)
+    ours.said("^ready$")
     theirs = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample")
     player = installed / "twinmatch" / "lib" / "twinmatch" / "player"
     assert os.access(player, os.X_OK)
@@ -94,5 +85,5 @@ def test_nodes_and_messages_of_the_install_space(programs: Any, installed: Path,
     assert played.wait() == 0, played.text
     last = read_session(session).samples[-1]
     for reader in (ours, theirs):
-        reader.wait_for(lambda text: f'"index": {last.index},' in text)
+        reader.said(f'"index": {last.index},')
         assert reader.json[-1]["temperature"] == last.output

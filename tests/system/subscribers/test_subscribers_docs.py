@@ -67,11 +67,11 @@ def test_verdicts_and_nominal(programs: Any, page: Path, session: Path) -> None:
     verdicts = start_shell(programs, page, blocks("sh")[0])
     twin = start_twin(programs)
     player = start_player(programs, session, "-p", "wait_for:=3")
-    verdicts.wait_for(lambda text: "sample 600: trusted, 70 °C" in text)
+    verdicts.said("sample 600: trusted, 70 °C")
     assert player.wait() == 0, player.text
-    assert network.sockets_elsewhere(verdicts.process.pid) == []
+    assert network.sockets_elsewhere(verdicts.id) == []
     late = programs.start(page / "nominal.py")
-    late.wait_for(lambda text: re.search(r"^70 °C: α \d+\.\d mV/K, C \d+\.\d J/K$", text, re.MULTILINE))
+    late.said(r"^70 °C: α \d+\.\d mV/K, C \d+\.\d J/K$")
     assert verdicts.end(signal.SIGINT) == 0, verdicts.text
     assert "Traceback" not in verdicts.text
     assert twin.end() == 0
@@ -83,7 +83,7 @@ def test_namespace(programs: Any, page: Path, session: Path) -> None:
     start_twin(programs, "-r", "__ns:=/rig_a")
     player = start_player(programs, session, "-p", "wait_for:=3", "-r", "__ns:=/rig_a")
     assert player.wait() == 0, player.text
-    verdicts.wait_for(lambda text: "sample 600: trusted, 70 °C" in text)
+    verdicts.said("sample 600: trusted, 70 °C")
     assert beside.text == ""
 
 
@@ -108,12 +108,12 @@ def test_open_network(programs: Any, page: Path, session: Path, project: Path) -
     assert (project / command.split()[2]).is_dir()
     player = f"\npython -m twinmatch.nodes.player --ros-args -p session:={session} -p paused:=true"
     opened = start_shell(programs, page, export, "\nexec" + player.replace("\n", " "))
-    opened.wait_for(lambda text: "NETWORK OPEN" in text)
+    opened.said("NETWORK OPEN")
     closed = start_player(programs, session, "-p", "paused:=true")
     found = programs.start(Path(__file__).with_name("graph.py"))
-    found.wait_for(lambda text: '"/plant/sample"' in text)
-    opened.wait_for(lambda _: network.sockets_elsewhere(opened.process.pid))
-    assert network.sockets_elsewhere(closed.process.pid) == []
+    found.said('"/plant/sample"')
+    opened.wait_until(lambda: network.sockets_elsewhere(opened.id), "a socket elsewhere")
+    assert network.sockets_elsewhere(closed.id) == []
     assert "NETWORK OPEN" not in closed.text
 
 
@@ -129,7 +129,7 @@ def test_table_of_topics(programs: Any, session: Path) -> None:
     start_player(programs, session, "-p", "paused:=true")
     graph = programs.start(Path(__file__).with_name("graph.py"))
     due = {name for name in table if not name.startswith(LIVE)}
-    graph.wait_for(lambda _: graph.json and due <= set(graph.json[-1]))
+    graph.wait_until(lambda: graph.json and due <= set(graph.json[-1]), "every topic")
     topics = {name: end for name, end in graph.json[-1].items() if name.startswith(("/twin", "/plant"))}
     topics |= {name: graph.json[-1][name] for name in due}
     for name, (kind, reliability, durability) in topics.items():

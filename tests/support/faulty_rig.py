@@ -1,7 +1,7 @@
 """A rig in closed loop that can be broken, and the measurements of docs/health.md.
 
 The plate stands on a sink with mass, seen through a camera whose readings jump and settle at a flat-field
-correction, as the real one's do. Run as a program it prints the tables: `python tests/health/faulty_rig.py`.
+correction, as the real one's do. Run as a program it prints the tables: `python -m tests.support.faulty_rig`.
 """
 
 from __future__ import annotations

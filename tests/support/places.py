@@ -1,0 +1,14 @@
+"""Where things are in the project."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[2]
+TESTS = PROJECT / "tests"
+SHIPPED = PROJECT / "bags" / "four_setpoints"
+"""The sample session."""
+LAUNCH_SCRIPTS = PROJECT / "launch_scripts"
+CAMERA_PATHS = os.pathsep.join([str(PROJECT / "camera_server" / "src"), str(PROJECT / "src")])
+"""PYTHONPATH of the camera program, which is a distribution of its own."""

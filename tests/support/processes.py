@@ -1,0 +1,170 @@
+"""Programs in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from tests.support.waiting import PATIENCE, wait_for
+
+T = TypeVar("T")
+
+
+class Process:
+    """A program whose output, errors included, is kept in a file."""
+
+    def __init__(
+        self,
+        *command: object,
+        output: Path,
+        environment: Mapping[str, str] | None = None,
+        folder: Path | None = None,
+    ) -> None:
+        """Start it; `environment` is the whole one, this process's by default, `folder` where it works."""
+        self.output = output
+        given = {**os.environ, "PYTHONUNBUFFERED": "1"} if environment is None else environment
+        self.shot = False
+        """Whether the test has killed it, so that its exit code says nothing."""
+        with output.open("w") as stream:
+            self._process = subprocess.Popen(
+                [str(word) for word in command],
+                env=given,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+            )
+
+    @property
+    def id(self) -> int:
+        return self._process.pid
+
+    @property
+    def text(self) -> str:
+        """Everything it has said so far."""
+        return self.output.read_text(errors="replace")
+
+    @property
+    def lines(self) -> list[str]:
+        return self.text.splitlines()
+
+    @property
+    def json(self) -> list[Any]:
+        """The whole lines that are JSON, as they came."""
+        lines = (line for line in self.text.splitlines(keepends=True) if line[0] in "[{")
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    @property
+    def children(self) -> list[int]:
+        """Process ids of what it has started."""
+        threads = Path(f"/proc/{self.id}/task").glob("*/children")
+        return [int(child) for thread in threads for child in thread.read_text().split()]
+
+    def wait_until(self, condition: Callable[[], T], what: str, patience: float = PATIENCE) -> T:
+        """Wait for something that comes while it runs; the test fails at once if it has ended before."""
+
+        def look() -> T | None:
+            running = self.running
+            found = condition()
+            assert found or running, f"ended with {self._process.returncode} before {what}:\n{self.text}"
+            return found
+
+        return wait_for(look, lambda: f"{what}:\n{self.text}", patience=patience)  # type: ignore[return-value]
+
+    def said(self, pattern: str, patience: float = PATIENCE) -> re.Match[str]:
+        """Wait for a whole line in which the pattern is found."""
+
+        def look() -> re.Match[str] | None:
+            whole = (line for line in self.text.splitlines(keepends=True) if line.endswith("\n"))
+            return next((found for line in whole if (found := re.search(pattern, line.rstrip("\n")))), None)
+
+        found = self.wait_until(look, f"a line with {pattern!r}", patience)
+        assert found is not None
+        return found
+
+    def wait(self, patience: float = PATIENCE) -> int:
+        """Its exit code, once it has ended by itself."""
+        try:
+            return self._process.wait(patience)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still running after {patience:g} s:\n{self.text}") from None
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal if it still runs."""
+        if self.running:
+            self._process.send_signal(number)
+
+    def freeze(self) -> None:
+        self.send(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        self.send(signal.SIGCONT)
+
+    def end(self, number: signal.Signals = signal.SIGTERM) -> int:
+        """Send a signal and return the exit code; one that does not end is killed, and the test fails."""
+        self.send(number)
+        return self.finish()
+
+    def finish(self) -> int:
+        """Wait for the end that it was asked for."""
+        self.thaw()
+        try:
+            return self.wait()
+        finally:
+            self._process.kill()
+            self._process.wait()
+
+    def kill(self) -> None:
+        """Shoot it."""
+        self.shot = True
+        self._process.kill()
+        self._process.wait()
+
+
+class Processes:
+    """The processes of a fixture, which end with it."""
+
+    def __init__(self, folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._environment = environment
+        self._started: list[Process] = []
+
+    def start(
+        self, *command: object, environment: Mapping[str, str] | None = None, folder: Path | None = None
+    ) -> Process:
+        """Start a program; what it is given by name replaces what all have."""
+        output = self._folder / f"{len(self._started)}.txt"
+        given = self._environment if environment is None else environment
+        self._started.append(Process(*command, output=output, environment=given, folder=folder))
+        return self._started[-1]
+
+    def python(self, *words: object, **settings: Any) -> Process:
+        """Start a Python program: `python("-m", "twinmatch.cli", "--version")`."""
+        return self.start(sys.executable, *words, **settings)
+
+    def end(self, number: signal.Signals = signal.SIGTERM) -> list[tuple[int, str]]:
+        """End what still runs, all at once; exit code and words of each that was not shot."""
+        for process in reversed(self._started):
+            process.send(number)
+        ended = [(process, process.finish()) for process in self._started]
+        return [(code, process.text) for process, code in ended if not process.shot]
+
+
+def run_twinmatch(
+    *arguments: object, folder: Path | None = None, patience: float = 4 * PATIENCE
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line to its end."""
+    command = [sys.executable, "-m", "twinmatch.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, timeout=patience)
