@@ -90,8 +90,13 @@ $(STAMPS)/browser: .ci/browser_tools.sh | $(STAMPS)/venv
 	@sh .ci/browser_tools.sh
 	@touch $@
 
-# numba keeps what it compiles; done here, no first run has to wait for it.
-$(STAMPS)/compiled: $(shell grep -rl compiled src/twinmatch --include=*.py) $(STAMPS)/messages
+# What is made of the plants' equations is kept, and so is what numba compiles; done here, no first run waits.
+$(STAMPS)/equations: $(wildcard src/twinmatch/dynamics/*.py src/twinmatch/plants/*.py) $(STAMPS)/dependencies
+	@echo "setup: deriving and compiling the plants' equations (a minute)"
+	@$(RUN) -m twinmatch.cli prepare >/dev/null
+	@touch $@
+
+$(STAMPS)/compiled: $(shell grep -rl compiled src/twinmatch --include=*.py) $(STAMPS)/equations $(STAMPS)/messages
 	@echo "setup: compiling the inner loops (a minute)"
 	@$(RUN) -m twinmatch.cli replay bags/four_setpoints >/dev/null
 	@touch $@

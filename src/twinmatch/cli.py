@@ -1,4 +1,4 @@
-"""The command line of `twinmatch`: `import`, `replay`, `verify`, `repair`, `virtual-rig`."""
+"""The command line of `twinmatch`."""
 
 from __future__ import annotations
 
@@ -108,6 +108,11 @@ def _parser() -> argparse.ArgumentParser:
     rig = commands.add_parser("virtual-rig", help="the rig without the rig: board, camera and plate emulated")
     virtual_rig_program.add_options(rig)
     rig.set_defaults(command=virtual_rig_program.run)
+
+    preparing = commands.add_parser(
+        "prepare", help="derive and compile the plants' equations now, so that no first run waits"
+    )
+    preparing.set_defaults(command=_prepare)
     return parser
 
 
@@ -169,6 +174,17 @@ def _repair(options: argparse.Namespace) -> int:
     print(f"{options.session}: repaired ({'; '.join(found.faults)}); {held} were saved")
     if found.original is not None:
         print(f"There was damage before the end, so the original was kept: {found.original}")
+    return 0
+
+
+def _prepare(_: argparse.Namespace) -> int:
+    from twinmatch.dynamics.prepare import prepare  # noqa: PLC0415
+    from twinmatch.dynamics.store import cache_folder  # noqa: PLC0415
+    from twinmatch.plants import PLANTS  # noqa: PLC0415
+
+    for plant in PLANTS.values():
+        count = sum(1 for _ in prepare(plant))
+        print(f"{plant.title}: {count} structures are ready in {cache_folder()}")
     return 0
 
 

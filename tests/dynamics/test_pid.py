@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -11,17 +12,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.plant import (
-    Camera,
+from twinmatch.dynamics import (
     Pid,
     PidGains,
     PidState,
     PlantError,
-    RigParameters,
+    begin,
     controller_state,
     simulate_closed_loop,
 )
+from twinmatch.plants import Peltier
 from twinmatch.signals import Window
+
+assert Peltier.loop is not None
+RIG = Peltier.loop
 
 errors = st.lists(st.floats(-30.0, 30.0), min_size=3, max_size=40)
 
@@ -30,7 +34,7 @@ def test_every_recorded_command_is_reproduced(
     recordings: dict[int, Path], recorded_hour: Callable[[int], Window]
 ) -> None:
     for number in recordings:
-        window, pid = recorded_hour(number), Pid()
+        window, pid = recorded_hour(number), Pid(RIG)
         pwm = [pid.step(r, y) for r, y in zip(window.reference, window.output, strict=True)]
         np.testing.assert_allclose(pwm, window.input, atol=1e-4)
         assert np.max(np.abs(pwm)) == 255.0  # saturation was among them
@@ -42,13 +46,13 @@ def test_a_controller_picked_up_anywhere_in_a_recording_goes_on(
     hour = recorded_hour(5)
     for first in range(0, len(hour) - 20, 37):  # steps, saturated stretches and rest alike
         window = hour.part(first, first + 19)
-        pid = Pid(state=controller_state(window))
+        pid = Pid(RIG, controller_state(window, RIG))
         pwm = [pid.step(window.reference[k], window.output[k]) for k in range(2, 20)]
         np.testing.assert_allclose(pwm, window.input[2:], atol=1e-3)
 
 
 def test_a_hand_calculation() -> None:
-    pid = Pid(PidGains(proportional=2.0, integral=0.5, derivative=1.0, back_calculation=0.25, limit=10.0))
+    pid = Pid(PidGains(2.0, 0.5, 1.0, 0.25, low=-10.0, high=10.0))
     assert pid.step(3.0, 1.0) == 2.0 * 2.0 + 1.0 * 2.0
     assert pid.state == PidState(1.0, 2.0)
     assert pid.step(8.0, 1.0) == 10.0  # 14 + 1 + 5 = 20 wanted
@@ -57,10 +61,10 @@ def test_a_hand_calculation() -> None:
 
 @given(errors)
 def test_following_a_controller_adopts_its_state(values: list[float]) -> None:
-    leader, follower = Pid(), Pid(state=PidState(77.0, 0.0))
+    leader, follower = Pid(RIG), Pid(RIG, PidState(77.0, 0.0))
     for error in values:
         follower.follow(error, 0.0, leader.step(error, 0.0))
-        assert follower.state.previous_error == leader.state.previous_error
+        assert follower.state.previous == leader.state.previous
         assert follower.state.integral == pytest.approx(leader.state.integral, rel=1e-9, abs=1e-9)
 
 
@@ -68,7 +72,7 @@ def test_following_a_controller_adopts_its_state(values: list[float]) -> None:
 def test_the_state_is_found_for_any_back_calculation(
     values: list[float], back_calculation: float, period: float
 ) -> None:
-    gains = PidGains(back_calculation=back_calculation, period=period)
+    gains = dataclasses.replace(RIG, back_calculation=back_calculation, period=period)
     pid, pwm, states = Pid(gains), [], []
     for error in values:
         pwm.append(pid.step(error, 0.0))
@@ -76,7 +80,7 @@ def test_the_state_is_found_for_any_back_calculation(
     window = Window(np.array(values), np.zeros(len(values)), np.array(pwm), period=period)
     free = next((k for k in range(1, len(pwm)) if abs(pwm[k]) < 255.0), None)
     found = controller_state(window, gains)
-    assert found.previous_error == states[1].previous_error
+    assert found.previous == states[1].previous
     kept = abs(1.0 - back_calculation * period)
     if kept == 0.0 or (free is not None and kept ** (free - 1) >= 1e-3):
         assert found.integral == pytest.approx(states[1].integral, rel=1e-8, abs=1e-6)
@@ -85,7 +89,7 @@ def test_the_state_is_found_for_any_back_calculation(
 
 
 def test_a_window_limited_throughout_gets_the_least_state_that_explains_it() -> None:
-    gains = PidGains(back_calculation=0.5)
+    gains = dataclasses.replace(RIG, back_calculation=0.5)
     window = Window(np.full(5, 30.0), np.zeros(5), np.full(5, 255.0))
     least = 255.0 - gains.proportional * 30.0
     assert controller_state(window, gains) == PidState(least + gains.integral * 30.0, 30.0)
@@ -94,7 +98,7 @@ def test_a_window_limited_throughout_gets_the_least_state_that_explains_it() -> 
 
 
 def test_a_limited_follower_without_exact_back_calculation_forgets_its_error() -> None:
-    gains = PidGains(back_calculation=0.5)
+    gains = dataclasses.replace(RIG, back_calculation=0.5)
     leader, follower = Pid(gains), Pid(gains, PidState(500.0, 0.0))
     gaps = []
     for _ in range(12):
@@ -106,22 +110,35 @@ def test_a_limited_follower_without_exact_back_calculation_forgets_its_error() -
 
 
 def test_a_simulation_from_a_found_state_goes_on_where_the_first_left_off() -> None:
-    rig, reference = RigParameters(), np.repeat([30.0, 70.0, 40.0], 60)
-    camera = Camera(noise=0.0, resolution=0.0, flat_field_period=None).realise(180, 1.0, 0)
-    whole = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
+    rig, reference = Peltier.model().parameters(), np.repeat([30.0, 70.0, 40.0], 60)
+    whole = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
     window = Window(reference, whole.output, whole.input).part(100, 179)
     rest = simulate_closed_loop(
         rig,
         window.reference[2:],
-        plate=window.output[2] + 273.15,
-        controller=controller_state(window),
+        states=begin(rig, window.output[2]),
+        controller=controller_state(window, RIG),
     )
     np.testing.assert_allclose(rest.output, window.output[2:], atol=1e-9)
     np.testing.assert_allclose(rest.input, window.input[2:], atol=1e-7)
 
 
+def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_is_found() -> None:
+    gains = dataclasses.replace(RIG, on_measurement=True)
+    assert Pid(gains).step(1.0, 0.0) == gains.proportional
+    output = 30.0 + np.sin(np.arange(12.0) / 3)
+    reference = np.where(np.arange(12) < 6, 30.0, 31.0)
+    pid = Pid(gains)
+    input_ = [pid.step(r, y) for r, y in zip(reference, output, strict=True)]
+    for first in range(9):
+        window = Window(reference, output, np.array(input_)).part(first, 11)
+        other = Pid(gains, controller_state(window, gains))
+        again = [other.step(window.reference[k], window.output[k]) for k in range(2, len(window))]
+        np.testing.assert_allclose(again, input_[first + 2 :], atol=1e-9)
+
+
 def test_what_is_no_number_is_refused_and_changes_nothing() -> None:
-    pid = Pid(state=PidState(3.0, 1.0))
+    pid = Pid(RIG, PidState(3.0, 1.0))
     with pytest.raises(PlantError, match="PID: output is nan"):
         pid.step(40.0, math.nan)
     with pytest.raises(PlantError, match="PID: reference is inf"):
@@ -130,8 +147,8 @@ def test_what_is_no_number_is_refused_and_changes_nothing() -> None:
         pid.follow(40.0, 30.0, math.nan)
     assert pid.state == PidState(3.0, 1.0)
     with pytest.raises(PlantError, match="holds a value that is not finite"):
-        PidGains(integral=math.nan)
-    with pytest.raises(PlantError, match=r"period 0.0 s and limit 255.0 must both be positive"):
-        PidGains(period=0.0)
+        dataclasses.replace(RIG, integral=math.nan)
+    with pytest.raises(PlantError, match=r"period 0.0 s must be positive"):
+        dataclasses.replace(RIG, period=0.0)
     with pytest.raises(PlantError, match="the window holds 1 sample; two are needed"):
-        controller_state(Window(np.zeros(1), np.zeros(1), np.zeros(1)))
+        controller_state(Window(np.zeros(1), np.zeros(1), np.zeros(1)), RIG)

@@ -1,0 +1,73 @@
+"""Everything that is made of a plant, made before anybody has to wait for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from twinmatch.dynamics.experiment import Experiment
+from twinmatch.dynamics.model import Model
+from twinmatch.dynamics.noise import noise_scores
+from twinmatch.dynamics.observer import Observer
+from twinmatch.dynamics.parameters import Parameters
+from twinmatch.dynamics.pid import PidState
+from twinmatch.dynamics.plant import Plant
+from twinmatch.dynamics.simulation import (
+    advance,
+    begin,
+    quantities,
+    read,
+    simulate_closed_loop,
+    simulate_driven,
+)
+from twinmatch.signals import Window
+
+__all__ = ["prepare"]
+
+_SAMPLES = 8
+
+
+def prepare(plant: type[Plant]) -> Iterator[Model]:
+    """Derive and compile all structures of a plant, one at a time; each is given back when it is ready.
+
+    What is kept already is only loaded.
+
+    Raises:
+        PlantError: the equations cannot be used, or the cache folder cannot be written.
+    """
+    for name in plant.structures:
+        model = plant.model(name)
+        _use(model.parameters())
+        yield model
+
+
+def _use(parameters: Parameters) -> None:
+    """Call once every kernel that this structure has: numba compiles at the first call.
+
+    What linearisations call, the observer calls too.
+    """
+    model = parameters.model
+    gains, rest = model.plant.loop, model.plant.drive.rest
+    period = 1.0 if gains is None else gains.period
+    output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
+    states = begin(parameters, output)
+    quantities(parameters, advance(parameters, states, rest, period), rest)
+    observer = Observer(
+        parameters, output, period=period, drift=np.ones(states.size), start=np.ones(states.size)
+    )
+    observer.correct(output)
+    observer.predict(rest)
+    levels = np.full(_SAMPLES, output)
+    run = simulate_driven(parameters, np.full(_SAMPLES, rest), states=states, period=period)
+    if gains is not None:
+        run = simulate_closed_loop(parameters, levels, states=states, controller=PidState(), gains=gains)
+    disturbances = model.disturbance_rows(None, _SAMPLES)
+    window = Window(levels, run.output, run.input, period=period, disturbances=disturbances)
+    structure = model.structure
+    experiment = Experiment(parameters, structure.free, window, free_starts=structure.free_starts)
+    values = experiment.values_of(parameters)
+    experiment.normal(values)
+    tangents = experiment.tangents(values)
+    weighed = np.ones((2, _SAMPLES - 2, experiment.size))
+    noise_scores(experiment, tangents, weighed, (1.0, 1.0))

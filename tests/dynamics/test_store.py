@@ -1,0 +1,118 @@
+"""What is made of a plant's equations, and where it is kept: a folder of its own for every test."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Start = Callable[..., subprocess.Popen[str]]
+
+PLANT = """
+from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+
+class Tank(Plant, name="tank"):
+    level = Output(unit="m", noise=0.01, span=(0.0, 10.0))
+    inflow = Drive(unit="m3/s", limits=(0.0, 5.0), noise=0.1)
+    height = State(unit="m", span=(0.0, 10.0))
+    area = Parameter(unit="m2", default=2.0, bounds=(0.5, 8.0), positive=True)
+    structures = {"open": Structure(free=("area",))}
+
+    def equations(self, parts):
+        return Equations(rates={self.height: self.inflow / self.area}, output=self.height,
+                         start={self.height: self.level})
+"""
+RUN = """
+from twinmatch.dynamics import advance, begin
+from tank import Tank
+
+tank = Tank.model().parameters()
+print(advance(tank, begin(tank, 1.0), 1.0, 1.0)[0])
+"""
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Start:
+    """Start a program beside the plant file, with an empty cache that nobody else has."""
+    (tmp_path / "tank.py").write_text(PLANT)
+    environment = {**os.environ, "TWINMATCH_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+
+    def begin(program: str = RUN) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-c", program],
+            cwd=tmp_path,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    return begin
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
+    out, said = process.communicate(timeout=240)
+    assert process.returncode == 0, said
+    return out.strip(), said
+
+
+def test_a_first_use_says_what_it_does_and_the_second_says_nothing(start: Start, tmp_path: Path) -> None:
+    out, said = ended(start())
+    assert float(out) == pytest.approx(1.5)
+    assert said == "twinmatch: preparing the equations of: Tank (some seconds, once)\n"
+    assert ended(start()) == (out, "")
+    assert len(list((tmp_path / "cache").glob("tank_*.py"))) == 1
+
+
+def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:
+    first, second = start(), start()
+    assert float(ended(first)[0]) == float(ended(second)[0]) == pytest.approx(1.5)
+    assert [path.suffix for path in (tmp_path / "cache").iterdir() if path.is_file()] == [".py"]
+
+
+def test_a_changed_plant_is_derived_anew(start: Start, tmp_path: Path) -> None:
+    assert float(ended(start())[0]) == pytest.approx(1.5)
+    (tmp_path / "tank.py").write_text(PLANT.replace("self.inflow / self.area", "2 * self.inflow / self.area"))
+    out, said = ended(start())
+    assert float(out) == pytest.approx(2.0)
+    assert "preparing the equations of: Tank" in said
+
+
+def test_every_kernel_is_there_after_preparing(start: Start, tmp_path: Path) -> None:
+    """Whatever else is asked of the plant compiles nothing more."""
+    ended(start("from tank import Tank\nfrom twinmatch.dynamics.prepare import prepare\nlist(prepare(Tank))"))
+    kept = sorted(path.name for path in (tmp_path / "cache" / "__pycache__").iterdir())
+    assert any("run_with_tangents" in name for name in kept)
+    ended(
+        start(
+            RUN
+            + "from twinmatch.dynamics import linearised, quantities, read, simulate_driven\n"
+            + "x = begin(tank, 2.0)\n"
+            + "simulate_driven(tank, [1.0, 2.0], states=x)\n"
+            + "quantities(tank, x, 1.0), read(tank, x)\n"
+        )
+    )
+    assert sorted(path.name for path in (tmp_path / "cache" / "__pycache__").iterdir()) == kept
+
+
+def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    done = subprocess.run(
+        [sys.executable, "-m", "twinmatch.cli", "prepare"],
+        env={**os.environ, "TWINMATCH_CACHE": str(blocked / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    lines = [line for line in done.stderr.splitlines() if "preparing" not in line]
+    assert len(lines) == 1
+    assert lines[0].startswith(f"twinmatch: {blocked / 'cache'}: the prepared equations cannot be kept there")
+    assert "TWINMATCH_CACHE" in lines[0]
