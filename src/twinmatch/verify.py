@@ -9,8 +9,7 @@ from typing import Any
 
 from twinmatch.discrimination import Candidate
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.parameters import check
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, read_settings, settings_from
+from twinmatch.nodes.twin_parameters import read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, Topic, read_session
 from twinmatch.sessions.candidates import parse_candidates, read_candidates
 from twinmatch.sessions.settings import CANDIDATES, parameters_of
@@ -167,7 +166,7 @@ def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
         )
         raise VerifyError(msg)
     try:
-        values = check(f"{place}: {node}", TWIN_PARAMETERS, recorded)
+        values = recorded_values(f"{place}: {node}", recorded)
         return settings_from(values), str(values["candidates"])
     except TwinmatchError as error:
         msg = f"{place}: the recorded parameters of {node} are of another version: {error}"

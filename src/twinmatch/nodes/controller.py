@@ -14,13 +14,14 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
 from twinmatch.control import Loop, Profile
+from twinmatch.dynamics import Pid
 from twinmatch.nodes.controller_parameters import CONTROLLER_PARAMETERS, profile_from
 from twinmatch.nodes.conversions import sample_message
 from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.loop_parameters import pid_gains
 from twinmatch.nodes.node import TwinmatchNode, missing_readers
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import LATCHED, RELIABLE
-from twinmatch.plant import Pid, PidGains
 from twinmatch_msgs.msg import LoopSample, PwmCommand
 
 __all__ = ["ControllerNode", "main"]
@@ -51,8 +52,7 @@ class ControllerNode(TwinmatchNode):
         """
         values = self.values
         self._profile: Profile | None = profile_from(values)
-        gains = {n.removeprefix("pid."): v for n, v in values.items() if n.startswith("pid.")}
-        self._gains = PidGains(period=values["period"], **gains)
+        self._gains = pid_gains(values)
         self._loop = Loop(self._gains, max_age=values["max_age"])
         self._asked: float | None = None
         """Set-point published last, or heard last."""

@@ -7,17 +7,15 @@ from typing import Any
 
 from twinmatch.control import ControlError, Profile
 from twinmatch.control.profile import HIGHEST, LOWEST
+from twinmatch.nodes.loop_parameters import loop_parameters
 from twinmatch.nodes.node import READERS
 from twinmatch.nodes.parameters import Parameter
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS
+from twinmatch.plants import Peltier
 
 __all__ = ["CONTROLLER_PARAMETERS", "profile_from"]
 
-# The twin has to know the running PID, so both have the same defaults.
-_SHARED = tuple(p for p in TWIN_PARAMETERS if p.name == "period" or p.name.startswith("pid."))
-
 CONTROLLER_PARAMETERS: tuple[Parameter, ...] = (
-    *_SHARED,
+    *loop_parameters(Peltier),
     Parameter(
         "reference_source",
         "profile",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
@@ -49,7 +49,7 @@ class TwinmatchNode(Node):
         self.health = Health()
         self._reporter: Reporter | None = None
         try:
-            self.values: Values = declare(self, self.PARAMETERS)
+            self.values: Values = declare(self, self.table_for)
             self.read_parameters()
         except TwinmatchError:
             self.destroy_node()
@@ -67,6 +67,15 @@ class TwinmatchNode(Node):
         """Report out of turn, such as before the end."""
         if self._reporter is not None:
             self._reporter.publish()
+
+    @classmethod
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+        """The node's parameters, which may depend on what was given, and of that what is to be checked.
+
+        Raises:
+            ParameterError: what was given does not go together.
+        """
+        return cls.PARAMETERS, given
 
     def read_parameters(self) -> None:
         """Make of `self.values` what the node needs; an error here means that there will be no node."""
@@ -94,8 +103,10 @@ def missing_readers(node: Node, topic: str, wanted: str) -> list[str]:
     return sorted(names - found)
 
 
-def declare(node: Node, table: Sequence[Parameter]) -> Values:
-    """Declare a node's parameters and return their values.
+def declare(
+    node: Node, table_for: Callable[[Mapping[str, Any]], tuple[Sequence[Parameter], Mapping[str, Any]]]
+) -> Values:
+    """Declare a node's parameters and return their values; the table is asked with the values given.
 
     The node must have been made with `automatically_declare_parameters_from_overrides=True`: that is how
     the names somebody gave become known, of which those in the table are declared again as it says.
@@ -104,10 +115,12 @@ def declare(node: Node, table: Sequence[Parameter]) -> Values:
         ParameterError: as for `check`.
     """
     given = {name: found.value for name, found in node.get_parameters_by_prefix("").items()}
-    values = check(node.get_name(), table, given)
+    table, known = table_for(given)
+    values = check(node.get_name(), table, known)
+    for name in (*(name for name in given if name not in known), *(p.name for p in table)):
+        if node.has_parameter(name):
+            node.undeclare_parameter(name)
     for parameter in table:
-        if node.has_parameter(parameter.name):
-            node.undeclare_parameter(parameter.name)
         value = values[parameter.name]
         node.declare_parameter(parameter.name, value, _descriptor(parameter), ignore_override=True)
     return values

@@ -173,5 +173,5 @@ def _help(kinds: Sequence[type[TwinmatchNode]]) -> str:
         "Parameters and their defaults, as a parameter file:",
         "",
     ]
-    lines += [render(kind.NAME, kind.PARAMETERS) for kind in kinds]
+    lines += [render(kind.NAME, kind.table_for({})[0]) for kind in kinds]
     return "\n".join(lines)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from twinmatch.nodes.conversions import sample_from
 from twinmatch.nodes.diagnostics import Health, Level, Report
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, settings_from
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.twin_parameters import settings_from, understood
 from twinmatch.nodes.worker import Worker
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
@@ -75,9 +77,12 @@ class SampleWatch:
 class SampleNode(TwinmatchNode):
     """A node that takes every sample and works on it in its worker."""
 
-    PARAMETERS: ClassVar = TWIN_PARAMETERS
-
     worker: Worker[Any] | None = None
+
+    @classmethod
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+        """The parameters of the plant and structure that are named."""
+        return understood(cls.NAME, given)
 
     def read_parameters(self) -> None:
         """Make the settings of the twin.

@@ -1,120 +1,96 @@
 """The parameters of the twin's nodes, one table for all three, and the settings they make.
 
 Matcher, discriminator and twin simulator must agree on these, so they share the table, and an offline
-replay reads the same file.
+replay reads the same file. What the plant declares is described by the plant: which start values there are,
+their units and ranges follow from the parameters `plant` and `structure`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from twinmatch.dynamics import Model, PidGains, Plant, PlantError, Sensor
+from twinmatch.errors import TwinmatchError
 from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
-from twinmatch.nodes.parameters import Parameter, ParameterError, check
-from twinmatch.plant import PARAMETER_NAMES, Camera, PidGains, RigParameters
+from twinmatch.nodes.loop_parameters import loop_parameters, pid_gains, unit_of
+from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
+from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
+from twinmatch.plants import PLANTS, Peltier, find_plant
 from twinmatch.twin import ScheduleSettings, TrustLimits, TwinError, TwinSettings
 
-__all__ = ["TWIN_PARAMETERS", "at_period", "read_settings", "settings_from"]
+__all__ = [
+    "at_period",
+    "read_settings",
+    "recorded_values",
+    "settings_from",
+    "twin_table",
+    "twin_values",
+    "understood",
+]
 
-_D = TwinSettings()
-_S, _L, _G, _C, _N, _R = _D.schedule, _D.limits, _D.gains, _D.camera, _D.noise, _D.start
-_H = _D.health
 
-TWIN_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("period", _D.period, "Sample time of the loop.", "s", 0.01, 60.0),
-    Parameter(
-        "schedule.stride", _S.stride, "Samples between two looks while nothing moves.", "samples", 4, 10000
-    ),
-    Parameter(
-        "schedule.min_step", _S.min_step, "Smallest set-point change that starts a regime.", "°C", 0.1, 100.0
-    ),
-    Parameter("schedule.min_span", _S.min_span, "A shorter regime joins the next one.", "samples", 10, 10000),
-    Parameter("schedule.span", _S.span, "A regime is judged this long after its step.", "samples", 20, 10000),
-    Parameter(
-        "schedule.lead", _S.lead, "Samples kept before the previous regime's step.", "samples", 1, 1000
-    ),
-    Parameter("schedule.capacity", _S.capacity, "Longest window.", "samples", 40, 100000),
-    Parameter("free", list(_D.free), "Rig parameters that a match may change.", choices=PARAMETER_NAMES),
-    Parameter("start.seebeck", _R.seebeck, "Seebeck coefficient α to start from.", "V/K", 0.001, 1.0),
-    Parameter("start.resistance", _R.resistance, "Electrical resistance R.", "Ω", 0.1, 100.0),
-    Parameter("start.conductance", _R.conductance, "Thermal conductance K to start from.", "W/K", 0.0, 100.0),
-    Parameter("start.heat_capacity", _R.heat_capacity, "Heat capacity C to start from.", "J/K", 0.1, 1e5),
-    Parameter("start.ambient", _R.ambient, "Ambient temperature.", "K", 200.0, 400.0),
-    Parameter(
-        "start.sink_heat_capacity",
-        0.0,
-        "Heat capacity of the heat sink; 0: the sink is held at ambient.",
-        "J/K",
-        0.0,
-        1e6,
-    ),
-    Parameter("start.sink_convection", _R.sink_convection, "Convection of the heat sink.", "W/K", 0.0, 1e4),
-    Parameter(
-        "start.sensor_lag", _R.sensor_lag, "Lag with which the camera follows the plate.", "s", 0.0, 1e3
-    ),
-    Parameter("start.seebeck_slope", _R.seebeck_slope, "Change of α with temperature.", "V/K²", -1e-2, 1e-2),
-    Parameter(
-        "start.drive_ripple",
-        _R.drive_ripple,
-        "Share of the bridge's switching that the module feels.",
-        "",
-        0.0,
-        1.0,
-    ),
-    Parameter("noise.output", _N.output, "Noise of the temperature (1 σ).", "°C", 1e-4, 10.0),
-    Parameter("noise.input", _N.input, "Noise of the control (1 σ).", "PWM", 1e-3, 255.0),
-    Parameter(
-        "pid.proportional", _G.proportional, "Proportional gain of the running PID.", "PWM/°C", 0.0, 1e4
-    ),
-    Parameter("pid.integral", _G.integral, "Integral gain.", "PWM/(°C·s)", 0.0, 1e4),
-    Parameter("pid.derivative", _G.derivative, "Derivative gain.", "PWM·s/°C", 0.0, 1e4),
-    Parameter("pid.back_calculation", _G.back_calculation, "Anti-windup gain.", "1/s", 0.0, 1e3),
-    Parameter("pid.limit", _G.limit, "Largest output.", "PWM", 1.0, 255.0),
-    Parameter(
-        "camera.noise", _C.noise, "Noise of the camera the twin is seen through (1 σ).", "°C", 0.0, 10.0
-    ),
-    Parameter("camera.resolution", _C.resolution, "Resolution of that camera; 0: none.", "°C", 0.0, 10.0),
-    Parameter("seed", _D.seed, "Seed of that camera's noise.", "", 0, 2**31),
-    Parameter("decimals", _D.decimals, "Decimal places of the information gain's tables.", "", 0, 9),
-    Parameter("most_candidates", _D.most_candidates, "Candidates kept in the family.", "", 1, 64),
-    Parameter(
-        "regime_width",
-        _D.regime_width,
-        "Operating points closer than half of this are one regime.",
-        "°C",
-        0.1,
-        500.0,
-    ),
-    Parameter(
-        "limits.doubtful_y", _L.doubtful_y, "Residual RMS that makes the twin doubtful.", "°C", 1e-3, 1e3
-    ),
-    Parameter("limits.fault_y", _L.fault_y, "Residual RMS that is a fault.", "°C", 1e-3, 1e3),
-    Parameter("limits.doubtful_u", _L.doubtful_u, "The same for the control.", "PWM", 1e-3, 1e3),
-    Parameter("limits.fault_u", _L.fault_u, "The same for the control.", "PWM", 1e-3, 1e3),
-    Parameter(
-        "health.lost",
-        _H.lost,
-        "Share of the drive's expected effect below which it is lost.",
-        "",
-        0.01,
-        0.99,
-    ),
-    Parameter("health.jump", _H.jump, "Step of a reading that no plate can make.", "°C", 0.1, 1e3),
-    Parameter("health.frozen", _H.frozen, "How long one reading has to be repeated.", "s", 1.0, 1e4),
-    Parameter("health.drift", _H.drift, "Unexplained slow heating, in its uncertainty.", "", 0.1, 1e3),
-    Parameter("health.start", _H.start, "Time after the first sample without alarms.", "s", 0.1, 1e4),
-    Parameter(
-        "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
-    ),
-    Parameter("candidates", "", "File of candidates to begin with, for the discriminator; empty: none."),
-)
-"""Name, default, meaning, unit and range of everything in `TwinSettings`, and two that single nodes need."""
+def twin_table(plant: type[Plant] = Peltier, structure: str | None = None) -> tuple[Parameter, ...]:
+    """Name, default, meaning, unit and range of everything in `TwinSettings`, and two that single nodes need.
+
+    Raises:
+        PlantError: the plant has no such structure, or its equations cannot be used.
+    """
+    model = plant.model(structure)
+    return (
+        *_plant(model),
+        *loop_parameters(plant),
+        *_schedule(plant),
+        *_sensor(plant),
+        *_family(plant),
+        *_trust(plant),
+        Parameter(
+            "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
+        ),
+        Parameter("candidates", "", "File of candidates to begin with, for the discriminator; empty: none."),
+    )
+
+
+def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Parameter, ...], dict[str, Any]]:
+    """The table for the plant and the structure that are named among given values, and what it is to check.
+
+    Raises:
+        ParameterError: there is no such plant or structure, or it does not have what is given.
+    """
+    refuse_renamed(place, given)
+    try:
+        plant = find_plant(str(given.get("plant", Peltier.name)))
+        named = given.get("structure")
+        model = plant.model(None if named is None else str(named))
+        table = twin_table(plant, model.structure_name)
+    except PlantError as error:
+        msg = f"{place}: {error}"
+        raise ParameterError(msg) from error
+    return table, without_absent(place, given, model)
+
+
+def twin_values(place: str, given: Mapping[str, Any]) -> Values:
+    """All parameters: those given, checked, and the defaults of the others.
+
+    Raises:
+        ParameterError: as `understood` and `check`.
+    """
+    table, kept = understood(place, given)
+    return check(place, table, kept)
+
+
+def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
+    """All parameters of a node as a session has them; names of earlier versions are understood.
+
+    Raises:
+        ParameterError: as `twin_values`.
+    """
+    return twin_values(place, translated(given))
 
 
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
@@ -127,16 +103,18 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     def group(prefix: str) -> dict[str, Any]:
         return {n.removeprefix(prefix): v for n, v in values.items() if n.startswith(prefix)}
 
-    start = group("start.")
-    start["sink_heat_capacity"] = start["sink_heat_capacity"] or math.inf
+    plant = find_plant(values["plant"])
+    sensor = group("sensor.")
+    sensor["pause_period"] = sensor["pause_period"] or None
     return TwinSettings(
+        plant=plant,
         period=values["period"],
         schedule=ScheduleSettings(**group("schedule.")),
         free=tuple(values["free"]),
-        start=RigParameters(**start),
+        start=plant.model(values["structure"]).parameters(**group("start.")),
         noise=Noise(**group("noise.")),
-        gains=PidGains(period=values["period"], **group("pid.")),
-        camera=Camera(**group("camera.")),
+        gains=None if plant.loop is None else pid_gains(values),
+        sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],
         most_candidates=values["most_candidates"],
@@ -156,7 +134,7 @@ def read_settings(path: Path | None) -> TwinSettings:
             exist or is out of range.
     """
     if path is None:
-        return settings_from(check("twin", TWIN_PARAMETERS, {}))
+        return settings_from(twin_values("twin", {}))
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -178,11 +156,10 @@ def read_settings(path: Path | None) -> TwinSettings:
     if not given:
         msg = f"{path}: has no section /**, matcher or discriminator; see the files in config/"
         raise ParameterError(msg)
+    values = twin_values(str(path), given)
     try:
-        return settings_from(check(str(path), TWIN_PARAMETERS, given))
-    except ParameterError:
-        raise
-    except ValueError as error:
+        return settings_from(values)
+    except TwinmatchError as error:
         msg = f"{path}: {error}"
         raise ParameterError(msg) from error
 
@@ -198,7 +175,126 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     if config is not None:
         msg = f"{config}: the period is {settings.period:g} s, but the samples come every {period:g} s"
         raise TwinError(msg)
-    return replace(settings, period=period, gains=replace(settings.gains, period=period))
+    gains: PidGains | None = settings.gains
+    return replace(settings, period=period, gains=None if gains is None else replace(gains, period=period))
+
+
+def _plant(model: Model) -> tuple[Parameter, ...]:
+    """Which plant it is, what is unknown of it, and where a search begins."""
+    plant, structure = model.plant, model.structure
+    starts = tuple(
+        Parameter(
+            f"start.{name}",
+            model.defaults[name],
+            f"Start value: {declared.text} ({declared.symbol or name}).",
+            declared.unit,
+            0.0 if declared.positive else declared.least,
+            declared.most,
+        )
+        for name, declared in model.declared.items()
+    )
+    y, u = plant.output, plant.drive
+    return (
+        Parameter("plant", plant.name, "Which plant.", choices=tuple(PLANTS)),
+        Parameter(
+            "structure",
+            model.structure_name,
+            "Parts it is taken to have; they decide which start values there are.",
+            choices=tuple(plant.structures),
+        ),
+        Parameter(
+            "free", list(structure.free), "Parameters that a match may change.", choices=tuple(model.names)
+        ),
+        *starts,
+        Parameter("noise.output", y.noise, "Noise of a reading (1 σ).", y.unit, 1e-6, 1e6),
+        Parameter("noise.input", u.noise, "Noise of the control (1 σ).", unit_of(u), 1e-6, 1e6),
+    )
+
+
+def _schedule(plant: type[Plant]) -> tuple[Parameter, ...]:
+    has = _defaults(ScheduleSettings)
+    return tuple(
+        Parameter(f"schedule.{name}", has[name], text, unit, low, high)
+        for name, text, unit, low, high in (
+            ("stride", "Samples between two looks while nothing moves.", "samples", 4, 10000),
+            ("min_step", "Smallest set-point change that starts a regime.", plant.output.unit, 1e-6, 1e6),
+            ("min_span", "A shorter regime joins the next one.", "samples", 10, 10000),
+            ("span", "A regime is judged this long after its step.", "samples", 20, 10000),
+            ("lead", "Samples kept before the previous regime's step.", "samples", 1, 1000),
+            ("capacity", "Longest window.", "samples", 40, 100000),
+        )
+    )
+
+
+def _sensor(plant: type[Plant]) -> tuple[Parameter, ...]:
+    has, unit = plant.sensor or Sensor(), plant.output.unit
+    return (
+        Parameter(
+            "sensor.noise", has.noise, "Noise of the sensor the twin is seen through (1 σ).", unit, 0.0, 1e6
+        ),
+        Parameter("sensor.resolution", has.resolution, "Step of its readings; 0: none.", unit, 0.0, 1e6),
+        Parameter(
+            "sensor.pause_period", has.pause_period or 0.0, "It pauses so often; 0: never.", "s", 0.0, 1e6
+        ),
+        Parameter(
+            "sensor.pause_duration",
+            has.pause_duration,
+            "So long its reading stands still then.",
+            "s",
+            0.0,
+            1e6,
+        ),
+    )
+
+
+def _family(plant: type[Plant]) -> tuple[Parameter, ...]:
+    has = _defaults(TwinSettings)
+    return (
+        Parameter("seed", has["seed"], "Seed of that sensor's noise.", "", 0, 2**31),
+        Parameter("decimals", has["decimals"], "Decimal places of the information gain's tables.", "", 0, 9),
+        Parameter("most_candidates", has["most_candidates"], "Candidates kept in the family.", "", 1, 64),
+        Parameter(
+            "regime_width",
+            has["regime_width"],
+            "Operating points closer than half of this are one regime.",
+            plant.output.unit,
+            1e-6,
+            1e6,
+        ),
+    )
+
+
+def _trust(plant: type[Plant]) -> tuple[Parameter, ...]:
+    """Limits of the trust level and of the plant's health."""
+    limits, health = _defaults(TrustLimits), _defaults(HealthSettings)
+    y, u = plant.output.unit, unit_of(plant.drive)
+    known = {
+        "doubtful_y": ("Residual RMS that makes the twin doubtful.", y),
+        "fault_y": ("Residual RMS that is a fault.", y),
+        "doubtful_u": ("The same for the control.", u),
+        "fault_u": ("The same for the control.", u),
+    }
+    return (
+        *(
+            Parameter(f"limits.{name}", limits[name], text, unit, 1e-6, 1e6)
+            for name, (text, unit) in known.items()
+            if name in limits
+        ),
+        *(
+            Parameter(f"health.{name}", health[name], text, unit, low, high)
+            for name, text, unit, low, high in (
+                ("lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
+                ("jump", "Step of a reading that no plant can make.", y, 1e-6, 1e6),
+                ("frozen", "How long one reading has to be repeated.", "s", 1.0, 1e4),
+                ("drift", "Unexplained slow heating, in its uncertainty.", "", 0.1, 1e3),
+                ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
+            )
+        ),
+    )
+
+
+def _defaults(settings: type[Any]) -> dict[str, Any]:
+    return {field.name: field.default for field in fields(settings)}
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

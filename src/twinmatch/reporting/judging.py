@@ -8,8 +8,7 @@ from pathlib import Path
 
 from twinmatch.discrimination import Candidate
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.parameters import check
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, at_period, read_settings, settings_from
+from twinmatch.nodes.twin_parameters import at_period, read_settings, recorded_values, settings_from
 from twinmatch.replay import Judgement, judge_samples
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.candidates import parse_candidates, read_candidates
@@ -80,7 +79,7 @@ def _recorded_parameters(session: Session) -> tuple[dict[str, object], TwinSetti
         found = parameters_of(session.records, node)
         if found is None:
             return None
-        values = check(f"session {session.name}: {node}", TWIN_PARAMETERS, found)
+        values = recorded_values(f"session {session.name}: {node}", found)
         return values, settings_from(values)
     except TwinmatchError:
         return None

@@ -6,8 +6,9 @@ candidates:
     seebeck: 0.0825          # V/K
     conductance: 0.35        # W/K
     heat_capacity: 31.93     # J/K
-    # resistance, ambient, sink_heat_capacity, sink_convection, sensor_lag, seebeck_slope,
-    # drive_ripple: as in RigParameters unless given
+    # other parameters of the structure: as the plant file has them unless given
+    # plant: peltier          # the first of a plant's structures unless given
+    # structure: held sink
 """
 
 from __future__ import annotations
@@ -19,9 +20,12 @@ import yaml
 
 from twinmatch.discrimination.family import Candidate
 from twinmatch.errors import TwinmatchError
-from twinmatch.plant import PARAMETER_NAMES, RigParameters
+from twinmatch.plants import Peltier
+from twinmatch.plants.written import parameters_from
 
 __all__ = ["CandidateFileError", "parse_candidates", "read_candidates"]
+
+_WORDS = ("name", "plant", "structure")
 
 
 class CandidateFileError(TwinmatchError):
@@ -71,30 +75,25 @@ def parse_candidates(text: str, path: str) -> list[Candidate]:
 
 def _candidate(entry: Any, place: str) -> Candidate:
     if not isinstance(entry, dict):
-        msg = f"{place}: is {entry!r}; give name, operating_point and the rig parameters"
-        raise CandidateFileError(msg)
-    known = ("name", "operating_point", *PARAMETER_NAMES)
-    unknown = sorted(str(key) for key in entry if key not in known)
-    if unknown:
-        msg = f"{place}: there is no {unknown[0]}; known are {', '.join(known)}"
+        msg = f"{place}: is {entry!r}; give name, operating_point and the parameters"
         raise CandidateFileError(msg)
     for key in ("name", "operating_point"):
         if key not in entry:
             msg = f"{place}: {key} is missing"
             raise CandidateFileError(msg)
-    numbers: dict[str, float] = {}
-    for key in known[1:]:
-        if key not in entry:
-            continue
-        value = entry[key]
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            msg = f"{place}: {key} is {value!r}; give a number"
-            raise CandidateFileError(msg)
-        numbers[key] = float(value)
-    operating_point = numbers.pop("operating_point")
     try:
-        parameters = RigParameters(**numbers)
+        numbers = {str(key): _number(key, value) for key, value in entry.items() if key not in _WORDS}
+        operating_point = numbers.pop("operating_point")
+        plant, structure = str(entry.get("plant", Peltier.name)), str(entry.get("structure", ""))
+        parameters = parameters_from(plant, structure, numbers)
     except TwinmatchError as error:
         msg = f"{place}: {error}"
         raise CandidateFileError(msg) from error
     return Candidate(str(entry["name"]), operating_point, parameters, None)
+
+
+def _number(key: Any, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        msg = f"{key} is {value!r}; give a number"
+        raise CandidateFileError(msg)
+    return float(value)

@@ -1,0 +1,71 @@
+"""Parameters of the twin's nodes as earlier versions knew them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from twinmatch.dynamics import Model
+from twinmatch.nodes.parameters import ParameterError
+from twinmatch.plants import Peltier
+from twinmatch.plants.written import structure_of
+
+__all__ = ["refuse_renamed", "translated", "without_absent"]
+
+RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
+    "noise.temperature": ("noise.output",),
+    "noise.pwm": ("noise.input",),
+    "camera.noise": ("sensor.noise",),
+    "camera.resolution": ("sensor.resolution",),
+    "pid.limit": ("pid.low", "pid.high"),
+}
+_START: Final = "start."
+
+
+def refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
+    """Complain of names that are no longer used.
+
+    Raises:
+        ParameterError: there is one.
+    """
+    for name, now in RENAMED.items():
+        if name in given:
+            msg = f"{place}: {name} is now called {' and '.join(now)}; rename it"
+            raise ParameterError(msg)
+
+
+def without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[str, Any]:
+    """The given values without zeros for what the structure does not have: so parts were left out once.
+
+    Raises:
+        ParameterError: another value for a parameter of the plant that this structure does not have.
+    """
+    kept = dict(given)
+    for name, value in given.items():
+        of = name.removeprefix(_START)
+        if of == name or of in model.declared or of not in model.plant.parameters:
+            continue
+        if value:
+            plant = model.plant
+            having = [s for s in plant.structures if of in plant.model(s).declared]
+            msg = (
+                f"{place}: parameter {name} is {value}, but structure {model.structure_name!r} has no {of}; "
+                f"name one that has: {', '.join(having) or 'none'}"
+            )
+            raise ParameterError(msg)
+        del kept[name]
+    return kept
+
+
+def translated(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Recorded values under the names they have now."""
+    kept = {name: value for name, value in given.items() if name not in RENAMED}
+    for old, names in RENAMED.items():
+        if old in given:
+            kept |= dict.fromkeys(names, given[old])
+    if "pid.limit" in given:
+        kept["pid.low"] = -given["pid.limit"]
+    if "structure" not in kept:
+        starts = {n.removeprefix(_START): v for n, v in kept.items() if n.startswith(_START)}
+        kept["structure"] = structure_of(Peltier, starts)
+    return kept

@@ -1,0 +1,52 @@
+"""Parameters as they are written down, in messages, documents and files: plant, structure, names, values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from twinmatch.dynamics import Parameters, Plant
+from twinmatch.plants import Peltier, find_plant
+
+__all__ = ["parameters_from", "structure_of"]
+
+_PARTS: Final = {"sink_heat_capacity": "sink with mass", "sensor_lag": "sensor lag", "seebeck_slope": "α(T)"}
+"""The part that each of these numbers stands for, where they were written down without a structure."""
+_HELD: Final = 1e12
+"""Heat capacity of a sink that does not move, J/K, for parts that no structure has without a sink's mass."""
+_IMMEDIATE: Final = 0.05
+"""Lag of a sensor that has none, s, likewise."""
+
+
+def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> Parameters:
+    """The parameters that were written down, by name.
+
+    Where no structure is named, the values say which parts there are: so it was before plants had
+    structures, when there was but the Peltier rig, and so it is in short files.
+
+    Raises:
+        PlantError: no such plant, structure or parameter, or values that no plant has.
+    """
+    kind = find_plant(plant or Peltier.name)
+    if structure:
+        return kind.model(structure).parameters(**values)
+    model = kind.model(structure_of(kind, values))
+    kept = {n: v for n, v in values.items() if n in model.declared or n not in kind.parameters}
+    if math.isinf(kept.get("sink_heat_capacity", 0.0)):
+        kept["sink_heat_capacity"] = _HELD
+    if not kept.get("sensor_lag", 1.0):
+        kept["sensor_lag"] = _IMMEDIATE
+    return model.parameters(**kept)
+
+
+def structure_of(plant: type[Plant], values: Mapping[str, float]) -> str:
+    """The first structure with all parts that some values speak of: a heat capacity of the sink, a lag of the
+    sensor, a slope of the Seebeck coefficient. Zero (or, for the sink, infinite) stood for no such part."""
+    parts = {
+        part
+        for name, part in _PARTS.items()
+        if part in plant.parts and values.get(name) and math.isfinite(values[name])
+    }
+    having = (name for name, structure in plant.structures.items() if parts <= structure.parts)
+    return next(having, next(iter(plant.structures)))
