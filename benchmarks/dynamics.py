@@ -1,0 +1,154 @@
+"""An hour of the closed loop with tangents of six parameters: made from equations here, CasADi, differences.
+
+The richest useful Peltier structure: plate and heat sink, six unknown parameters. CasADi gets the same
+equations, from SymPy too, the same Runge–Kutta steps and the same controller, and derives forward; its graph
+is built beforehand and not counted. `solve_ivp` runs the loop alone, without a tangent. The note of a peer
+says how far its tangents, or its output, are from ours.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
+from twinmatch.dynamics import Experiment, Pid, begin, simulate_closed_loop
+from twinmatch.dynamics.equations import derive
+from twinmatch.plants import Peltier
+from twinmatch.signals import Window
+
+Array = NDArray[np.float64]
+
+MODEL = Peltier.model("sink with mass, free ambient, switched drive")
+RIG = MODEL.parameters()
+LEVELS = (30.0, 55.0, 42.0, 75.0, 60.0, 90.0, 50.0)
+
+
+def run(quick: bool) -> list[Row]:
+    size = 600 if quick else 3600
+    reference = np.repeat([LEVELS[k % len(LEVELS)] for k in range(size // 240 + 1)], 240)[:size]
+    sensor = Peltier.sensor.realise(size, 1.0, 7) if Peltier.sensor else None
+    held = simulate_closed_loop(RIG, reference, states=begin(RIG, 30.0), sensor=sensor)
+    experiment = Experiment(RIG, MODEL.structure.free, Window(reference, held.output, held.input))
+    values = experiment.values_of(RIG)
+
+    def differences() -> Array:
+        base = np.stack([(r := experiment.simulate(values)).output, r.input])
+        columns = []
+        for j in range(values.size):
+            moved = values.copy()
+            moved[j] *= 1 + 1e-6
+            there = experiment.simulate(moved)
+            columns.append((np.stack([there.output, there.input]) - base) / (moved[j] - values[j]))
+        return np.stack(columns, axis=2)
+
+    cases: dict[str, Any] = {
+        "twinmatch": lambda: experiment.tangents(values).by,
+        "the same, normal equations only": lambda: experiment.normal(values),
+        "the same, by differences": differences,
+    }
+    if (casadi := peer("casadi")) is not None:
+        cases["CasADi, forward"] = _casadi_tangents(casadi, experiment, values)
+    if not quick:
+        cases["solve_ivp, no tangents"] = lambda: _solve_ivp(experiment)
+    timings = measure_side_by_side(cases, 3 if quick else 15, patience=60.0)
+    ours, notes = timings["twinmatch"].result, {}
+    for name in ("the same, by differences", "CasADi, forward"):
+        theirs = timings[name].result if name in timings else None
+        if theirs is not None:
+            scale = np.max(np.abs(ours), axis=1, keepdims=True)
+            notes[name] = f"tangents differ by {np.max(np.abs(theirs - ours) / scale):.1e} at most"
+    if "solve_ivp, no tangents" in timings and timings["solve_ivp, no tangents"].result is not None:
+        off = np.max(np.abs(timings["solve_ivp, no tangents"].result - experiment.simulate(values).output))
+        notes["solve_ivp, no tangents"] = f"output differs by {off:.1e} K at most"
+    return rows_of(
+        "dynamics",
+        f"loop of {size} samples with {values.size} tangents",
+        timings,
+        targets={"twinmatch": 1e-3 * size / 3600},
+        notes=notes,
+    )
+
+
+def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
+    """A call that gives the derivatives of output and input, shape (2, N, n)."""
+    import sympy  # noqa: PLC0415
+
+    derived = derive(Peltier(), MODEL.structure.parts, frozenset(MODEL.structure.free))
+    symbols = [*derived.states, derived.drive, *derived.parameters]
+    written = Peltier().equations(MODEL.structure.parts)
+    names = {"Max": casadi.fmax, "Min": casadi.fmin, "Abs": casadi.fabs}
+    rates = sympy.lambdify(symbols, [written.rates[s] for s in derived.states], [names, casadi])
+
+    n, nx = values.size, len(derived.states)
+    state, reference, free = casadi.SX.sym("x", nx + 2), casadi.SX.sym("r"), casadi.SX.sym("p", n)
+    known = {name: float(RIG[name]) for name in RIG} | {m: free[j] for j, m in enumerate(experiment.free)}
+    parameters = [known[str(s)] for s in derived.parameters]
+    gains = experiment.gains
+    output = state[0] - 273.15
+    error = reference - output
+    wanted = gains.proportional * error + state[nx] + gains.derivative * (error - state[nx + 1])
+    u = casadi.fmin(casadi.fmax(wanted, gains.low), gains.high)
+    integral = state[nx] + gains.integral * error + gains.back_calculation * (u - wanted)
+    steps = RIG.steps(1.0)
+    h, now = 1.0 / steps, casadi.vertcat(*[state[i] for i in range(nx)])
+
+    def rate(at: Any) -> Any:
+        return casadi.vertcat(*rates(*[at[i] for i in range(nx)], u, *parameters))
+
+    for _ in range(steps):
+        k1 = rate(now)
+        k2 = rate(now + 0.5 * h * k1)
+        k3 = rate(now + 0.5 * h * k2)
+        k4 = rate(now + h * k3)
+        now = now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    tick = casadi.Function(
+        "tick", [state, reference, free], [casadi.vertcat(now, integral, error), casadi.vertcat(output, u)]
+    )
+    size = experiment.measured.shape[1]
+    unknown = casadi.MX.sym("p", n)
+    ambient = unknown[experiment.free.index("ambient")]
+    first = casadi.vertcat(
+        experiment.measured[0, 0] + 273.15,
+        ambient,
+        experiment.controller.integral,
+        experiment.controller.previous,
+    )
+    _, found = tick.mapaccum("loop", size)(
+        first, experiment.window.reference[2:].reshape(1, -1), casadi.repmat(unknown, 1, size)
+    )
+    jacobian = casadi.Function("jacobian", [unknown], [casadi.jacobian(casadi.vec(found), unknown)])
+
+    def call() -> Array:
+        return np.asarray(jacobian(values)).reshape(size, 2, n).transpose(1, 0, 2)
+
+    return call
+
+
+def _solve_ivp(experiment: Experiment) -> Array:
+    """The output of the loop, every tick by scipy."""
+    written = derive(Peltier(), MODEL.structure.parts, frozenset())
+    import sympy  # noqa: PLC0415
+
+    equations = Peltier().equations(MODEL.structure.parts)
+    symbols = [*written.states, written.drive, *written.parameters]
+    rates = sympy.lambdify(symbols, [equations.rates[s] for s in written.states], "math")
+    parameters = [RIG[str(s)] for s in written.parameters]
+    pid = Pid(experiment.gains, experiment.controller)
+    states = begin(RIG, float(experiment.measured[0, 0]))
+    output = []
+    for reference in experiment.window.reference[2:].tolist():
+        output.append(states[0] - 273.15)
+        u = pid.step(reference, output[-1])
+        done = solve_ivp(
+            lambda _t, x, u=u: rates(*x, u, *parameters), (0.0, 1.0), states, rtol=1e-8, atol=1e-8
+        )
+        states = done.y[:, -1]
+    return np.array(output)
+
+
+if __name__ == "__main__":
+    main(run, __doc__)
