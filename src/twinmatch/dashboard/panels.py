@@ -33,7 +33,6 @@ RECENT = 80
 """Events in the table."""
 SILENCE = 5.0
 """Periods without a sample, but at least as many seconds, after which the page says so."""
-MATCHED = ("seebeck", "resistance", "conductance", "heat_capacity")
 LIGHT = (TrustLevel.UNKNOWN, TrustLevel.DOUBTFUL)
 """Levels whose colour wants dark letters."""
 IN_WORDS = ("level", "nominal", "why")
@@ -139,7 +138,9 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
     criteria = computed(verdict.candidates)
     head = [("candidate", ""), ("order", ""), *((c.name, c.unit) for c in criteria)]
     head += [("Σ ν-gap", ""), ("90 % of Σ", ""), ("P(nominal)", ""), ("ν-gap now", ""), ("margin", "b(P, C)")]
-    head += [(q.symbol, q.unit) for q in map(quantity, MATCHED)]
+    of = verdict.candidates[0].parameters.model
+    matched = [quantity(of.plant, name) for name in of.structure.free]
+    head += [(q.symbol, q.unit) for q in matched]
     lines = []
     for candidate in verdict.candidates:
         nominal = candidate.name == verdict.nominal
@@ -150,7 +151,7 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
             number(candidate.nominal_probability, 2),
             number(candidate.nu_gap_to_plant, 3),
             number(candidate.margin, 3),
-            *(quantity(name).text(getattr(candidate.parameters, name)) for name in MATCHED),
+            *(q.text(candidate.parameters.get(q.name, math.nan)) for q in matched),
         ]
         for line in criterion_rows(candidate, criteria):
             if line.output != "total" or not (every or line.chosen):

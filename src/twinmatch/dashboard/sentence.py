@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from twinmatch.dashboard.state import DashboardState
-from twinmatch.plant import PidGains
+from twinmatch.dynamics import PidGains
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin import TrustLimits
 from twinmatch.views import sentence, summarise

@@ -32,6 +32,7 @@ __all__ = [
     "twin_table",
     "twin_values",
     "understood",
+    "values_of",
 ]
 
 
@@ -122,6 +123,27 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         limits=TrustLimits(**group("limits.")),
         health=HealthSettings(period=values["period"], **group("health.")),
     )
+
+
+def values_of(settings: TwinSettings) -> Values:
+    """The parameter values that make these settings: `settings_from` the other way round."""
+    model = settings.start.model
+    values: Values = {
+        "plant": model.plant.name,
+        "structure": model.structure_name,
+        "free": list(settings.free),
+    }
+    groups: dict[str, Any] = {"pid": settings.gains}
+    for parameter in twin_table(model.plant, model.structure_name):
+        group, _, name = parameter.name.partition(".")
+        if group == "start":
+            values[parameter.name] = settings.start[name]
+        elif name:
+            held = groups.get(group) or getattr(settings, group)
+            values[parameter.name] = getattr(held, name) or type(parameter.default)()
+        elif hasattr(settings, group):
+            values.setdefault(group, getattr(settings, group))
+    return values
 
 
 def read_settings(path: Path | None) -> TwinSettings:

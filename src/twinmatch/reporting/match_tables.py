@@ -12,7 +12,7 @@ from twinmatch.twin import MatchReport
 from twinmatch.views.events import STATUS_WORDS, events
 from twinmatch.views.family import Member
 from twinmatch.views.intervals import interval, value_of
-from twinmatch.views.quantities import QUANTITIES, Quantity, number, quantity
+from twinmatch.views.quantities import Quantity, in_order, number, quantity
 
 __all__ = ["event_table", "family_table", "match_table", "nominal_table", "structure_table"]
 
@@ -33,15 +33,15 @@ def event_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], per
 
 def nominal_table(score: CandidateScore, match: Match | None) -> Table:
     """The nominal twin's parameters with their intervals."""
+    plant, free = score.parameters.model.plant, match.free if match is not None else ()
     rows = []
-    for q in QUANTITIES:
-        if match is not None and q.name in match.free:
+    for name in in_order(plant, (*score.parameters, *free)):
+        q = quantity(plant, name)
+        if match is not None and name in free:
             value, *rest = _fitted(match, q)
-        elif hasattr(score.parameters, q.name):
-            origin = words("given" if match is None else "not fitted")
-            value, *rest = (Cell(q.text(getattr(score.parameters, q.name))), Cell("–"), Cell("–"), origin)
         else:
-            continue
+            origin = words("given" if match is None else "not fitted")
+            value, *rest = (Cell(q.text(score.parameters[name])), Cell("–"), Cell("–"), origin)
         rows.append((head(q.symbol), words(q.words), value, words(q.unit), *rest))
     columns = ("symbol", "meaning", "value", "unit", "standard error", "95 % interval", "from")
     return Table(f"Parameters of the nominal twin, {score.name}", columns, tuple(rows))
@@ -64,28 +64,24 @@ def _believed(match: Match, name: str) -> str:
 
 
 def structure_table(verdict: Verdict) -> Table | None:
-    """The rig as the structure has it that the data pay for; None before structures were compared."""
+    """The plant as the structure has it that the data pay for; None before structures were compared."""
     parameters = verdict.structure_parameters
     if parameters is None:
         return None
-    rows = tuple(
-        (head(q.symbol), words(q.words), Cell(q.text(getattr(parameters, q.name))), words(q.unit))
-        for q in QUANTITIES
-        if hasattr(parameters, q.name)
-    )
+    shown = [(quantity(parameters.model.plant, name), value) for name, value in parameters.items()]
+    rows = tuple((head(q.symbol), words(q.words), Cell(q.text(value)), words(q.unit)) for q, value in shown)
     columns = ("symbol", "meaning", "value", "unit")
-    return Table(f"The rig with the structure “{verdict.structure}”", columns, rows)
+    return Table(f"{parameters.model.plant.title} with the structure “{verdict.structure}”", columns, rows)
 
 
 def family_table(members: Sequence[Member]) -> Table:
     """Parameters of every candidate with their 95 % half-widths."""
-    names = _shown_names([m.match for m in members if m.match is not None], members)
+    shown = _shown(members)
     rows = []
     for m in members:
         cells = []
-        for name in names:
-            q = quantity(name)
-            value = getattr(m.score.parameters, name, math.nan)
+        for q in shown:
+            name, value = q.name, m.score.parameters.get(q.name, math.nan)
             if m.match is not None and name in m.match.free:
                 known = interval(m.match, name)
                 span = f" ({q.text(known.low)} to {q.text(known.high)})" if known.known else ""
@@ -104,7 +100,7 @@ def family_table(members: Sequence[Member]) -> Table:
     columns = (
         "candidate",
         "samples",
-        *(quantity(n).label for n in names),
+        *(q.label for q in shown),
         "fit of y / %",
         "fit of u / %",
     )
@@ -112,23 +108,29 @@ def family_table(members: Sequence[Member]) -> Table:
     return Table("Parameters of the family, with 95 % intervals", columns, tuple(rows), marked)
 
 
-def _shown_names(matches: Sequence[Match], members: Sequence[Member]) -> list[str]:
-    """The free parameters of any match; without matches the four of the paper."""
-    free = {name for match in matches for name in match.free}
-    if not free and members:
-        free = {"seebeck", "resistance", "conductance", "heat_capacity"}
-    return [q.name for q in QUANTITIES if q.name in free]
+def _shown(members: Sequence[Member]) -> list[Quantity]:
+    """The free parameters of any match; without matches those that the structures leave free."""
+    free = [m.match.free for m in members if m.match is not None]
+    free = free or [m.score.parameters.model.structure.free for m in members]
+    if not members:
+        return []
+    plant = members[0].score.parameters.model.plant
+    return [quantity(plant, name) for name in in_order(plant, {name for names in free for name in names})]
 
 
 def match_table(matches: Sequence[MatchReport], period: float) -> Table:
     """Every match, accepted or refused, with why."""
-    names = [q.name for q in QUANTITIES if any(q.name in m.match.free for m in matches)]
+    shown = []
+    if matches:
+        plant = matches[0].match.parameters.model.plant
+        names = in_order(plant, {name for m in matches for name in m.match.free})
+        shown = [quantity(plant, name) for name in names]
     rows = []
     for report in matches:
         fitted = math.isfinite(report.match.chi2)
         cells = [
-            Cell(quantity(n).text(value_of(report.match, n)) if fitted and n in report.match.free else "–")
-            for n in names
+            Cell(q.text(value_of(report.match, q.name)) if fitted and q.name in report.match.free else "–")
+            for q in shown
         ]
         mark = "accepted" if report.match.accepted else "refused"
         status = STATUS_WORDS.get(report.match.status, report.match.status.value)
@@ -147,7 +149,7 @@ def match_table(matches: Sequence[MatchReport], period: float) -> Table:
         "t / s",
         "set / °C",
         "gate",
-        *(quantity(n).label for n in names),
+        *(q.label for q in shown),
         "fit y / %",
         "fit u / %",
         "why",

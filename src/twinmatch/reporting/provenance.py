@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -12,15 +12,13 @@ from typing import NamedTuple
 
 import twinmatch
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS
+from twinmatch.nodes.twin_parameters import twin_table, values_of
 from twinmatch.twin import TwinSettings
 
 __all__ = ["FileHash", "Provenance", "Setting", "provenance", "settings_of"]
 
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
 _CHUNK = 1 << 20
-_GROUPS = {"gains": "pid"}
-"""What a group of settings is called among the parameters, where that is not its own name."""
 
 
 class FileHash(NamedTuple):
@@ -79,30 +77,16 @@ def provenance(path: Path, settings: TwinSettings, command: str, made: datetime)
 
 def settings_of(settings: TwinSettings) -> tuple[Setting, ...]:
     """Every parameter with unit and meaning, by the name it has in a parameter file."""
-    known = {p.name: p for p in TWIN_PARAMETERS}
-    defaults = dict(_flat(TwinSettings()))
-    found = []
-    for name, value in _flat(settings):
-        about = known.get(name)
-        unit, meaning = (about.unit, about.description) if about else ("", "")
-        found.append(Setting(name, _text(value), unit, meaning, value != defaults.get(name)))
-    return tuple(found)
-
-
-def _flat(settings: object, prefix: str = "") -> list[tuple[str, object]]:
-    if not (is_dataclass(settings) and not isinstance(settings, type)):
-        return [(prefix, settings)]
-    found: list[tuple[str, object]] = []
-    for field in fields(settings):
-        name = (
-            _GROUPS.get(field.name, field.name) if is_dataclass(getattr(settings, field.name)) else field.name
-        )
-        found += _flat(getattr(settings, field.name), f"{prefix}.{name}" if prefix else name)
-    return found
+    values, model = values_of(settings), settings.start.model
+    return tuple(
+        Setting(p.name, _text(values[p.name]), p.unit, p.description, values[p.name] != p.default)
+        for p in twin_table(model.plant, model.structure_name)
+        if p.name in values
+    )
 
 
 def _text(value: object) -> str:
-    if isinstance(value, tuple):
+    if isinstance(value, list):
         return ", ".join(_text(v) for v in value) or "none"
     if isinstance(value, float):
         return f"{value:g}".replace("inf", "∞").replace("-", "−")

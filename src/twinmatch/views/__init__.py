@@ -16,7 +16,7 @@ from twinmatch.views.family import Member, family
 from twinmatch.views.intervals import Interval, interval, value_of
 from twinmatch.views.line import print_header, print_line
 from twinmatch.views.news import News, news
-from twinmatch.views.quantities import QUANTITIES, Quantity, number, quantity
+from twinmatch.views.quantities import Quantity, in_order, number, quantity
 from twinmatch.views.standing import last_verdict, nominal_score
 from twinmatch.views.summary import Summary, sentence, summarise
 from twinmatch.views.table import COLUMNS, STYLES, row
@@ -26,7 +26,6 @@ __all__ = [
     "COLUMNS",
     "CRITERIA",
     "OUTPUTS",
-    "QUANTITIES",
     "STATUS_WORDS",
     "STYLES",
     "Comparison",
@@ -46,6 +45,7 @@ __all__ = [
     "document",
     "events",
     "family",
+    "in_order",
     "interval",
     "last_verdict",
     "level_stretches",

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinmatch.plant import PidGains, Response, RigParameters, simulate_driven, simulate_window
-from twinmatch.signals import KELVIN, FloatArray, Sample, Window, unbroken
+from twinmatch.dynamics import Parameters, PidGains, Response, begin, simulate_driven, simulate_window
+from twinmatch.dynamics.simulation import SKIPPED
+from twinmatch.signals import FloatArray, Sample, Window, unbroken
 
 __all__ = ["Comparison", "compare", "rolling_rms", "root_mean_square"]
-
-_SKIPPED = 2
-"""A twin starts at the third sample, where the controller's memory is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,40 +20,46 @@ class Comparison:
 
     window: Window
     closed: Response
-    """The closed-loop twin: given the set-point, it answers with temperature (°C) and control (counts)."""
+    """The closed-loop twin: given the set-point, it answers with output and input."""
     driven: FloatArray
-    """The driven twin's temperature, °C: it is given the measured control."""
+    """The driven twin's output: it is given the measured input."""
 
     @property
     def time(self) -> FloatArray:
         """Seconds since the session began."""
-        return self.window.time[_SKIPPED:]
+        return self.window.time[SKIPPED:]
 
     @property
     def residual_y(self) -> FloatArray:
-        """Measured minus closed-loop-twin temperature, °C."""
-        return np.asarray(self.window.output[_SKIPPED:] - self.closed.output)
+        """Measured minus closed-loop-twin output."""
+        return np.asarray(self.window.output[SKIPPED:] - self.closed.output)
 
     @property
     def residual_u(self) -> FloatArray:
-        """Measured minus closed-loop-twin control, counts."""
-        return np.asarray(self.window.input[_SKIPPED:] - self.closed.input)
+        """Measured minus closed-loop-twin input."""
+        return np.asarray(self.window.input[SKIPPED:] - self.closed.input)
 
     @property
     def residual_driven(self) -> FloatArray:
-        """Measured minus driven-twin temperature, °C."""
-        return np.asarray(self.window.output[_SKIPPED:] - self.driven)
+        """Measured minus driven-twin output."""
+        return np.asarray(self.window.output[SKIPPED:] - self.driven)
 
 
-def compare(samples: Sequence[Sample], parameters: RigParameters, gains: PidGains) -> tuple[Comparison, ...]:
+def compare(samples: Sequence[Sample], parameters: Parameters, gains: PidGains) -> tuple[Comparison, ...]:
     """Run both twins over every unbroken stretch of at least four samples, each from its measured start."""
     found = []
     for stretch in unbroken(samples):
-        if len(stretch) < _SKIPPED + 2:
+        if len(stretch) < SKIPPED + 2:
             continue
         window = Window.from_samples(stretch, gains.period)
-        plate = float(window.output[_SKIPPED]) + KELVIN
-        driven = simulate_driven(parameters, window.input[_SKIPPED:], plate=plate, period=window.period)
+        disturbances = window.disturbances[SKIPPED:]
+        driven = simulate_driven(
+            parameters,
+            window.input[SKIPPED:],
+            states=begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0]),
+            period=window.period,
+            disturbances=disturbances,
+        )
         found.append(Comparison(window, simulate_window(parameters, window, gains=gains), driven.output))
     return tuple(found)
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, Verdict
+from twinmatch.dynamics import Parameters
 from twinmatch.matching import Match
-from twinmatch.plant import PARAMETER_NAMES, RigParameters
 from twinmatch.twin import MatchReport
 from twinmatch.views.intervals import interval, value_of
 from twinmatch.views.summary import Summary, sentence
@@ -92,10 +92,10 @@ def _fitted_entry(match: Match, name: str) -> dict[str, Any]:
     }
 
 
-def parameters_entry(parameters: RigParameters) -> dict[str, float | None]:
-    """Rig parameters by name in their own units (V/K, Ω, W/K, J/K, K …); what has no bound is None: a sink
-    held at ambient has no heat capacity."""
-    return {name: _finite(getattr(parameters, name)) for name in PARAMETER_NAMES}
+def parameters_entry(parameters: Parameters) -> dict[str, Any]:
+    """Plant and structure by name, and the values of the parameters in their own units."""
+    model = parameters.model
+    return {"plant": model.plant.name, "structure": model.structure_name, "values": dict(parameters)}
 
 
 def _candidate_entry(candidate: CandidateScore) -> dict[str, Any]:

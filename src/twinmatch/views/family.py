@@ -18,9 +18,9 @@ from twinmatch.discrimination import (
     twin_response,
 )
 from twinmatch.discrimination.models import ahead, deviations, operating_level
+from twinmatch.dynamics import Response, simulate_window
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Match
-from twinmatch.plant import Response, simulate_window
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch.twin.threads import one_thread
@@ -42,10 +42,10 @@ class Member:
 
     @cached_property
     def response(self) -> Window:
-        """Its twin on the set-point of that window, seen through the camera."""
+        """Its twin on the set-point of that window, seen through the sensor."""
         s = self.settings
         return twin_response(
-            self.score.parameters, self.window, s.gains, s.camera, s.seed + self.window.first
+            self.score.parameters, self.window, s.gains, s.sensor, s.seed + self.window.first
         )
 
     @cached_property
@@ -61,17 +61,21 @@ class Member:
 
     @property
     def quiet_twin(self) -> Response:
-        """Its twin on the same set-point without a camera's noise; from the window's third sample."""
+        """Its twin on the same set-point without a sensor's noise; from the window's third sample."""
         return simulate_window(self.score.parameters, self.window, gains=self.settings.gains)
 
-    def simulated(self, order: str) -> Response:
+    def simulated(self, order: str) -> Window:
         """What the model of this order says the measured samples should be: B/F alone, as for the gain."""
         model = next(m for m in self.models if m.order == order)
-        level = operating_level(self.measured)
-        r, y, u = deviations(self.measured, level)
-        return Response(
+        measured = self.measured
+        level = operating_level(measured)
+        r, y, u = deviations(measured, level)
+        return Window(
+            measured.reference,
             model.y.simulate(r, outputs=y[: len(model.y.F)]) + level.output,
             model.u.simulate(ahead(r), outputs=u[: len(model.u.F)]) + level.input,
+            first=measured.first,
+            period=measured.period,
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import nan
 from typing import NamedTuple
 
 from rich.cells import cell_len
@@ -12,7 +13,7 @@ from twinmatch.discrimination import CandidateScore, Verdict
 from twinmatch.matching import Match
 from twinmatch.twin import MatchReport
 from twinmatch.views.criteria import CRITERIA
-from twinmatch.views.quantities import number, quantity
+from twinmatch.views.quantities import Quantity, number, quantity
 
 __all__ = ["LEGEND", "believed_of", "family_table"]
 
@@ -32,7 +33,7 @@ class Column(NamedTuple):
 
     header: str
     """Name, and in the line below its unit."""
-    importance: int
+    importance: float
     """The smallest stays longest."""
     cell: Callable[[CandidateScore, Sequence[str]], str]
     """Its text, from a candidate and the names of its parameters that are to be believed."""
@@ -41,11 +42,12 @@ class Column(NamedTuple):
 def family_table(verdict: Verdict, believed: Believed, width: int) -> Table:
     """The candidates with the columns that fit into `width` characters, the most important ones first."""
     rows = [(c, believed.get((c.first, c.last), ())) for c in verdict.candidates]
-    cells = {column: _cells(column, rows, verdict) for column in COLUMNS}
+    columns = _columns(verdict) if verdict.candidates else (CANDIDATE,)
+    cells = {column: _cells(column, rows, verdict) for column in columns}
     table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
     chosen = _fitting({column: _width(column, texts) for column, texts in cells.items()}, width)
     for column in chosen:
-        table.add_column(column.header, no_wrap=True, justify="left" if column is COLUMNS[0] else "right")
+        table.add_column(column.header, no_wrap=True, justify="left" if column is CANDIDATE else "right")
     for place, (candidate, _) in enumerate(rows):
         style = "bold" if candidate.name == verdict.nominal else ""
         table.add_row(*(cells[column][place] for column in chosen), style=style)
@@ -62,7 +64,7 @@ def _cells(
     column: Column, rows: Sequence[tuple[CandidateScore, Sequence[str]]], verdict: Verdict
 ) -> list[str]:
     texts = [column.cell(candidate, believed) for candidate, believed in rows]
-    if column is not COLUMNS[0]:
+    if column is not CANDIDATE:
         return texts
     marks = ["▶" if candidate.name == verdict.nominal else " " for candidate, _ in rows]
     return [f"{mark} {text}" for mark, text in zip(marks, texts, strict=True)]
@@ -83,10 +85,10 @@ def _fitting(widths: Mapping[Column, int], room: int) -> list[Column]:
     return [column for column in widths if column in chosen]
 
 
-def _parameter(name: str) -> Callable[[CandidateScore, Sequence[str]], str]:
+def _parameter(shown: Quantity) -> Callable[[CandidateScore, Sequence[str]], str]:
     def text(candidate: CandidateScore, believed: Sequence[str]) -> str:
-        value = quantity(name).text(getattr(candidate.parameters, name))
-        return f"{value}{'*' if name in believed else ' '}"
+        value = shown.text(candidate.parameters.get(shown.name, nan))
+        return f"{value}{'*' if shown.name in believed else ' '}"
 
     return text
 
@@ -99,30 +101,31 @@ def _criterion(name: str) -> Callable[[CandidateScore, Sequence[str]], str]:
     return text
 
 
-def _unit_below(name: str) -> str:
-    """Symbol and unit of a parameter in two lines; a place is left for the mark behind the figure."""
-    return f"{quantity(name).symbol} \n{quantity(name).unit} "
-
-
 def _sum_interval(candidate: CandidateScore) -> str:
     low, high = (number(v, 2) for v in (candidate.nu_gap_sum_low, candidate.nu_gap_sum_high))
     return low if low == high == number(None) else f"{low}…{high}"
 
 
-COLUMNS = (
-    Column("candidate", 0, lambda c, _: c.name),
-    Column("T_op\n°C", 8, lambda c, _: number(c.operating_point, 1)),
-    Column(_unit_below("seebeck"), 4, _parameter("seebeck")),
-    Column(_unit_below("conductance"), 5, _parameter("conductance")),
-    Column(_unit_below("heat_capacity"), 6, _parameter("heat_capacity")),
-    Column("order", 1, lambda c, _: c.chosen_order),
-    Column("gain\ncharacters", 7, _criterion("gain")),
-    Column("nAIC", 11, _criterion("naic")),
-    Column("BIC", 12, _criterion("bic")),
-    Column("MDL\n°C²+PWM²", 13, _criterion("mdl")),
-    Column("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
-    Column("90 %\ninterval", 10, lambda c, _: _sum_interval(c)),
-    Column("P\nnominal", 3, lambda c, _: number(c.nominal_probability, 2)),
-    Column("margin\nb(P, C)", 9, lambda c, _: number(c.margin, 3)),
-)
-"""All columns, in the order of the table."""
+CANDIDATE = Column("candidate", 0, lambda c, _: c.name)
+
+
+def _columns(verdict: Verdict) -> tuple[Column, ...]:
+    """All columns, in the order of the table; the parameters are those that the structure leaves free."""
+    model = verdict.candidates[0].parameters.model
+    y, u = model.plant.output, model.plant.drive
+    shown = [quantity(model.plant, name) for name in model.structure.free]
+    return (
+        CANDIDATE,
+        Column(f"at\n{y.unit}", 8, lambda c, _: number(c.operating_point, 1)),
+        # A place is left for the mark behind the figure.
+        *(Column(f"{q.symbol} \n{q.unit} ", 4 + k / len(shown), _parameter(q)) for k, q in enumerate(shown)),
+        Column("order", 1, lambda c, _: c.chosen_order),
+        Column("gain\ncharacters", 7, _criterion("gain")),
+        Column("nAIC", 11, _criterion("naic")),
+        Column("BIC", 12, _criterion("bic")),
+        Column(f"MDL\n{y.unit}²+{u.unit or u.name}²", 13, _criterion("mdl")),
+        Column("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
+        Column("90 %\ninterval", 10, lambda c, _: _sum_interval(c)),
+        Column("P\nnominal", 3, lambda c, _: number(c.nominal_probability, 2)),
+        Column("margin\nb(P, C)", 9, lambda c, _: number(c.margin, 3)),
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from twinmatch.matching import SINK_START, Match
+from twinmatch.matching import Match
 
 __all__ = ["Interval", "interval", "value_of"]
 
@@ -45,7 +45,5 @@ def interval(match: Match, name: str) -> Interval:
 
 
 def value_of(match: Match, name: str) -> float:
-    """The value of a fitted parameter in its own unit; NaN for a sink that starts at ambient."""
-    if name == SINK_START:
-        return math.nan if match.sink_start is None else match.sink_start
-    return float(getattr(match.parameters, name))
+    """The value of a fitted parameter, or of a state's start, in its own unit."""
+    return float(match.starts[name] if name in match.starts else match.parameters[name])

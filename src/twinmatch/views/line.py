@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields
-from math import isfinite
 from typing import IO, TYPE_CHECKING
 
 from twinmatch.discrimination import Verdict
@@ -73,7 +71,7 @@ def closing_lines(summary: Summary, verdict: Verdict | None) -> list[str]:
     if verdict is not None and verdict.certainty:
         said.append(f"Certainty: {verdict.certainty}.")
     if verdict is not None and verdict.structure:
-        said.append(f"Structure: the samples pay for {verdict.structure}{_rig(verdict)}.")
+        said.append(f"Structure: the samples pay for {verdict.structure}{_plant(verdict)}.")
     return [*said, sentence(summary)]
 
 
@@ -128,11 +126,12 @@ def _columns(cells: tuple[str, ...]) -> str:
     return "".join(f"{cell:<{width}}  " for cell, width in zip(cells, _WIDTHS, strict=True))
 
 
-def _rig(verdict: Verdict) -> str:
-    """Its parameters in brackets, each with its unit; one that is 0 or ∞ is no part of it."""
-    rig = verdict.structure_parameters
-    if rig is None:
+def _plant(verdict: Verdict) -> str:
+    """Its parameters in brackets, each with its unit; one that is 0 is no part of it."""
+    held = verdict.structure_parameters
+    if held is None:
         return ""
-    known = [(quantity(f.name), getattr(rig, f.name)) for f in fields(rig)]
-    shown = [f"{q.symbol} {q.text(value)} {q.unit}" for q, value in known if value and isfinite(value)]
+    plant, fitted = held.model.plant, held.model.structure.free
+    known = [(quantity(plant, name), held[name]) for name in held if held[name] or name in fitted]
+    shown = [f"{q.symbol} {q.text(value)} {q.unit}".removesuffix(" 1") for q, value in known]
     return f" ({', '.join(shown)})"

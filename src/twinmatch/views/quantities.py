@@ -1,18 +1,22 @@
-"""The rig parameters as people write them: symbol, unit, and a number short enough to read."""
+"""A plant's parameters as people write them: symbol, unit, and a number short enough to read."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+import re
+from collections.abc import Iterable
+from typing import Final, NamedTuple
 
-from twinmatch.matching import SINK_START
+from twinmatch.dynamics import Parameter, Plant, State
 from twinmatch.signals import KELVIN
 
-__all__ = ["QUANTITIES", "Quantity", "number", "quantity"]
+__all__ = ["Quantity", "in_order", "number", "quantity"]
+
+_TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"})
 
 
 class Quantity(NamedTuple):
-    """One rig parameter and how it is shown."""
+    """One parameter, or the start of a state, and how it is shown."""
 
     name: str
     symbol: str
@@ -43,29 +47,44 @@ class Quantity(NamedTuple):
         return number(value * self.factor, self.decimals + 1)
 
 
-QUANTITIES: tuple[Quantity, ...] = (
-    Quantity("seebeck", "α", "mV/K", "Seebeck coefficient of the Peltier module", 1000.0, decimals=1),
-    Quantity("resistance", "R", "Ω", "electrical resistance of the module"),
-    Quantity("conductance", "K", "W/K", "heat conducted from one side to the other", decimals=3),
-    Quantity("heat_capacity", "C", "J/K", "heat capacity of the plate", decimals=1),
-    Quantity("ambient", "T_amb", "°C", "temperature of the surroundings", offset=-KELVIN, decimals=1),
-    Quantity("sink_heat_capacity", "C_sink", "J/K", "heat capacity of the heat sink", decimals=0),
-    Quantity("sink_convection", "h_sink", "W/K", "heat the sink gives to the air", decimals=2),
-    Quantity("sensor_lag", "τ", "s", "time constant with which the camera follows the plate", decimals=2),
-    Quantity("seebeck_slope", "dα/dT", "µV/K²", "change of α with temperature, about 25 °C", 1e6, decimals=1),
-    Quantity("drive_ripple", "ρ", "1", "share of the bridge's switching that reaches the module"),
-    Quantity(
-        SINK_START, "T_sink(0)", "°C", "temperature of the sink at the start", offset=-KELVIN, decimals=1
-    ),
-)
-"""Every parameter of `RigParameters` and the sink's start, in their canonical order."""
+def quantity(plant: type[Plant], name: str) -> Quantity:
+    """A parameter of the plant, or the start of one of its states; other names are shown as they are."""
+    start = name in plant.states
+    declared: Parameter | State | None = plant.states.get(name) if start else plant.parameters.get(name)
+    if declared is None:
+        return Quantity(name, name, "–", name, decimals=4)
+    symbol = declared.symbol or name
+    prefix, factor = _prefix(declared.unit, declared.scale)
+    # Where readings are in °C, people think of the room in °C too.
+    celsius = declared.unit == "K" and plant.output.unit == "°C" and not _difference(declared)
+    return Quantity(
+        name,
+        f"{symbol}(0)" if start else symbol,
+        "°C" if celsius else f"{prefix}{declared.unit}" or "1",
+        f"{declared.text} at the start" if start else declared.text,
+        factor,
+        -KELVIN if celsius else 0.0,
+        max(0, 2 - math.floor(math.log10(declared.scale * factor))),
+    )
 
-_BY_NAME = {q.name: q for q in QUANTITIES}
+
+def in_order(plant: type[Plant], names: Iterable[str]) -> tuple[str, ...]:
+    """The names as the plant declares them: parameters, then states; then what it does not know."""
+    wanted = dict.fromkeys(names)
+    known = [name for name in (*plant.parameters, *plant.states) if name in wanted]
+    return (*known, *(name for name in wanted if name not in known))
 
 
-def quantity(name: str) -> Quantity:
-    """The parameter of this name; one that is not known here is shown as it is."""
-    return _BY_NAME.get(name) or Quantity(name, name, "–", name, decimals=4)
+def _prefix(unit: str, scale: float) -> tuple[str, float]:
+    """What makes a small number readable, before a unit that takes a prefix: m or µ, and its factor."""
+    first = re.match(r"[A-Za-zΩ]+(?![A-Za-zΩ²³^0-9])", unit)
+    if scale >= 0.1 or first is None or first.group() not in _TAKE_PREFIXES:
+        return "", 1.0
+    return ("m", 1e3) if scale >= 1e-3 else ("µ", 1e6)
+
+
+def _difference(declared: Parameter | State) -> bool:
+    return isinstance(declared, Parameter) and declared.relative
 
 
 def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str:

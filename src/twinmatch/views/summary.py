@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from twinmatch.discrimination import TrustLevel, Verdict
-from twinmatch.plant import PidGains, RigParameters
+from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TrustLimits, closed_loop_fit
 from twinmatch.twin.discriminator import UNEXPLAINED
@@ -25,7 +25,7 @@ class Summary:
     nominal: str | None
     level: TrustLevel
     """Of the last verdict."""
-    parameters: RigParameters | None
+    parameters: Parameters | None
     fit_y: float
     """NRMSE fit of the closed-loop twin's temperature over the whole session; NaN without a nominal."""
     fit_u: float

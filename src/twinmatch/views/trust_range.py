@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twinmatch.discrimination import CandidateScore
-from twinmatch.plant import PidGains
+from twinmatch.dynamics import PidGains
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import TrustLimits, residuals
 

@@ -1,4 +1,4 @@
-"""The rig parameters of every match, with the intervals in which they lie."""
+"""The parameters of every match, with the intervals in which they lie."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ def draw_parameters(matches: Sequence[MatchReport], nominal: Match | None, perio
     if not names:
         empty(figure.add_subplot(), "no match was made")
         return figure
+    plant = fitted[0].match.parameters.model.plant
     axes = stack(figure, [1.0] * len(names))
     for each, name in zip(axes, names, strict=True):
-        _draw_parameter(each, fitted, nominal, quantity(name), period)
+        _draw_parameter(each, fitted, nominal, quantity(plant, name), period)
     axes[-1].set_xlabel("time since the session began / s")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     figure.align_ylabels(axes)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twinmatch.plant import simulate_window
+from twinmatch.dynamics import simulate_window
 from twinmatch.signals import FloatArray, Window
 from twinmatch.views.family import Member
 from twinmatch.views.figures.drawing import new_figure, stack, styled

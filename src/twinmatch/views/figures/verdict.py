@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinmatch.discrimination import CandidateScore, Verdict
-from twinmatch.plant import simulate_window
+from twinmatch.dynamics import simulate_window
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import TwinSettings
 from twinmatch.views.figures.discrimination import draw_gains, fill_matrix
