@@ -8,18 +8,24 @@ import numpy as np
 import pytest
 
 from tests.support import faulty_rig as rig
+from twinmatch.dynamics import begin, simulate_closed_loop, simulate_driven
 from twinmatch.health import Balance, HealthError, HealthSettings
-from twinmatch.plant import RigParameters, simulate_closed_loop, simulate_driven
+from twinmatch.plants import Peltier
+from twinmatch.signals import Sample
 
-RIG = RigParameters(seebeck=0.06, conductance=0.65, heat_capacity=28.0)
+RIG = Peltier.model().parameters(**Peltier.typical)
+
+
+def tick(y: float, u: float) -> Sample:
+    return Sample(0, 0, 0.0, float(y), float(u))
 
 
 def test_nothing_is_left_of_the_twin_itself() -> None:
     pwm = np.random.default_rng(1).uniform(-255, 255, 200)
-    run = simulate_driven(RIG, pwm, plate=310.0)
+    run = simulate_driven(RIG, pwm, states=begin(RIG, 37.0))
     balance = Balance(RIG, 1.0)
     for u, (y, after) in zip(pwm, itertools.pairwise(run.output), strict=False):
-        movement = balance.step(float(y), float(u), float(after))
+        movement = balance.step(tick(y, u), float(after))
         assert abs(movement.unexplained) < 1e-9
         assert movement.drive * u >= 0
         assert movement.drive + movement.passive == pytest.approx(after - y, abs=1e-9)
@@ -27,13 +33,13 @@ def test_nothing_is_left_of_the_twin_itself() -> None:
 
 def test_an_error_of_drive_and_losses_is_learned() -> None:
     # A quarter more heat capacity slows everything by the same share: both corrections are 1/1.25 − 1.
-    slow = RIG.replace(heat_capacity=1.25 * RIG.heat_capacity)
+    slow = RIG.replace(heat_capacity=1.25 * RIG["heat_capacity"])
     reference = rig.profile(5, 3000)
-    run = simulate_closed_loop(slow, reference, plate=296.0)
+    run = simulate_closed_loop(slow, reference, states=begin(slow, 23.0))
     balance = Balance(RIG, 1.0)
     early, late = [], []
     for k in range(len(reference) - 1):
-        movement = balance.step(float(run.output[k]), float(run.input[k]), float(run.output[k + 1]))
+        movement = balance.step(tick(run.output[k], run.input[k]), float(run.output[k + 1]))
         full = balance.block()
         if full is not None:
             balance.learn(*full, healthy=True)

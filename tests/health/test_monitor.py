@@ -11,19 +11,21 @@ import numpy as np
 import pytest
 
 from tests.support import faulty_rig as rig
+from twinmatch.dynamics import Parameters
 from twinmatch.health import Fault, HealthSettings, Monitor, State
-from twinmatch.plant import RigParameters
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
 
+RIG = Peltier.model().parameters
 FOREIGN = [
     # What three-parameter matches on the real rig came to at various operating points; α and K trade off.
-    RigParameters(seebeck=0.0539, conductance=0.691, heat_capacity=23.9),
-    RigParameters(seebeck=0.1361, conductance=0.283, heat_capacity=61.7),
-    RigParameters(seebeck=0.0117, conductance=0.285, heat_capacity=11.8),
-    RigParameters(seebeck=0.027, conductance=0.586, heat_capacity=19.2),
-    RigParameters(seebeck=0.06 * 0.8, conductance=0.65 * 1.2, heat_capacity=28.0 * 1.2),
-    RigParameters(seebeck=0.06 * 1.2, conductance=0.65 * 0.8, heat_capacity=28.0 * 0.8),
+    RIG(seebeck=0.0539, conductance=0.691, heat_capacity=23.9),
+    RIG(seebeck=0.1361, conductance=0.283, heat_capacity=61.7),
+    RIG(seebeck=0.0117, conductance=0.285, heat_capacity=11.8),
+    RIG(seebeck=0.027, conductance=0.586, heat_capacity=19.2),
+    RIG(seebeck=0.06 * 0.8, conductance=0.65 * 1.2, heat_capacity=28.0 * 1.2),
+    RIG(seebeck=0.06 * 1.2, conductance=0.65 * 0.8, heat_capacity=28.0 * 0.8),
 ]
 HEALTHY = (2, 5, 9, 14, 20)
 
@@ -58,7 +60,7 @@ def test_no_alarm_whatever_twin_is_nominal(number: int, recorded_hour: Callable[
 
 @pytest.mark.parametrize("reference", [FOREIGN[0], FOREIGN[1]])
 def test_another_matched_twin_does_as_the_first_one(
-    reference: RigParameters, recordings: dict[int, Path], recorded_hour: Callable[[int], Window]
+    reference: Parameters, recordings: dict[int, Path], recorded_hour: Callable[[int], Window]
 ) -> None:
     for number in sorted(set(recordings) & set(HEALTHY)):
         monitor, _ = rig.watch(

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from twinmatch.health import Movement
 from twinmatch.health.traces import Effect, Lag, Repeats
 
+NOISE = 0.1
+"""Of a reading, °C."""
 STILL = Movement(0.0, 0.0, 0.0)
 
 
 def test_the_share_is_what_the_plate_shows_of_the_drive() -> None:
-    effect = Effect(1.0)
+    effect = Effect(1.0, NOISE)
     for _ in range(20):
         effect.push(Movement(2.0, -1.0, -0.3), 0.05)  # 0.3 of 2 °C are missing every second
     assert effect.share == pytest.approx(0.85)
@@ -23,7 +25,7 @@ def test_the_share_is_what_the_plate_shows_of_the_drive() -> None:
 
 @given(share=st.floats(-1.0, 2.0), drive=st.floats(1.0, 4.0), sign=st.sampled_from([-1.0, 1.0]))
 def test_any_share_is_found_in_heating_and_in_cooling(share: float, drive: float, sign: float) -> None:
-    effect = Effect(1.0)
+    effect = Effect(1.0, NOISE)
     for k in range(24):
         # It comes on as a drive does that the controller turns up, so that no step looks like the camera's.
         part = sign * drive * min(1.0, k / 10)
@@ -32,7 +34,7 @@ def test_any_share_is_found_in_heating_and_in_cooling(share: float, drive: float
 
 
 def test_too_little_drive_is_not_judged() -> None:
-    effect = Effect(1.0)
+    effect = Effect(1.0, NOISE)
     for _ in range(60):
         effect.push(Movement(0.4, -0.4, -0.4), 0.05)
     assert np.isnan(effect.share)
@@ -40,14 +42,14 @@ def test_too_little_drive_is_not_judged() -> None:
 
 
 def test_a_rough_balance_wants_more_drive() -> None:
-    effect = Effect(1.0)
+    effect = Effect(1.0, NOISE)
     for _ in range(60):
         effect.push(Movement(1.0, -1.0, -0.4), 0.6)
     assert np.isnan(effect.share)
 
 
 def test_a_step_of_the_camera_is_not_taken_for_movement() -> None:
-    effect = Effect(1.0)
+    effect = Effect(1.0, NOISE)
     for k in range(40):
         effect.push(Movement(1.0, -1.0, -5.0 if k == 30 else 0.0), 0.05)
     assert effect.share == pytest.approx(1.0)
@@ -59,7 +61,7 @@ def noisy(repeats: Repeats, samples: int) -> None:
 
 
 def test_ten_equal_readings_of_a_noisy_camera_are_no_chance() -> None:
-    repeats = Repeats(1.0, 10.0)
+    repeats = Repeats(1.0, 10.0, NOISE)
     noisy(repeats, 100)
     for count in range(1, 12):
         repeats.push(0.0, STILL)
@@ -70,7 +72,7 @@ def test_ten_equal_readings_of_a_noisy_camera_are_no_chance() -> None:
 
 
 def test_a_coarse_camera_may_repeat_itself() -> None:
-    random, repeats = np.random.default_rng(8), Repeats(1.0, 10.0)
+    random, repeats = np.random.default_rng(8), Repeats(1.0, 10.0, NOISE)
     readings = np.round(random.normal(40.0, 0.1, 3000) * 2) / 2  # half a degree: nearly always the same
     longest = 0
     for change in np.diff(readings):
@@ -81,7 +83,7 @@ def test_a_coarse_camera_may_repeat_itself() -> None:
 
 
 def test_a_sensor_without_noise_stands_still_only_if_the_plate_should_move() -> None:
-    repeats = Repeats(1.0, 10.0)
+    repeats = Repeats(1.0, 10.0, NOISE)
     for _ in range(60):
         repeats.push(0.0, STILL)
         assert not repeats.stands

@@ -8,17 +8,25 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twinmatch.emulation.virtual_rig_plant import RICH_RIG
+from twinmatch.dynamics import Parameters, Pid, advance, begin, read
 from twinmatch.health import Health, HealthSettings, Monitor, State
-from twinmatch.plant import Camera, Driver, Pid, PidGains, PlantState, RigParameters, advance
-from twinmatch.signals import KELVIN, FloatArray, Sample
+from twinmatch.plants import Peltier
+from twinmatch.signals import FloatArray, Sample
 
-OPEN = Driver(current_limit=1e-9)
-CAMERA = Camera(noise=0.06)
+RICH_RIG = Peltier.model("sink with mass").parameters(
+    seebeck=0.06,
+    conductance=0.5,
+    heat_capacity=27.0,
+    ambient=295.0,
+    sink_heat_capacity=250.0,
+    sink_convection=6.0,
+)
+"""The truth: a heat sink with mass, cooled by a fan."""
+CAMERA = replace(Peltier.sensor, noise=0.06)
 FLAT_FIELD_JUMP, FLAT_FIELD_KEEPS = 0.8, 0.93
 """Standard deviation of the jump, °C, and what is left of it after a second."""
 
@@ -42,7 +50,7 @@ def profile(seed: int, samples: int) -> FloatArray:
     return np.array(levels[:samples])
 
 
-def some_rig(seed: int) -> RigParameters:
+def some_rig(seed: int) -> Parameters:
     """A rig within 15 % of the virtual one, in some room."""
     a, b, c = np.random.default_rng(seed).uniform(0.85, 1.15, 3)
     return RICH_RIG.replace(
@@ -57,27 +65,26 @@ def run(
     reference: FloatArray,
     broken: Break | None = None,
     *,
-    rig: RigParameters = RICH_RIG,
+    rig: Parameters = RICH_RIG,
     seed: int = 0,
     period: float = 1.0,
 ) -> tuple[list[Sample], FloatArray]:
     """Samples, and the plate's true temperature, °C."""
     camera = CAMERA.realise(len(reference), period, seed)
     random = np.random.default_rng(seed)
-    state, pid = (
-        PlantState(rig.ambient, rig.ambient),
-        Pid(PidGains(period=period, back_calculation=1 / period)),
-    )
+    pid = Pid(replace(Peltier.loop, period=period, back_calculation=1 / period))
+    room = rig["ambient"] - Peltier.output.absolute
+    states = begin(rig, room)
     samples: list[Sample] = []
     truth = np.empty(len(reference))
     jump, last = 0.0, None
     for k, wanted in enumerate(reference):
         what = broken.kind if broken is not None and broken.on(k) else ""
-        truth[k] = state.plate - KELVIN
+        truth[k] = read(rig, states)
         if k and camera.frozen[k] and not camera.frozen[k - 1]:
             jump = FLAT_FIELD_JUMP * random.standard_normal()
         jump *= FLAT_FIELD_KEEPS**period
-        seen = rig.ambient - KELVIN if what == "sensor-off" else truth[k] + jump
+        seen = room if what == "sensor-off" else truth[k] + jump
         seen += 12.0 if what == "reading-offset" else 0.0
         seen = round(seen + float(camera.noise[k]), 2)
         if last is not None and (camera.frozen[k] or what == "sensor-frozen"):
@@ -85,20 +92,22 @@ def run(
         last = seen
         pwm = pid.step(float(wanted), seen)
         samples.append(Sample(k, k, float(wanted), seen, pwm))
-        state = advance(_now(rig, what), state, pwm, period, OPEN if what == "drive-lost" else None)
+        states = advance(_now(rig, what), states, pwm, period)
     return samples, truth
 
 
-def _now(rig: RigParameters, what: str) -> RigParameters:
+def _now(rig: Parameters, what: str) -> Parameters:
+    if what == "drive-lost":
+        return rig.replace(current_limit=1e-9)
     if what.startswith("room+"):
-        return rig.replace(ambient=rig.ambient + float(what[5:]))
+        return rig.replace(ambient=rig["ambient"] + float(what[5:]))
     if what == "fan-failed":
-        return rig.replace(sink_convection=0.1 * rig.sink_convection)
+        return rig.replace(sink_convection=0.1 * rig["sink_convection"])
     return rig
 
 
 def watch(
-    samples: list[Sample], parameters: RigParameters | None = None, settings: HealthSettings | None = None
+    samples: list[Sample], parameters: Parameters | None = None, settings: HealthSettings | None = None
 ) -> tuple[Monitor, list[Health]]:
     monitor = Monitor(settings)
     return monitor, [monitor.push(s, parameters) for s in samples]

@@ -79,6 +79,8 @@ class Output(Declaration):
     """Readings that a working sensor can give."""
     absolute: float = 0.0
     """What to add to a reading to count it from where its quantity is zero: 273.15 for °C."""
+    sensor: str = "sensor"
+    """What gives the readings, in a word: where to look if they are wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,7 +45,17 @@ from twinmatch.dynamics.pid_step import Gains, pid_step
 from twinmatch.dynamics.sensor_step import reading
 from twinmatch.signals import FloatArray
 
-__all__ = ["advance", "begin", "look", "rate_bound", "run", "run_with_tangents", "slopes_at", "tick_slopes"]
+__all__ = [
+    "advance",
+    "begin",
+    "look",
+    "parts",
+    "rate_bound",
+    "run",
+    "run_with_tangents",
+    "slopes_at",
+    "tick_slopes",
+]
 
 MOST_EVENTS = 24
 """Kinks crossed in one step before it is taken as it is."""
@@ -179,6 +189,37 @@ def look(p: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, 
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
     quantities(at, u, given, p, c, switches(at, u, given, p, c), q)
     return output(at, given, p, c), q
+
+
+@compiled
+def parts(
+    p: FloatArray,
+    y: float,
+    before: FloatArray,
+    u: float,
+    rest: float,
+    d: FloatArray,
+    period: float,
+    steps: int,
+) -> tuple[float, float, FloatArray]:
+    """How far the drive moves a measured output in one period, how far all else does, and the states then.
+
+    States that the output does not show begin where they are `before`, unless that is NaN.
+    """
+    c, x, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES), np.zeros(N_STATES)
+    xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
+    prepare(p, c)
+    given = row(d.reshape((1, d.size)), 0)
+    start(y, given, p, c, x)
+    start_slopes(y, given, p, c, xy, xp)
+    for i in range(N_STATES):
+        if xy[i] == 0.0 and not np.isnan(before[i]):
+            x[i] = before[i]
+    at = packed(x)
+    driven = _tick(at, u, given, p, c, period, steps)
+    idle = output(_tick(at, rest, given, p, c, period, steps), given, p, c)
+    unpack(driven, after)
+    return output(driven, given, p, c) - idle, idle - output(at, given, p, c), after
 
 
 @compiled

@@ -49,6 +49,11 @@ class Plant:
     sensor: ClassVar[Sensor | None] = None
     """What the sensor adds, for simulated plants; without one it adds nothing."""
 
+    typical: ClassVar[Mapping[str, float]] = {}
+    """Parameters amid those that plants of this kind had, if not the defaults; a guess before any match."""
+    surroundings: ClassVar[str] = "what surrounds the plant"
+    """Where to look if something changes slowly."""
+
     name: ClassVar[str]
     declarations: ClassVar[Mapping[str, Declaration]]
     states: ClassVar[Mapping[str, State]]
@@ -110,7 +115,7 @@ class Plant:
             place = f"plant {cls.name}, structure {name!r}"
             for kind, names, known in (
                 ("part", structure.parts, cls.parts),
-                ("parameter", (*structure.free, *structure.fixed), cls.parameters),
+                ("parameter", (*structure.free, *structure.fixed, *cls.typical), cls.parameters),
                 ("state", structure.free_starts, cls.states),
             ):
                 unknown = sorted(set(names) - set(known))

@@ -1,9 +1,9 @@
 """What ails the plant, and since when: a judgement from the samples, never a reason to act by itself.
 
 `Monitor` takes one sample after the other and says whether the plant is healthy. It keeps an energy
-balance (`Balance`): what the drive and the surroundings should have done to the plate since the sample
-before, by the plant's own equations, against what the plate did. A drive without effect, a sensor that
-stands still, a reading that no plate can follow and a slow change of the rig leave different traces in
+balance (`Balance`): what the drive and the surroundings should have done to the plant since the sample
+before, by the plant's own equations, against what the plant did. A drive without effect, a sensor that
+stands still, a reading that no plant can follow and a slow change of the plant leave different traces in
 that balance, and so each gets its own name. Synchronous, no clock, no chance: the same samples, the same
 judgement. What has to go to zero at once is the business of `twinmatch.safety`.
 """

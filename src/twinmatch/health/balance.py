@@ -1,10 +1,13 @@
-"""The energy balance of the plate: what should have moved it since the sample before, and what did.
+"""The energy balance of the plant: what should have moved its output since the sample before, and what did.
 
-The plant's equations say how far the plate goes in one period under the PWM and how far without; the
-difference is the drive's part, the rest the surroundings'. Both are taken at the measured temperature, so
-that no error of the twin is carried from one sample to the next. What they get wrong on this rig is slow,
-and is learned as four numbers: a share too much of the drive's part, one of the surroundings' part, a
-constant, and a share of the drive's mean over some minutes, which is what a heat sink with mass looks like.
+The plant's equations say how far the output goes in one period under the input and how far with the drive
+at rest; the difference is the drive's part, the rest the surroundings'. Both are taken at the measured
+output, so that no error of the twin is carried from one sample to the next. What they get wrong is taken
+to be slow, and is learned as four numbers: a share too much of the drive's part, one of the surroundings'
+part, a constant, and a share of the drive's mean over some minutes, which is what a heat sink with mass
+looks like.
+
+Sizes are counted in units of the output's noise, rates in that per second.
 """
 
 from __future__ import annotations
@@ -17,42 +20,39 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.plant import Driver, PlantState, RigParameters, advance
-from twinmatch.signals import KELVIN, FloatArray
+from twinmatch.dynamics import Parameters
+from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["BLOCK", "PRIOR", "TRIAL", "Balance", "Movement", "uncertainty"]
+__all__ = ["BLOCK", "TRIAL", "Balance", "Movement", "prior", "uncertainty"]
 
 BLOCK: Final = 10.0
 """Learning goes by means over this many seconds."""
-_SINK_TIME: Final = 150.0
-"""Time over which the drive's part is averaged to stand for the warmth of the heat sink, s."""
-PRIOR: Final = np.square([0.3, 0.4, 0.1, 0.3])
-"""Variances of the four corrections before anything is known; the third in (°C/s)²."""
-_BLOCK_NOISE: Final = 0.2
-"""What a block is off by for other reasons, °C/s: weighs one block against what is known."""
+_WARMTH_TIME: Final = 150.0
+"""Time over which the drive's part is averaged to stand for the warmth of a heat sink, s."""
+_PRIOR: Final = (0.3, 0.4, 1.0, 0.3)
+"""Standard deviations of the four corrections before anything is known; the third in noises per second."""
+_BLOCK_NOISE: Final = 2.0
+"""What a block is off by for other reasons: weighs one block against what is known."""
 _MEMORY: Final = 360
 """Blocks (an hour) after which what was learned counts as old."""
-_LARGEST_SURPRISE: Final = 0.3
-"""A block teaches no more than this, °C/s."""
+_LARGEST_SURPRISE: Final = 3.0
+"""A block teaches no more than this."""
 _WARY: Final = 3
 """Blocks that have to pass in health before one is learned from."""
 TRIAL: Final = 30
 """Newest blocks on which new parameters are tried."""
-_ROUGH: Final = 0.15
-"""Roughness up to which there is no reason to try others, °C/s: a healthy rig reaches it."""
+_ROUGH: Final = 1.5
+"""Roughness up to which there is no reason to try others: a healthy rig reaches it."""
 _BETTER: Final = 0.25
 """Share of the mean square left so far that they have to get below: half the error."""
 
 
-_DRIVER: Final = Driver()
-
-
 @dataclass(frozen=True, slots=True)
 class Movement:
-    """One period of the plate, °C."""
+    """One period of the plant, in the output's unit."""
 
     drive: float
-    """Done by the PWM."""
+    """Done by the input."""
     passive: float
     """Done by everything else."""
     unexplained: float
@@ -62,38 +62,44 @@ class Movement:
 class _Correction:
     """Recursive least squares of the four numbers."""
 
-    def __init__(self) -> None:
+    def __init__(self, noise: float) -> None:
         self.values: FloatArray = np.zeros(4)
-        self.covariance: FloatArray = np.diag(PRIOR)
+        self._prior = prior(noise)
+        self._noise = noise
+        self.covariance: FloatArray = self._prior
 
     def learn(self, parts: FloatArray, surplus: float) -> None:
-        """Take the mean parts of one block and what they leave unexplained uncorrected, °C/s."""
+        """Take the mean parts of one block and what they leave unexplained uncorrected, per second."""
         surprise = surplus - float(parts @ self.values)
-        surprise = min(max(surprise, -_LARGEST_SURPRISE), _LARGEST_SURPRISE)
+        largest = _LARGEST_SURPRISE * self._noise
+        surprise = min(max(surprise, -largest), largest)
         reach = self.covariance @ parts
-        gain = reach / (_BLOCK_NOISE**2 + float(parts @ reach))
+        gain = reach / ((_BLOCK_NOISE * self._noise) ** 2 + float(parts @ reach))
         self.values = self.values + gain * surprise
         self.covariance = self.covariance - np.outer(gain, reach)
-        self.covariance = self.covariance + (np.diag(PRIOR) - self.covariance) / _MEMORY
+        self.covariance = self.covariance + (self._prior - self.covariance) / _MEMORY
 
 
 class Balance:
     """Keeps the balance of one twin and learns what the twin gets wrong."""
 
-    def __init__(self, parameters: RigParameters, period: float) -> None:
+    def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with the twin's parameters and the sample time in s."""
         self.parameters = parameters
+        self.noise = parameters.model.plant.output.noise
+        """Of a reading: the unit of every limit."""
+        self._steps = parameters.steps(period)
         self._period = period
         self._block = max(2, round(BLOCK / period))
-        self._correction = _Correction()
+        self._correction = _Correction(self.noise)
         self._values = [0.0, 0.0, 0.0, 0.0]
-        self._sink = parameters.ambient
+        self._states: FloatArray = np.full(len(parameters.model.states), np.nan)
         self._warmth = 0.0
         self._waiting: deque[tuple[FloatArray, float]] = deque()
-        self._past: deque[tuple[float, float]] = deque(maxlen=TRIAL * self._block)  # temperature, pwm
+        self._past: deque[Sample] = deque(maxlen=TRIAL * self._block)
         self._errors: deque[float] = deque(maxlen=TRIAL)
         self.roughness = 0.0
-        """RMS over the newest minutes of what blocks left unexplained, °C/s."""
+        """RMS over the newest minutes of what blocks left unexplained, per second."""
         self._clear()
 
     @property
@@ -107,14 +113,14 @@ class Balance:
         self._waiting.clear()
         self._past.clear()
         self._warmth = 0.0
-        self._sink = self.parameters.ambient
+        self._states = np.full_like(self._states, np.nan)
 
-    def step(self, temperature: float, pwm: float, after: float) -> Movement:
-        """The movement from a temperature (°C), under a PWM, to that of one period after."""
-        drive, passive = self._parts(temperature, pwm)
-        self._past.append((temperature, pwm))
+    def step(self, sample: Sample, after: float) -> Movement:
+        """The movement from a sample's output, under its input, to the output of one period after."""
+        drive, passive = self._parts(sample)
+        self._past.append(sample)
         a, b, c, d = self._values
-        moved = after - temperature
+        moved = after - sample.output
         constant = (c + d * self._warmth) * self._period
         self._sums[0] += drive
         self._sums[1] += passive
@@ -122,13 +128,13 @@ class Balance:
         self._sums[3] += self._warmth * self._period
         self._moved += moved
         self._count += 1
-        self._warmth += (drive / self._period - self._warmth) * self._period / _SINK_TIME
+        self._warmth += (drive / self._period - self._warmth) * self._period / _WARMTH_TIME
         explained = (1.0 + a) * drive + (1.0 + b) * passive + constant
         # The drive's part may be corrected, but not away.
         return Movement(max(1.0 + a, 0.5) * drive, (1.0 + b) * passive + constant, moved - explained)
 
     def block(self) -> tuple[FloatArray, float] | None:
-        """When a block is full: its mean parts, and what they leave unexplained uncorrected, °C/s."""
+        """When a block is full: its mean parts, and what they leave unexplained uncorrected, per second."""
         if self._count < self._block:
             return None
         span = self._count * self._period
@@ -152,16 +158,16 @@ class Balance:
     @property
     def rough(self) -> bool:
         """Whether there is reason to try other parameters."""
-        return len(self._errors) >= TRIAL // 3 and self.roughness > _ROUGH
+        return len(self._errors) >= TRIAL // 3 and self.roughness > _ROUGH * self.noise
 
-    def tried(self, parameters: RigParameters) -> Balance:
+    def tried(self, parameters: Parameters) -> Balance:
         """The balance to go on with: one of these parameters if, as they are, they explain the newest
         minutes better than this one with all it learned; else this one."""
         trial = Balance(parameters, self._period)
         errors = []
         past = list(self._past)
-        for (temperature, pwm), (after, _) in itertools.pairwise(past):
-            trial.step(temperature, pwm, after)
+        for sample, after in itertools.pairwise(past):
+            trial.step(sample, after.output)
             full = trial.block()
             if full is not None:
                 errors.append(full[1])
@@ -169,12 +175,15 @@ class Balance:
         better = errors and np.mean(np.square(errors)) < _BETTER * self.roughness**2
         return trial if better else self
 
-    def _parts(self, temperature: float, pwm: float) -> tuple[float, float]:
-        state = PlantState(plate=temperature + KELVIN, sink=self._sink)
-        driven = advance(self.parameters, state, pwm, self._period, _DRIVER)
-        idle = advance(self.parameters, state, 0.0, self._period, _DRIVER)
-        self._sink = driven.sink
-        return driven.plate - idle.plate, idle.plate - state.plate
+    def _parts(self, sample: Sample) -> tuple[float, float]:
+        """Drive's part and the rest; states that the output does not show are carried along."""
+        model = self.parameters.model
+        row = model.disturbance_row(sample.disturbances or None)
+        drive, passive, self._states = model.kernels.parts(
+            self.parameters.vector, float(sample.output), self._states, float(sample.input),
+            float(model.plant.drive.rest), row, self._period, self._steps,
+        )  # fmt: skip
+        return drive, passive
 
     def _clear(self) -> None:
         self._sums = [0.0, 0.0, 0.0, 0.0]
@@ -182,6 +191,11 @@ class Balance:
         self._count = 0
 
 
+def prior(noise: float) -> FloatArray:
+    """Covariance of the four corrections before anything is known, for an output of this noise."""
+    return np.diag(np.square(_PRIOR) * np.square([1.0, 1.0, noise, 1.0]))
+
+
 def uncertainty(parts: FloatArray, covariance: FloatArray, floor: float) -> float:
-    """Standard error of a corrected prediction for these parts, °C/s, never below the floor."""
+    """Standard error of a corrected prediction for these parts, per second, never below the floor."""
     return math.sqrt(floor**2 + float(parts @ covariance @ parts))

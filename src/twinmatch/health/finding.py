@@ -1,14 +1,15 @@
-"""What a trace amounts to at one sample, in words."""
+"""What a trace amounts to at one sample, in the words and units of a plant."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from twinmatch.dynamics import Plant
 from twinmatch.health.record import Fault
 from twinmatch.health.traces import DRIFT_TIME, Drift, Effect, Repeats
 from twinmatch.signals import Sample
 
-__all__ = ["Finding", "drifting", "frozen", "impossible", "late", "leaping", "lost"]
+__all__ = ["Finding", "Words"]
 
 
 class Finding(NamedTuple):
@@ -22,54 +23,65 @@ class Finding(NamedTuple):
     reason: str
 
 
-def impossible(sample: Sample) -> Finding:
-    """A sample that is none."""
-    reason = (
-        f"the temperature is {sample.output:g} °C at PWM {sample.input:g} and set-point "
-        f"{sample.reference:g} °C, which cannot be: look at the camera"
-    )
-    return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
+class Words:
+    """Finds the words for the traces of one plant."""
 
+    def __init__(self, plant: type[Plant], period: float) -> None:
+        """`period` is the sample time, s."""
+        self._period = period
+        self._output = f"the {plant.output.text or plant.output.name}"
+        self._unit = f" {plant.output.unit}".rstrip()
+        self._input = plant.drive.unit or plant.drive.name
+        self._sensor = f"look at the {plant.output.sensor}"
+        self._surroundings = f"look at {plant.surroundings}"
 
-def leaping(before: Sample, sample: Sample, unexplained: float) -> Finding:
-    """A step that no plate can make."""
-    reason = (
-        f"the temperature went from {before.output:.1f} to {sample.output:.1f} °C at once, "
-        f"{abs(unexplained):.1f} °C from where the plate can be: look at the camera"
-    )
-    return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
+    def impossible(self, sample: Sample) -> Finding:
+        """A sample that is none."""
+        reason = (
+            f"{self._output} is {sample.output:g}{self._unit} at {self._input} {sample.input:g} and "
+            f"set-point {sample.reference:g}{self._unit}, which cannot be: {self._sensor}"
+        )
+        return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
 
+    def leaping(self, before: Sample, sample: Sample, unexplained: float) -> Finding:
+        """A step that the plant cannot make."""
+        reason = (
+            f"{self._output} went from {before.output:.4g} to {sample.output:.4g}{self._unit} at once, "
+            f"{abs(unexplained):.3g}{self._unit} from where the plant can be: {self._sensor}"
+        )
+        return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
 
-def frozen(sample: Sample, repeats: Repeats, period: float) -> Finding:
-    """A sensor that stands still."""
-    reason = (
-        f"the temperature stands still at {sample.output:g} °C for {repeats.count * period:g} s, in "
-        f"which the plate should have moved {repeats.expected:+.1f} °C and the reading shown its noise: "
-        "look at the camera"
-    )
-    return Finding(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
+    def frozen(self, sample: Sample, repeats: Repeats) -> Finding:
+        """A sensor that stands still."""
+        reason = (
+            f"{self._output} stands still at {sample.output:g}{self._unit} for "
+            f"{repeats.count * self._period:g} s, in which the plant should have moved "
+            f"{repeats.expected:+.2g}{self._unit} and the reading shown its noise: {self._sensor}"
+        )
+        return Finding(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
 
+    def late(self, index: int, effect: Effect, lag: float, *, sure: bool) -> Finding:
+        """Readings that come too late."""
+        reason = f"{self._output} follows the drive {lag:g} s late: {self._sensor}"
+        return Finding(Fault.SENSOR_LATE, sure, index - effect.length, reason)
 
-def late(index: int, effect: Effect, lag: float, *, sure: bool) -> Finding:
-    """Readings that come too late."""
-    reason = f"the temperature follows the drive {lag:g} s late: look at the camera"
-    return Finding(Fault.SENSOR_LATE, sure, index - effect.length, reason)
+    def lost(self, index: int, effect: Effect, *, sure: bool) -> Finding:
+        """A drive without effect."""
+        moved, shown = (
+            f"{effect.expected:+.3g}{self._unit}",
+            f"{effect.share * effect.expected:+.2g}{self._unit}",
+        )
+        reason = (
+            f"the drive should have moved {self._output} by {moved} in {effect.length * self._period:g} s, "
+            f"but what it did shows {shown} of that: look at drive, wires and supply"
+        )
+        return Finding(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 
-
-def lost(index: int, effect: Effect, period: float, *, sure: bool) -> Finding:
-    """A drive without effect."""
-    word, expected = "heated" if effect.expected > 0 else "cooled", abs(effect.expected)
-    reason = (
-        f"the drive should have {word} the plate by {expected:.1f} °C in {effect.length * period:g} s, "
-        f"but what it did shows {effect.share * expected:.1f} °C of that: look at drive, wires and supply"
-    )
-    return Finding(Fault.DRIVE_LOST, sure, index - effect.length, reason)
-
-
-def drifting(index: int, drift: Drift, period: float, *, sure: bool) -> Finding:
-    """A slow change."""
-    reason = (
-        f"the plate gains {drift.rate:+.2f} °C/s that neither drive nor surroundings explain, "
-        f"{drift.size:.1f} times what is uncertain: look at fan, heat sink and room"
-    )
-    return Finding(Fault.DRIFT, sure, index - round(DRIFT_TIME / period), reason)
+    def drifting(self, index: int, drift: Drift, *, sure: bool) -> Finding:
+        """A slow change."""
+        rate = f"{drift.rate:+.2g}{self._unit}/s"
+        reason = (
+            f"{self._output} moves by {rate} that neither drive nor surroundings explain, "
+            f"{drift.size:.1f} times what is uncertain: {self._surroundings}"
+        )
+        return Finding(Fault.DRIFT, sure, index - round(DRIFT_TIME / self._period), reason)

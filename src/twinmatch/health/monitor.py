@@ -6,30 +6,28 @@ import math
 from dataclasses import replace
 from typing import Final
 
+from twinmatch.dynamics import Parameters
 from twinmatch.health.balance import BLOCK, TRIAL, Balance
-from twinmatch.health.finding import Finding, drifting, frozen, impossible, late, leaping, lost
+from twinmatch.health.finding import Finding, Words
 from twinmatch.health.record import Alarm, Fault, Health, State
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.traces import Drift, Effect, Lag, Repeats
-from twinmatch.plant import RigParameters
 from twinmatch.signals import Sample
 
 __all__ = ["Monitor"]
 
-_COLDEST, _HOTTEST = -60.0, 250.0
-"""Readings that neither this plate nor its camera can have, °C."""
 _CONFIRM: Final = 3
 """Samples in a row that have to show a drive without effect."""
 _MEND: Final = 15.0
 """Time without any trace after which a sensor counts as mended, s."""
 _PROVE: Final = 10.0
-"""Time for which the plate has to follow the drive before that counts as mended, s."""
+"""Time for which the plant has to follow the drive before that counts as mended, s."""
 _TACIT: Final = 120.0
 """Time without any trace after which it counts as mended without proof, s."""
 _SUSPICION: Final = 0.6
 """Share of the drift limit from which there is a suspicion, and nothing is learned any more."""
 _ACCEPT: Final = 600.0
-"""Time after which a drift that was told is learned as how the rig is now, s."""
+"""Time after which a drift that was told is learned as how the plant is now, s."""
 
 
 class Monitor:
@@ -44,17 +42,19 @@ class Monitor:
         self.settings = settings or HealthSettings()
         period = self.settings.period
         self._balance = Balance(self.settings.reference, period)
-        self._effect = Effect(period)
-        self._repeats = Repeats(period, self.settings.frozen)
+        noise = self._balance.noise
+        self._effect = Effect(period, noise)
+        self._repeats = Repeats(period, self.settings.frozen, noise)
         self._lag = Lag(period)
-        self._drift = Drift()
-        self._given: RigParameters | None = None
+        self._drift = Drift(noise)
+        self._words = Words(self.settings.reference.model.plant, period)
+        self._given: Parameters | None = None
         self._untried = 0  # blocks until the parameters given are tried again
         self._before: Sample | None = None
         self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
         self._contrary = 0  # samples in a row without the drive's effect
         self._quiet = 0  # samples in a row without any trace but a drift's
-        self._proofs = 0  # of those, the ones in which the plate followed the drive
+        self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: list[Alarm] = []
         self._open = False  # whether the last alarm goes on
 
@@ -66,25 +66,25 @@ class Monitor:
     def fault_between(self, first: int, last: int) -> Alarm | None:
         """The first alarm whose trace touches the samples `first` to `last`, both included.
 
-        Nothing should be learned from such a window. Drifts are left out: a slow change of the rig is what
+        Nothing should be learned from such a window. Drifts are left out: a slow change of the plant is what
         matching is for.
         """
         faults = (alarm for alarm in self._alarms if alarm.fault is not Fault.DRIFT)
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
 
-    def push(self, sample: Sample, parameters: RigParameters | None = None) -> Health:
+    def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
         if sample.index != self._index + 1:
             self._restart(sample.index)
         self._index = sample.index
         if parameters is not self._given:
             self._given, self._untried = parameters, 0
-        if _possible(sample):
+        if self._possible(sample):
             finding = self._look(sample)
             starting = (sample.index - self._begin) * self.settings.period < self.settings.start
             self._before = sample
         else:
-            finding, starting = impossible(sample), False
+            finding, starting = self._words.impossible(sample), False
             self._before = None
             self._restart_traces()
         news = self._judge(sample.index, finding, starting)
@@ -95,7 +95,7 @@ class Monitor:
             self._alarms.clear()
             self._open = False
         self._begin, self._before = index, None
-        self._repeats = Repeats(self.settings.period, self.settings.frozen)
+        self._repeats = Repeats(self.settings.period, self.settings.frozen, self._balance.noise)
         self._restart_traces()
         self._balance.restart()
 
@@ -120,34 +120,33 @@ class Monitor:
         before = self._before
         if before is None:
             return None
-        movement = self._balance.step(before.output, before.input, sample.output)
+        movement = self._balance.step(before, sample.output)
         stood = self._repeats.stands
         self._repeats.push(sample.output - before.output, movement)
-        if stood and not self._repeats.stands:  # it moves again, from wherever the plate went meanwhile
+        if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
             return None
         self._lag.push(movement)
         self._effect.push(movement, self._balance.roughness)
         self._learn(sample.index)
         if abs(movement.unexplained) > self.settings.jump * max(1.0, self.settings.period):
-            return leaping(before, sample, movement.unexplained)
+            return self._words.leaping(before, sample, movement.unexplained)
         return self._weigh(sample)
 
     def _weigh(self, sample: Sample) -> Finding | None:
-        period = self.settings.period
         if self._repeats.stands:
-            return frozen(sample, self._repeats, period)
+            return self._words.frozen(sample, self._repeats)
         if self._effect.share < self.settings.lost and not self._repeats.unusual:
             self._contrary += 1
             lag = self._lag.seconds(self._effect.length)
             sure = self._contrary >= _CONFIRM
             if lag is not None:
-                return late(sample.index, self._effect, lag, sure=sure)
-            return lost(sample.index, self._effect, period, sure=sure)
+                return self._words.late(sample.index, self._effect, lag, sure=sure)
+            return self._words.lost(sample.index, self._effect, sure=sure)
         self._contrary = 0
         if self._drifting:
             sure = self._drift.size >= self.settings.drift
-            return drifting(sample.index, self._drift, period, sure=sure)
+            return self._words.drifting(sample.index, self._drift, sure=sure)
         return None
 
     def _learn(self, index: int) -> None:
@@ -229,8 +228,8 @@ class Monitor:
         first = max(finding.first, self._begin)
         return Health(index, State.SUSPECT, fault, first, reason, share, rate, news)
 
-
-def _possible(sample: Sample) -> bool:
-    """Whether the numbers are some that a rig can have."""
-    commanded = math.isfinite(sample.input) and math.isfinite(sample.reference)
-    return commanded and _COLDEST <= sample.output <= _HOTTEST
+    def _possible(self, sample: Sample) -> bool:
+        """Whether the numbers are some that the plant can have."""
+        low, high = self.settings.reference.model.plant.output.span
+        given = (sample.input, sample.reference, *sample.disturbances)
+        return all(map(math.isfinite, given)) and low <= sample.output <= high

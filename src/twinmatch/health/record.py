@@ -21,15 +21,15 @@ class Fault(Enum):
     """What is wrong."""
 
     DRIVE_LOST = "drive-lost"
-    """The PWM has no effect on the plate, or the contrary one."""
+    """The input has no effect on the plant, or the contrary one."""
     SENSOR_FROZEN = "sensor-frozen"
-    """The temperature repeats one reading."""
+    """The output repeats one reading."""
     SENSOR_LATE = "sensor-late"
-    """The temperature follows the drive, but seconds too late."""
+    """The output follows the drive, but seconds too late."""
     SENSOR_IMPLAUSIBLE = "sensor-implausible"
-    """A reading that no plate can have, or can have come to since the sample before."""
+    """A reading that the plant cannot have, or can have come to since the sample before."""
     DRIFT = "drift"
-    """The plate slowly leaves what drive and surroundings did to it before: fan, room, ageing."""
+    """The plant slowly leaves what drive and surroundings did to it before: a fan, the room, ageing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +64,8 @@ class Health:
     reason: str
     """One plain sentence; empty when healthy."""
     share: float
-    """Share of the drive's expected effect that the plate shows; NaN while too little is expected."""
+    """Share of the drive's expected effect that the plant shows; NaN while too little is expected."""
     unexplained: float
-    """Slow heating (cooling, if negative) that nothing explains, °C/s."""
+    """Slow movement that nothing explains, in the output's unit per second."""
     news: Alarm | None = None
     """The alarm that began at this sample, or ended at it (then it has a `last`)."""

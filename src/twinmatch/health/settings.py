@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Final
 
+from twinmatch.dynamics import Parameters, Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.plant import RigParameters
+from twinmatch.plants import Peltier
 
 __all__ = ["HealthError", "HealthSettings"]
 
@@ -15,9 +17,8 @@ class HealthError(TwinmatchError):
     """Settings that can tell nothing apart."""
 
 
-def _typical() -> RigParameters:
-    """Parameters in the middle of those that five hours of the rig were matched with."""
-    return RigParameters(seebeck=0.06, conductance=0.65, heat_capacity=28.0)
+_JUMP: Final = 80.0
+"""Units of the output's noise."""
 
 
 @dataclass(frozen=True)
@@ -30,22 +31,33 @@ class HealthSettings:
 
     period: float = 1.0
     """Sample time, s."""
-    reference: RigParameters = field(default_factory=_typical)
-    """The twin until one is known that explains the plate better. Heat per count and time constant matter,
-    and those roughly: half or twice will do."""
+    reference: Parameters = None  # type: ignore[assignment]  # filled in below, as `jump` is
+    """The twin until one is known that explains the plant better, in the structure that is judged by. How
+    much the drive does and the time constant matter, and those roughly: half or twice will do. Of the
+    Peltier rig, if not given."""
     lost: float = 0.4
-    """Share of the drive's expected effect below which it is lost. The healthy rig shows 0.65 and more."""
-    jump: float = 8.0
-    """Step of a reading within one sample that no plate can make, °C. Healthy camera corrections make 3."""
+    """Share of the drive's expected effect below which it is lost. A healthy plant shows 0.65 and more."""
+    jump: float = None  # type: ignore[assignment]
+    """Step of a reading within one sample that the plant cannot make, in the output's unit. If not given, 80
+    times its noise: 8 °C on the rig, whose healthy camera's corrections make 3."""
     frozen: float = 10.0
     """How long the same reading has to be repeated, s. Healthy cameras repeat theirs for 5 s at most."""
     drift: float = 2.6
-    """Slow heating or cooling that nothing explains, in units of its uncertainty. Healthy hours reach 1.3."""
+    """Slow movement that nothing explains, in units of its uncertainty. Healthy hours reach 1.3."""
     start: float = 30.0
     """Time after the first sample, and after a gap, in which there is no more than a suspicion, s: cameras
     that deliver their first pictures late are common and mend themselves."""
 
+    @classmethod
+    def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:
+        """Those for a plant: judged by its first structure with typical parameters."""
+        return cls(period=period, reference=plant.model().parameters(**plant.typical))
+
     def __post_init__(self) -> None:
+        if self.reference is None:
+            object.__setattr__(self, "reference", Peltier.model().parameters(**Peltier.typical))
+        if self.jump is None:
+            object.__setattr__(self, "jump", _JUMP * self.reference.model.plant.output.noise)
         for name in ("period", "lost", "jump", "frozen", "drift", "start"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):

@@ -1,4 +1,7 @@
-"""The traces that faults leave, each looked for on its own."""
+"""The traces that faults leave, each looked for on its own.
+
+Sizes are counted in units of the output's noise, rates in that per second.
+"""
 
 from __future__ import annotations
 
@@ -8,34 +11,34 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.health.balance import PRIOR, Balance, Movement, uncertainty
+from twinmatch.health.balance import Balance, Movement, prior, uncertainty
 from twinmatch.signals import FloatArray
 
 __all__ = ["DRIFT_TIME", "Drift", "Effect", "Lag", "Repeats"]
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is asked for, s."""
-_LEAST_EFFECT: Final = 1.5
-"""Movement the drive must have been expected to make, °C: what a healthy camera jumps by …"""
-_LEAST_RATE: Final = 0.45
-"""… and this for every second, °C/s: twice what a twin is off by for minutes …"""
+_LEAST_EFFECT: Final = 15.0
+"""Movement the drive must have been expected to make: what a healthy camera jumps by …"""
+_LEAST_RATE: Final = 4.5
+"""… and this for every second: twice what a twin is off by for minutes …"""
 _ROUGHNESS: Final = 2.0
 """… or, with a twin that is off by more, so many times the roughness of the balance."""
-_STEP: Final = 0.8
-"""An unexplained step larger than this is the camera's own if none like it came before, °C."""
-_LIKE: Final = 0.4
-"""Unexplained movement in the same direction that makes a step belong to a movement, °C."""
+_STEP: Final = 8.0
+"""An unexplained step larger than this is the sensor's own if none like it came before."""
+_LIKE: Final = 4.0
+"""Unexplained movement in the same direction that makes a step belong to a movement."""
 _FOLLOWS: Final = (0.6, 2.5)
 """Shares of the expected effect that prove the drive to work."""
 
 _CHANCE: Final = 1e-9
 """Probability below which repeated readings are no chance; a year has 3e7 seconds."""
-_LEAST_NOISE: Final = 0.01
-"""Mean change from reading to reading below which a sensor may stand still for good, °C."""
+_LEAST_NOISE: Final = 0.1
+"""Mean change from reading to reading below which a sensor may stand still for good."""
 _LEAST_MOVES: Final = 30
 """Changes of the reading from which it is known how often it repeats itself."""
-_MOVED: Final = 3.0
-"""Movement of the plate that a standing sensor should have shown, °C."""
+_MOVED: Final = 30.0
+"""Movement of the plant that a standing sensor should have shown."""
 
 _LONGEST_LAG: Final = 7.0
 """Longest lag that is tried, s; a shorter one has to be best, or it could be a dead drive as well."""
@@ -51,15 +54,16 @@ DRIFT_TIME: Final = 60.0
 _DRIFT_DELAY: Final = 20
 """Blocks: what is expected now is what was known this long ago, so that a drift is not learned away."""
 _DRIFT_SETTLE: Final = 6
-_DRIFT_FLOOR: Final = 0.04
-"""What even a smooth balance may be off by for a minute, °C/s; its roughness comes on top."""
+_DRIFT_FLOOR: Final = 0.4
+"""What even a smooth balance may be off by for a minute; its roughness comes on top."""
 
 
 class Effect:
-    """Whether the drive acts on the plate."""
+    """Whether the drive acts on the plant."""
 
-    def __init__(self, period: float) -> None:
-        self._period = period
+    def __init__(self, period: float, noise: float) -> None:
+        """`period` in s, `noise` of a reading."""
+        self._period, self._noise = period, noise
         self._spans = [max(2, round(s / period)) for s in _SPANS]
         self.restart()
 
@@ -72,7 +76,7 @@ class Effect:
         self.length = 0
         """Samples of that stretch."""
         self.expected = 0.0
-        """Movement expected in it of the drive alone, °C."""
+        """Movement expected in it of the drive alone."""
 
     @property
     def follows(self) -> bool:
@@ -80,10 +84,11 @@ class Effect:
         return _FOLLOWS[0] <= self.share <= _FOLLOWS[1]
 
     def push(self, movement: Movement, roughness: float) -> None:
-        """Take the movement of one period, and the roughness (°C/s) of the balance it comes from."""
-        least = max(_LEAST_RATE, _ROUGHNESS * roughness) * self._period
+        """Take the movement of one period, and the roughness (per second) of the balance it comes from."""
+        least = max(_LEAST_RATE * self._noise, _ROUGHNESS * roughness) * self._period
         left = movement.unexplained
-        lonely = abs(left) > _STEP and not (abs(self._last) > _LIKE and left * self._last > 0)
+        like = abs(self._last) > _LIKE * self._noise and left * self._last > 0
+        lonely = abs(left) > _STEP * self._noise and not like
         self._last = left
         drive, rest = self._sums[-1]
         self._sums.append((drive + movement.drive, rest + (0.0 if lonely else left)))
@@ -94,7 +99,7 @@ class Effect:
                 break
             then = self._sums[known - length]
             expected = newest[0] - then[0]
-            if abs(expected) < _LEAST_EFFECT + least * length:
+            if abs(expected) < _LEAST_EFFECT * self._noise + least * length:
                 continue
             share = 1.0 + (newest[1] - then[1]) / expected
             if not share >= self.share:
@@ -104,16 +109,17 @@ class Effect:
 class Repeats:
     """Whether the sensor stands still."""
 
-    def __init__(self, period: float, longest: float) -> None:
-        """`longest` is the time that a reading may be repeated, s."""
+    def __init__(self, period: float, longest: float, noise: float) -> None:
+        """`longest` is the time that a reading may be repeated, s; `noise` that of a reading."""
+        self._noise = noise
         self._most = max(3, round(longest / period))
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
-        self._change = 0.0  # mean change from reading to reading, °C
+        self._change = 0.0  # mean change from reading to reading
         self._seen, self._moves = 10, 0  # readings and changes of them, the first as good as so many
         self.count = 0
         """How often the newest reading has been repeated."""
         self.expected = 0.0
-        """Movement expected meanwhile, °C."""
+        """Movement expected meanwhile."""
 
     def push(self, change: float, movement: Movement) -> None:
         """Take the newest change of the reading and the movement it belongs to."""
@@ -141,8 +147,8 @@ class Repeats:
         if self.count + 1 < self._most:
             return False
         chance = max(self._often, self._lately, 0.02) ** self.count
-        noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE
-        return abs(self.expected) > _MOVED or (noisy and chance < _CHANCE)
+        noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE * self._noise
+        return abs(self.expected) > _MOVED * self._noise or (noisy and chance < _CHANCE)
 
 
 class Lag:
@@ -182,16 +188,18 @@ class Lag:
 
 
 class Drift:
-    """Whether the plate slowly does something else than it used to."""
+    """Whether the plant slowly does something else than it used to."""
 
-    def __init__(self) -> None:
+    def __init__(self, noise: float) -> None:
+        """`noise` of a reading."""
+        self._noise = noise
         self._known: deque[tuple[FloatArray, FloatArray, float]] = deque(maxlen=_DRIFT_DELAY)
         self.restart()
 
     def restart(self) -> None:
         """Forget the mean, keep what was known."""
         self.rate = 0.0
-        """Slow movement that nothing explains, °C/s."""
+        """Slow movement that nothing explains, per second."""
         self.size = 0.0
         """The same in units of its uncertainty."""
         self._parts = np.zeros(4)
@@ -208,7 +216,7 @@ class Drift:
         Unless `keep`, what is expected stays what it was at the block before.
         """
         full = len(self._known) == _DRIFT_DELAY
-        values, covariance, rough = self._known[0] if full else (np.zeros(4), np.diag(PRIOR), 0.0)
+        values, covariance, rough = self._known[0] if full else (np.zeros(4), prior(self._noise), 0.0)
         if keep:
             self._known.append((*balance.knowledge, balance.roughness))
         self._count += 1
@@ -218,4 +226,5 @@ class Drift:
             return
         self.rate += (surplus - float(parts @ values) - self.rate) * weight
         self._parts = self._parts + (parts - self._parts) * weight
-        self.size = abs(self.rate) / uncertainty(self._parts, covariance, math.hypot(_DRIFT_FLOOR, rough))
+        floor = math.hypot(_DRIFT_FLOOR * self._noise, rough)
+        self.size = abs(self.rate) / uncertainty(self._parts, covariance, floor)

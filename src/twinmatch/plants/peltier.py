@@ -70,11 +70,14 @@ class Peltier(Plant, name="peltier"):
     """A Peltier plate on a heat sink, driven by a PWM bridge, seen by a thermal camera, held by a PID."""
 
     title = "Peltier rig"
+    surroundings = "fan, heat sink and room"
+    typical = {"seebeck": 0.06, "conductance": 0.65, "heat_capacity": 28.0}  # noqa: RUF012
     parts = (_MASS, _LAG, _SLOPE)
 
     temperature = Output(
-        unit="°C", noise=0.1, span=(-60.0, 250.0), absolute=KELVIN, text="plate temperature", symbol="y"
-    )
+        unit="°C", noise=0.1, span=(-60.0, 250.0), absolute=KELVIN, text="plate temperature", symbol="y",
+        sensor="camera",
+    )  # fmt: skip
     pwm = Drive(unit="PWM", limits=(-COUNTS, COUNTS), noise=7.0, text="PWM, positive heats", symbol="u")
 
     plate = State(unit="K", span=(250.0, 400.0), text="plate (side A)", symbol="T_A")
