@@ -204,7 +204,7 @@ def test_what_cannot_be_run_is_refused() -> None:
         begin(p, 0.0, starts={"sink": 1.0})
     with pytest.raises(PlantError, match="sensor was realised for 2 samples, the run has 3"):
         simulate_closed_loop(p, [1.0, 2.0, 3.0], states=begin(p, 0.0), sensor=Sensor().realise(2, 0.05, 1))
-    with pytest.raises(PlantError, match=r"a time constant of .* s is too short for a period of 10000 s"):
+    with pytest.raises(PlantError, match="time constant is too short for a period of 10000 s"):
         advance(p, np.array([0.0]), 0.0, 1e4)
     with pytest.raises(PlantError, match="plant lag: its controller is not known"):
         simulate_closed_loop(Lag.model().parameters(), [1.0], states=np.zeros(1))

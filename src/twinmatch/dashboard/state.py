@@ -144,7 +144,7 @@ class DashboardState:
 
     def push_match(self, report: MatchReport) -> None:
         """Take a match, accepted or refused."""
-        suspected = report.match.status is Status.PLANT_FAULT_SUSPECTED
+        suspected = report.match.status is Status.NOT_EXPLAINED
         with self.lock:
             for event in events([report], ()):
                 refused = Mark.BAD if suspected else Mark.WARNING

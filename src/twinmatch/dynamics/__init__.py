@@ -10,6 +10,7 @@ holds it, `Sensor` what lies between its output and a reading.
 """
 
 from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Parameter, State, Structure
+from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.equations import Equations
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.experiment import Experiment, Tangents
@@ -35,6 +36,7 @@ from twinmatch.dynamics.simulation import (
 )
 
 __all__ = [
+    "Descended",
     "Disturbance",
     "Drive",
     "Equations",
@@ -59,7 +61,9 @@ __all__ = [
     "Tangents",
     "advance",
     "begin",
+    "box_step",
     "controller_state",
+    "descend",
     "gains_of",
     "limited",
     "linearised",

@@ -77,6 +77,8 @@ class Output(Declaration):
     """Standard deviation of a reading; weighs what is left of y in a match."""
     span: tuple[float, float]
     """Readings that a working sensor can give."""
+    set_points: tuple[float, float] | None = None
+    """Where set-points make sense, which is where a suggested step may lead; `span` if not given."""
     absolute: float = 0.0
     """What to add to a reading to count it from where its quantity is zero: 273.15 for °C."""
     sensor: str = "sensor"
@@ -151,6 +153,8 @@ class Structure:
     """States whose value at a window's begin is unknown too."""
     starts: tuple[Mapping[str, float], ...] = ()
     """More points to begin a search at, as changes of the first."""
+    watched: bool = True
+    """Whether it is tried beside the running plant; the others only where somebody asks for all."""
     text: str = ""
 
     def __hash__(self) -> int:

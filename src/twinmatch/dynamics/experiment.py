@@ -7,10 +7,13 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from twinmatch.dynamics.descent import Descended, begun, ended
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.dynamics.pid import PidGains, PidState, controller_state
+from twinmatch.dynamics.posed import Posed
 from twinmatch.dynamics.simulation import NO_GAINS, SKIPPED, Response, gains_of
 from twinmatch.signals import FloatArray, Window
 
@@ -93,13 +96,28 @@ class Experiment:
         self.controller = controller_state(window, self.gains) if self.closed else PidState()
         self.measured = np.ascontiguousarray(np.stack([window.output, window.input])[:, SKIPPED:])
         self._kernels = model.kernels_by(self.free)
-        self._which = np.array([self._kernels.UNKNOWN.index(name) for name in self.free], dtype=np.int64)
-        self._places = np.array([model.names.index(name) for name in self.free], dtype=np.int64)
-        self._started = np.array([model.states.index(name) for name in self.free_starts], dtype=np.int64)
-        self._disturbances = model.disturbance_rows(window.disturbances, len(window))[SKIPPED:]
-        self._weights = np.repeat(np.array(weights, dtype=np.float64)[:, None], self.measured.shape[1], 1)
-        self._weights[:, :settle] = 0.0
-        self._robust = robust
+        weighed = np.repeat(np.array(weights, dtype=np.float64)[:, None], self.measured.shape[1], 1)
+        weighed[:, :settle] = 0.0
+        self._posed = Posed(
+            base=base.vector,
+            which=_indices(self._kernels.UNKNOWN, self.free),
+            places=_indices(model.names, self.free),
+            started=_indices(model.states, self.free_starts),
+            first=float(window.output[SKIPPED]),
+            closed=self.closed,
+            gains=self.gains.constants,
+            reference=np.array(window.reference[SKIPPED:]),
+            measured=self.measured,
+            weights=weighed,
+            robust=bool(robust),
+            disturbances=model.disturbance_rows(window.disturbances, len(window))[SKIPPED:],
+            usual=model.disturbances,
+            corners=model.corners,
+            drives=model.drives,
+            integral=float(self.controller.integral),
+            previous=float(self.controller.previous),
+            period=float(window.period),
+        )
 
     @property
     def size(self) -> int:
@@ -118,26 +136,26 @@ class Experiment:
         """The unknowns at some parameters; unknown starts as the plant file has them, shape (n,)."""
         begun, _, _ = self._begun(parameters.vector)
         named = [parameters[name] for name in self.free]
-        return np.array([*named, *begun[self._started]], dtype=np.float64)
+        return np.array([*named, *begun[self._posed.started]], dtype=np.float64)
 
     def simulate(self, values: FloatArray) -> Response:
         """Run without derivatives; output and input have shape (N − 2,)."""
         vector, states, _, steps = self._start(values)
-        size = self.measured.shape[1]
+        posed, size = self._posed, self.measured.shape[1]
         output, input_, held = self._kernels.run(
             vector,
             states,
-            self.closed,
-            self.gains.constants,
-            self._reference,
+            posed.closed,
+            posed.gains,
+            posed.reference,
             self.measured[1],
-            self._disturbances,
+            posed.disturbances,
             np.zeros(size),
             np.zeros(size, dtype=np.bool_),
             0.0,
-            float(self.controller.integral),
-            float(self.controller.previous),
-            float(self.window.period),
+            posed.integral,
+            posed.previous,
+            posed.period,
             steps,
         )
         return Response(output, input_, held, steps)
@@ -145,21 +163,56 @@ class Experiment:
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
 
-        The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, when rows weigh by 1/√(1 + r²).
+        The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, when rows weigh by 1/√(1 + r²);
+        infinite where the plant is too fast for the period.
         """
-        normal = self._run(values, stored=False)[6]
-        n = self.size
-        return float(normal[n, n]), normal[:n, n].copy(), normal[:n, :n].copy()
+        found: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(self._posed, values)
+        return found
+
+    def descend(  # noqa: PLR0917 (as the search itself)
+        self,
+        start: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
+        scales: FloatArray,
+        most_evaluations: int,
+        found: Descended | None = None,
+    ) -> Descended:
+        """Minimise the cost from one start inside the bounds, as `twinmatch.dynamics.descend` does."""
+        search = begun(start, lower, upper, scales, most_evaluations, found)
+        self._kernels.search(self._posed, search)
+        return ended(search, found)
 
     def tangents(self, values: FloatArray) -> Tangents:
         """Run with all derivatives."""
-        return Tangents(*self._run(values, stored=True)[:6])
+        vector, states, columns, steps = self._start(values)
+        posed = self._posed
+        found: tuple[FloatArray, ...] = self._kernels.run_with_tangents(
+            vector,
+            posed.which,
+            states,
+            columns,
+            posed.closed,
+            posed.gains,
+            posed.reference,
+            self.measured[1],
+            posed.disturbances,
+            posed.integral,
+            posed.previous,
+            posed.period,
+            steps,
+            posed.measured,
+            posed.weights,
+            posed.robust,
+            True,
+        )
+        return Tangents(*found[:6])
 
     @cached_property
     def start_slope(self) -> FloatArray:
         """Derivatives of the start by the output measured there, shape (nx,); zero for unknown starts."""
         slope = self._begun(self.base.vector)[1]
-        slope[self._started] = 0.0
+        slope[self._posed.started] = 0.0
         return np.asarray(slope, dtype=np.float64)
 
     @cached_property
@@ -167,52 +220,22 @@ class Experiment:
         """Derivatives of the output by the states where the window starts, shape (nx,)."""
         vector, states, _, _ = self._start(self.values_of(self.base))
         rest = self.model.plant.drive.rest
-        slopes = self._kernels.slopes_at(vector, states, rest, self._disturbances[0])[4]
+        slopes = self._kernels.slopes_at(vector, states, rest, self._posed.disturbances[0])[4]
         return np.asarray(slopes, dtype=np.float64)
 
-    @cached_property
-    def _reference(self) -> FloatArray:
-        return np.array(self.window.reference[SKIPPED:])
-
     def _begun(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        first = float(self.window.output[SKIPPED])
         begun: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
-            vector, first, self._disturbances[0]
+            vector, self._posed.first, self._posed.disturbances[0]
         )
         return begun
 
     def _start(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
         """Parameters, states, their derivatives by the unknowns, and steps per sample."""
-        n = len(self.free)
-        vector = self.base.vector.copy()
-        vector[self._places] = values[:n]
-        states, _, by_parameters = self._begun(vector)
-        columns = np.zeros((states.size, self.size))
-        columns[:, :n] = by_parameters[:, self._which]
-        states[self._started] = values[n:]
-        columns[self._started, :n] = 0.0
-        columns[self._started, n + np.arange(self._started.size)] = 1.0
-        return vector, states, columns, self.model.steps(vector, self.window.period)
+        vector, states, columns, steps = self._kernels.start_at(self._posed, values)
+        if steps > self._kernels.MOST_STEPS:
+            self.model.steps(vector, self.window.period)  # says so
+        return vector, states, columns, steps
 
-    def _run(self, values: FloatArray, *, stored: bool) -> tuple[FloatArray, ...]:
-        vector, states, columns, steps = self._start(values)
-        found: tuple[FloatArray, ...] = self._kernels.run_with_tangents(
-            vector,
-            self._which,
-            states,
-            columns,
-            self.closed,
-            self.gains.constants,
-            self._reference,
-            self.measured[1],
-            self._disturbances,
-            float(self.controller.integral),
-            float(self.controller.previous),
-            float(self.window.period),
-            steps,
-            self.measured,
-            self._weights,
-            self._robust,
-            stored,
-        )
-        return found
+
+def _indices(known: Sequence[str], names: Sequence[str]) -> NDArray[np.int64]:
+    return np.array([known.index(name) for name in names], dtype=np.int64)

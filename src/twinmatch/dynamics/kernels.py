@@ -41,22 +41,31 @@ from twinmatch.dynamics.derived import (
     tangents,
     unpack,
 )
-from twinmatch.dynamics.pid_step import Gains, pid_step
+from twinmatch.dynamics.descent import Search, told
+from twinmatch.dynamics.pid_step import Gains, loop_step, pid_step
+from twinmatch.dynamics.posed import Posed, add_row
 from twinmatch.dynamics.sensor_step import reading
 from twinmatch.signals import FloatArray
 
 __all__ = [
+    "MOST_STEPS",
     "advance",
     "begin",
     "look",
+    "normal_at",
     "parts",
-    "rate_bound",
     "run",
     "run_with_tangents",
+    "search",
     "slopes_at",
+    "start_at",
+    "step_count",
     "tick_slopes",
 ]
 
+RATE_LIMIT = 0.06
+"""Runge–Kutta step in units of the fastest time constant: its error is below 1e-7 of its movement."""
+MOST_STEPS = 2000
 MOST_EVENTS = 24
 """Kinks crossed in one step before it is taken as it is."""
 BISECTIONS = 48
@@ -237,28 +246,32 @@ def slopes_at(
 
 
 @compiled
-def rate_bound(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray) -> float:
-    """Fastest rate over some states, shape (m, N_STATES), and drives, on every side of the kinks, 1/s.
+def step_count(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float) -> int:
+    """Runge–Kutta steps per sample, more than MOST_STEPS where the plant is too fast.
 
-    At each the least of three norms of df/dx (rows, columns, Frobenius); no eigenvalue is above any of them.
+    The fastest rate decides: over some states, shape (m, N_STATES), and drives, on every side of
+    the kinks, the least of three norms of df/dx (rows, columns, Frobenius); no eigenvalue is above any of
+    them.
     """
     c, fp = np.zeros(N_CONSTANTS), np.zeros((1, N_STATES, N_UNKNOWN))
     prepare(p, c)
-    given = row(d.reshape((1, d.size)), 0)
-    fastest = 0.0
+    given, fastest = row(d.reshape((1, d.size)), 0), 0.0
     for k in range(corners.shape[0]):
         at = packed(corners[k])
         for u in drives:
             for code in range(2 ** min(N_SWITCHES, MOST_SWITCHES)):
-                _, fx, _ = rates_and_slopes(at, u, given, p, c, branch(code), fp, 0)
-                slopes = np.array(fx).reshape((N_STATES, N_STATES))
+                fx = rates_and_slopes(at, u, given, p, c, branch(code), fp, 0)[1]
                 rows, columns, squares = 0.0, 0.0, 0.0
                 for i in range(N_STATES):
-                    rows = max(rows, np.sum(np.abs(slopes[i])))
-                    columns = max(columns, np.sum(np.abs(slopes[:, i])))
-                    squares += np.sum(np.square(slopes[i]))
+                    in_row, in_column = 0.0, 0.0
+                    for m in range(N_STATES):
+                        in_row += abs(fx[i * N_STATES + m])
+                        in_column += abs(fx[m * N_STATES + i])
+                        squares += fx[i * N_STATES + m] ** 2
+                    rows, columns = max(rows, in_row), max(columns, in_column)
                 fastest = max(fastest, min(rows, columns, np.sqrt(squares)))
-    return fastest
+    count = np.ceil(period * fastest / RATE_LIMIT)
+    return int(max(count, 1.0)) if count <= MOST_STEPS else MOST_STEPS + 1
 
 
 @compiled
@@ -355,7 +368,7 @@ def run_with_tangents(
             dy[j] = slope
         u, free = 0.0, 0.0
         if closed:
-            u, integral, previous_error, free = _loop_step(
+            u, integral, previous_error, free = loop_step(
                 gains, integral, previous_error, reference[k], y, dy, d_integral, d_error, du, n
             )
         else:
@@ -370,12 +383,12 @@ def run_with_tangents(
             du[m - 1] = 1.0
         else:
             dy[n] = y - measured[0, k]
-            _add_row(normal, dy, weights[0, k], robust)
+            add_row(normal, dy, weights[0, k], robust)
             if closed:
                 for j in range(n):
                     of_u[j] = du[j]
                 of_u[n] = u - measured[1, k]
-                _add_row(normal, of_u, weights[1, k], robust)
+                add_row(normal, of_u, weights[1, k], robust)
         at = _tick_with_tangents(at, u, d, p, c, period, steps, which, all_columns, du, fp)
         if stored:
             for i in range(N_STATES):
@@ -389,39 +402,44 @@ def run_with_tangents(
 
 
 @compiled
-def _loop_step(
-    gains: Gains, integral: float, previous_error: float, reference: float, y: float, dy: FloatArray,
-    d_integral: FloatArray, d_error: FloatArray, du: FloatArray, n: int,
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """The controller's step with the derivatives of all it keeps; d_error is that of `previous_error`."""
-    u, after, error = pid_step(gains, integral, previous_error, reference, y)
-    per_second = gains.derivative / gains.period
-    free = 1.0 if gains.low < u < gains.high else 0.0
+def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+    """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
+    n = posed.which.size
+    p = posed.base.copy()
     for j in range(n):
-        wanted = d_integral[j] - (gains.proportional + per_second) * dy[j] - per_second * d_error[j]
-        du[j] = free * wanted
-        d_integral[j] += gains.period * (gains.back_calculation * (du[j] - wanted) - gains.integral * dy[j])
-        d_error[j] = -dy[j]
-    return u, after, error, free
+        p[posed.places[j]] = values[j]
+    given = posed.disturbances[0]
+    x, _, by_parameters = begin(p, posed.first, given)
+    columns = np.zeros((N_STATES, values.size))
+    for i in range(N_STATES):
+        for j in range(n):
+            columns[i, j] = by_parameters[i, posed.which[j]]
+    for k in range(posed.started.size):
+        i = posed.started[k]
+        x[i] = values[n + k]
+        columns[i, :n] = 0.0
+        columns[i, n + k] = 1.0
+    return p, x, columns, step_count(p, posed.corners, posed.drives, posed.usual, posed.period)
 
 
 @compiled
-def _add_row(normal: FloatArray, of: FloatArray, weight: float, robust: bool) -> None:
-    """Add one residual, the last entry of `of`, and its derivatives to the lower half of the equations."""
-    if weight == 0.0:
-        return
-    n = of.size - 1
-    square = weight * weight
-    left = square * of[n] * of[n]
-    lost = left
-    if robust:
-        root = np.sqrt(1.0 + left)
-        square, lost = square / root, 2.0 * (root - 1.0)
-    for i in range(n):
-        scaled = square * of[i]
-        for j in range(i + 1):
-            normal[i, j] += scaled * of[j]
-    scaled = square * of[n]
-    for j in range(n):
-        normal[n, j] += scaled * of[j]
-    normal[n, n] += lost
+def normal_at(posed: Posed, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Sum, gradient Jᵀr and JᵀJ of the weighed residuals; the sum is infinite where the plant is too fast."""
+    n = values.size
+    p, x, columns, steps = start_at(posed, values)
+    if steps > MOST_STEPS:
+        return np.inf, np.zeros(n), np.zeros((n, n))
+    normal = run_with_tangents(
+        p, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
+        posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
+        posed.weights, posed.robust, False,
+    )[6]  # fmt: skip
+    return normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
+
+
+@compiled
+def search(posed: Posed, on_its_way: Search) -> None:
+    """Let a search run to its end."""
+    cost, gradient, hessian = normal_at(posed, on_its_way.tried)
+    while told(on_its_way, cost, gradient, hessian):
+        cost, gradient, hessian = normal_at(posed, on_its_way.tried)

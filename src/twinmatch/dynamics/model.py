@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from twinmatch.dynamics.plant import Plant
 
 __all__ = ["Model"]
-
-RATE_LIMIT: Final = 0.06
-"""Runge–Kutta step in units of the fastest time constant: its error is below 1e-7 of its movement."""
-MOST_STEPS: Final = 2000
 
 
 class Model:
@@ -134,23 +130,24 @@ class Model:
         """
         if not (math.isfinite(period) and period > 0):
             raise PlantError(f"{self.title}: the period is {period} s; it must be finite and positive")
-        fastest = float(self.kernels.rate_bound(vector, self._corners, self._drives, self.disturbances))
-        count = math.ceil(period * fastest / RATE_LIMIT)
-        if not count <= MOST_STEPS:
+        count = self.kernels.step_count(vector, self.corners, self.drives, self.disturbances, float(period))
+        if not count <= self.kernels.MOST_STEPS:
             msg = (
-                f"{self.title}: a time constant of {1 / fastest:.2g} s is too short for a period of "
-                f"{period:g} s"
+                f"{self.title}: its shortest time constant is too short for a period of {period:g} s; "
+                f"a sample would take more than {self.kernels.MOST_STEPS} steps"
             )
             raise PlantError(msg)
-        return max(count, 1)
+        return int(count)
 
     @cached_property
-    def _corners(self) -> FloatArray:
+    def corners(self) -> FloatArray:
+        """Of the range of the states, shape (m, n)."""
         spans = [self.plant.states[name].span for name in self.states]
         corners = np.array(list(itertools.product(*spans)), dtype=np.float64)
         return np.vstack([corners, corners.mean(axis=0)])
 
     @cached_property
-    def _drives(self) -> FloatArray:
+    def drives(self) -> FloatArray:
+        """Ends of the drive's range, and where it rests, shape (3,)."""
         drive = self.plant.drive
         return np.array([*drive.limits, drive.rest], dtype=np.float64)

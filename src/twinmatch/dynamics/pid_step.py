@@ -1,12 +1,15 @@
 """One sample of the PID, compiled."""
 
+# ruff: noqa: PLR0917 (kernels take arrays in a row)
+
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from twinmatch.compiled import compiled
+from twinmatch.signals import FloatArray
 
-__all__ = ["Gains", "pid_step"]
+__all__ = ["Gains", "loop_step", "pid_step"]
 
 
 class Gains(NamedTuple):
@@ -33,3 +36,20 @@ def pid_step(
     u = min(max(wanted, gains.low), gains.high)
     integral += gains.period * (gains.integral * error + gains.back_calculation * (u - wanted))
     return u, integral, moved
+
+
+@compiled
+def loop_step(
+    gains: Gains, integral: float, previous_error: float, reference: float, y: float, dy: FloatArray,
+    d_integral: FloatArray, d_error: FloatArray, du: FloatArray, n: int,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """The controller's step with the derivatives of all it keeps; d_error is that of `previous_error`."""
+    u, after, error = pid_step(gains, integral, previous_error, reference, y)
+    per_second = gains.derivative / gains.period
+    free = 1.0 if gains.low < u < gains.high else 0.0
+    for j in range(n):
+        wanted = d_integral[j] - (gains.proportional + per_second) * dy[j] - per_second * d_error[j]
+        du[j] = free * wanted
+        d_integral[j] += gains.period * (gains.back_calculation * (du[j] - wanted) - gains.integral * dy[j])
+        d_error[j] = -dy[j]
+    return u, after, error, free

@@ -1,26 +1,15 @@
-"""Which parameters may vary, and where each is looked for."""
+"""Which unknowns a match may move, and where each is looked for."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
-from typing import Final
+from dataclasses import dataclass
 
+from twinmatch.dynamics import Model, PlantError
 from twinmatch.errors import TwinmatchError
-from twinmatch.plant import PARAMETER_NAMES, RigParameters
 
-__all__ = [
-    "AUTHORS_BOUNDS",
-    "BOUNDS",
-    "SCALES",
-    "SINK_START",
-    "WITHOUT_ZERO",
-    "Bounds",
-    "MatchingError",
-    "checked_bounds",
-    "checked_free",
-]
+__all__ = ["Bounds", "MatchingError", "Unknown", "checked_free", "unknown_parameters", "unknown_starts"]
 
 
 class MatchingError(TwinmatchError):
@@ -29,91 +18,75 @@ class MatchingError(TwinmatchError):
 
 Bounds = Mapping[str, tuple[float, float]]
 
-SINK_START: Final = "sink_start"
-"""Name of the sink's unknown temperature at the window's third sample, K."""
 
-BOUNDS: Final[Bounds] = MappingProxyType(
-    {
-        "seebeck": (0.01, 0.2),
-        "resistance": (0.5, 10.0),
-        "conductance": (0.0, 2.0),
-        "heat_capacity": (5.0, 150.0),
-        "ambient": (263.0, 323.0),
-        "sink_heat_capacity": (20.0, 5000.0),
-        "sink_convection": (0.1, 100.0),
-        "sensor_lag": (0.0, 20.0),
-        "seebeck_slope": (-5e-4, 5e-4),
-        "drive_ripple": (0.0, 1.0),
-        SINK_START: (253.0, 393.0),
-    }
-)
-"""Where each parameter is looked for, in its own unit."""
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A parameter, or a state at a window's begin, that a match looks for, as the plant file declares it."""
 
-AUTHORS_BOUNDS: Final[Bounds] = MappingProxyType(
-    {"seebeck": (0.02, 0.15), "conductance": (0.0, 1.0), "heat_capacity": (10.0, 60.0)}
-)
-"""The tighter limits of the paper's matching; the others as in `BOUNDS`."""
-
-SCALES: Final[Mapping[str, float]] = MappingProxyType(
-    {
-        "seebeck": 0.075,
-        "resistance": 3.3,
-        "conductance": 0.35,
-        "heat_capacity": 30.0,
-        "ambient": 10.0,
-        "sink_heat_capacity": 300.0,
-        "sink_convection": 3.0,
-        "sensor_lag": 2.0,
-        "seebeck_slope": 1e-4,
-        "drive_ripple": 1.0,
-        SINK_START: 10.0,
-    }
-)
-"""A typical size of each parameter (for temperatures, of their differences); fixed, so that condition
-numbers of different windows compare."""
-
-WITHOUT_ZERO: Final = frozenset({"ambient", "seebeck_slope", SINK_START})
-"""Parameters whose zero means nothing: their error is compared with a typical difference instead."""
+    name: str
+    unit: str
+    bounds: tuple[float, float]
+    scale: float
+    """A typical size, or of a difference where zero means nothing."""
+    relative: bool
+    """Whether its error is compared with its value; otherwise with its scale."""
 
 
-def checked_free(free: Iterable[str], parameters: RigParameters) -> tuple[str, ...]:
-    """The names in canonical order, with `SINK_START` added for a sink with mass.
+def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
+    """The parameters that are free, in the model's order; the structure's own if none are given.
 
     Raises:
-        MatchingError: no name, an unknown or repeated one, or one that this rig does not feel.
+        MatchingError: no name, an unknown or repeated one, or one that this structure does not have.
     """
-    names = tuple(free)
-    known = (*PARAMETER_NAMES, SINK_START)
-    unknown = [name for name in names if name not in known]
+    names = tuple(model.structure.free if free is None else free)
+    unknown = [name for name in names if name not in model.names]
     if unknown:
-        msg = f"matching: {unknown[0]!r} cannot be free; choose among {', '.join(known)}"
+        msg = (
+            f"matching: {unknown[0]!r} cannot be free in {model.title}; choose among {', '.join(model.names)}"
+        )
         raise MatchingError(msg)
     if not names or len(set(names)) != len(names):
         msg = f"matching: free is {names}; name at least one parameter and none twice"
         raise MatchingError(msg)
-    of_sink = [n for n in names if n in ("sink_heat_capacity", "sink_convection", SINK_START)]
-    if of_sink and not parameters.sink_has_mass:
-        msg = f"matching: {of_sink[0]} is free but the sink has no mass; give a finite sink_heat_capacity"
-        raise MatchingError(msg)
-    wanted = {*names, SINK_START} if parameters.sink_has_mass else set(names)
-    return tuple(name for name in known if name in wanted)
+    return tuple(name for name in model.names if name in names)
 
 
-def checked_bounds(bounds: Bounds | None) -> Bounds:
-    """The default bounds with some replaced.
+def unknown_parameters(
+    model: Model, names: Iterable[str], bounds: Bounds | None = None
+) -> tuple[Unknown, ...]:
+    """Those parameters as the plant declares them, some of the bounds replaced.
 
     Raises:
-        MatchingError: a name is unknown or a pair is not finite and growing.
-        PlantError: no rig can have the value at an end.
+        MatchingError: bounds of an unknown name, or a pair that is not finite and growing.
+        PlantError: no such plant can have the value at an end.
     """
-    for name, (low, high) in (bounds or {}).items():
-        if name not in BOUNDS:
-            msg = f"matching: bounds for {name!r}, which is none of {', '.join(BOUNDS)}"
+    given = dict(bounds or {})
+    known = (*model.names, *model.states)
+    for name, (low, high) in given.items():
+        if name not in known:
+            msg = f"matching: bounds for {name!r}, which is none of {', '.join(known)}"
             raise MatchingError(msg)
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             msg = f"matching: the bounds {low} and {high} of {name} must be finite and grow"
             raise MatchingError(msg)
-        if name != SINK_START:
-            for end in (low, high):
-                RigParameters(**{name: end})
-    return MappingProxyType({**BOUNDS, **(bounds or {})})
+        declared = model.declared.get(name)
+        for end in (low, high):
+            if declared is not None and not declared.possible(end):
+                msg = f"{model.title}: {name} is {end:g} {declared.unit}; it must be {declared.requirement}"
+                raise PlantError(msg)
+    found = []
+    for name in names:
+        parameter = model.declared[name]
+        limits = given.get(name, parameter.bounds)
+        found.append(Unknown(name, parameter.unit, limits, parameter.scale, parameter.relative))
+    return tuple(found)
+
+
+def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown, ...]:
+    """The states whose value at a window's begin the structure leaves open."""
+    found = []
+    for name in model.structure.free_starts:
+        state = model.plant.states[name]
+        limits = (bounds or {}).get(name) or state.start_bounds or state.span
+        found.append(Unknown(name, state.unit, limits, state.scale, relative=False))
+    return tuple(found)

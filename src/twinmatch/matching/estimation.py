@@ -1,26 +1,17 @@
-"""Nonlinear least squares on both outputs, and how well it determines the parameters."""
+"""Nonlinear least squares on output and input, and how well it determines the parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
-from twinmatch.matching.descent import Descended, descend
+from twinmatch.dynamics import Descended, Parameters
 from twinmatch.matching.problem import Problem
-from twinmatch.plant import RigParameters
 from twinmatch.signals import FloatArray
 
 __all__ = ["Estimate", "Uncertainty", "on_bounds", "solve", "starts_for", "uncertainty"]
-
-_VALLEY: Final = (
-    {"seebeck": 0.04, "conductance": 0.6, "heat_capacity": 18.0},
-    {"seebeck": 0.12, "conductance": 0.5, "heat_capacity": 50.0},
-)
-"""More starts, near both ends of the valley along which Seebeck coefficient, conductance and heat
-capacity trade off; in one window out of ten the fit from a single start stops in a side valley."""
 
 _MOST_EVALUATIONS = 100
 _ON_BOUND = 1e-4
@@ -34,7 +25,7 @@ class Estimate:
     values: FloatArray
     """The free parameters, shape (n,)."""
     residuals: FloatArray
-    """Weighed residuals, shape (2, N − 2)."""
+    """Weighed residuals of the signals compared, shape (outputs, N − 2)."""
     converged: bool
 
     @property
@@ -43,11 +34,14 @@ class Estimate:
         return float(np.mean(np.square(self.residuals)))
 
 
-def starts_for(problem: Problem, start: RigParameters) -> list[FloatArray]:
-    """Where to begin: at the start values and at both ends of the valley, as far as those are free."""
+def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
+    """Where to begin: at the start values and at the structure's other starts, as far as those are free.
+
+    In one window of the rig out of ten the fit from a single start stops in a side valley.
+    """
     starts = [problem.values_of(start)]
-    for end in _VALLEY:
-        known = {name: value for name, value in end.items() if name in problem.free}
+    for changes in start.model.structure.starts:
+        known = {name: value for name, value in changes.items() if name in problem.free}
         if known:
             starts.append(problem.values_of(start.replace(**known)))
     return starts
@@ -57,23 +51,21 @@ def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
     """The best of the fits from several starts; the first of equals."""
     best: Descended | None = None
     for start in starts:
-        found = descend(
-            problem.evaluate, start, problem.lower, problem.upper, problem.scales, _MOST_EVALUATIONS, best
-        )
+        found = problem.descend(start, _MOST_EVALUATIONS, best)
         if best is None or found.cost < best.cost:
             best = found
     if best is None:
         msg = "solve: no start was given"
         raise ValueError(msg)
-    residuals = problem.evaluate(best.values).residuals
-    return Estimate(best.values, residuals.reshape(2, -1), best.converged)
+    residuals = problem.residuals(best.values)
+    return Estimate(best.values, residuals.reshape(problem.outputs, -1), best.converged)
 
 
 def on_bounds(problem: Problem, values: FloatArray) -> tuple[str, ...]:
     """Names of the parameters that ended on a bound."""
     width = problem.upper - problem.lower
     near = np.minimum(values - problem.lower, problem.upper - values) <= _ON_BOUND * width
-    return tuple(name for name, hit in zip(problem.free, near, strict=True) if hit)
+    return tuple(name for name, hit in zip(problem.names, near, strict=True) if hit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +96,7 @@ class Uncertainty:
 def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     """Information and covariance of an estimate.
 
-    The rig's noise enters at the camera and goes round the loop, so the residuals are far from white
+    A plant's noise enters at the sensor and goes round the loop, so the residuals are far from white
     and the textbook covariance s²·(JᵀJ)⁻¹ is too small by a factor of two to four. Here the noise of
     each reading is followed through the twin's loop: (JᵀJ)⁻¹·S·(JᵀJ)⁻¹ with S = Σ_k (Jᵀm_k)(Jᵀm_k)ᵀ,
     m_k the residuals that noise at sample k alone would leave, scaled so that the noise accounts for
@@ -112,8 +104,8 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     """
     evaluation = problem.evaluate(estimate.values)
     _, _, fisher = evaluation.normal
-    sums, expected = problem.noise_scores(evaluation)
-    free_samples = 1.0 - len(problem.free) / estimate.residuals.size
+    sums, expected = evaluation.noise_scores
+    free_samples = 1.0 - len(problem.names) / estimate.residuals.size
     scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
     return _known(fisher, scores, problem.scales)
 

@@ -2,15 +2,15 @@
 
 The questions are asked in this order, and the first that is answered badly names the status:
 
-1. Do the signals alone show a fault? Needs neither excitation nor a fit, and is the news that matters most.
-2. Did the set-point move, and early enough? Without that no fit is made.
-3. Can the best fit explain the window at all? If not, its parameters mean nothing, whatever the rest says.
-4. Did the fit converge? If not, bounds and covariance are those of a point on the way.
-5. Did a parameter end on its bound? Then the search ended there and not the data. Zero is another matter:
-   there physics ends, and it mostly says that the window does not show the parameter (see 6).
-6. Are the parameters determined by this window? One that is not is kept near what stood before, because
+1. Did the set-point move, and early enough? Without that no fit is made.
+2. Can the best fit explain the window at all? If not, its parameters mean nothing, whatever the rest says.
+   What is wrong with the plant then, the health monitor says and not the gate.
+3. Did the fit converge? If not, bounds and covariance are those of a point on the way.
+4. Did a parameter end on its bound? Then the search ended there and not the data. Zero is another matter:
+   there physics ends, and it mostly says that the window does not show the parameter (see 5).
+5. Are the parameters determined by this window? One that is not is kept near what stood before, because
    the twin predicts well all along the valley that leaves it open; the question is put to the others.
-7. Do they predict what was held back no worse than the incumbent?
+6. Do they predict what was held back no worse than the incumbent?
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from enum import Enum
 
 import numpy as np
 
-from twinmatch.matching.bounds import SCALES, WITHOUT_ZERO, MatchingError
-from twinmatch.signals import FloatArray, Window
+from twinmatch.matching.bounds import MatchingError, Unknown
+from twinmatch.signals import FloatArray
 
 __all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "undetermined", "worst_stretch"]
 
@@ -32,7 +32,7 @@ class Status(Enum):
     """What became of a match."""
 
     ACCEPTED = "accepted"
-    PLANT_FAULT_SUSPECTED = "plant_fault_suspected"
+    NOT_EXPLAINED = "not_explained"
     NO_EXCITATION = "no_excitation"
     DID_NOT_CONVERGE = "did_not_converge"
     BOUNDS_HIT = "bounds_hit"
@@ -59,7 +59,7 @@ class Limits:
     stretch: int = 30
     """Length of that stretch, samples."""
     fit_y: float = 0.8
-    """Least NRMSE of the temperature."""
+    """Least NRMSE of the output."""
     relative_error: float = 0.5
     """Largest standard error of a free parameter in units of its value, a kept one being known."""
     condition: float = 1000.0
@@ -93,8 +93,8 @@ class Limits:
 class Evidence:
     """What the gate looks at once a fit was made."""
 
-    free: tuple[str, ...]
-    """Names of the fitted parameters but the kept one."""
+    free: tuple[Unknown, ...]
+    """What was fitted, but the kept one."""
     values: FloatArray
     standard_errors: FloatArray
     condition: float
@@ -111,18 +111,19 @@ class Evidence:
     """What was kept because the window does not determine it, with value and interval; or nothing."""
 
 
-def first_excited(window: Window, min_step: float) -> int | None:
-    """Position of the first sample by which the set-point has moved by `min_step` °C, or None."""
-    reference = window.reference[1:]
-    if not reference.size:
+def first_excited(moved: FloatArray, least: float) -> int | None:
+    """Position of the first sample by which a signal, shape (N,), has moved by `least` since the second, or
+    None."""
+    signal = moved[1:]
+    if not signal.size:
         return None
-    span = np.maximum.accumulate(reference) - np.minimum.accumulate(reference)
-    moved = np.flatnonzero(span >= min_step)
-    return int(moved[0]) + 1 if moved.size else None
+    span = np.maximum.accumulate(signal) - np.minimum.accumulate(signal)
+    far = np.flatnonzero(span >= least)
+    return int(far[0]) + 1 if far.size else None
 
 
 def worst_stretch(residuals: FloatArray, length: int) -> float:
-    """Largest mean square of weighed residuals, shape (2, M), over `length` neighbouring samples."""
+    """Largest mean square of weighed residuals, shape (outputs, M), over `length` neighbouring samples."""
     each = np.mean(np.square(residuals), axis=0)
     length = min(length, each.size)
     sums = np.concatenate([[0.0], np.cumsum(each)])
@@ -133,7 +134,7 @@ def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
     """The status of a fit and one sentence why."""
     fault = _unexplained(evidence, limits)
     if fault:
-        return Status.PLANT_FAULT_SUSPECTED, fault
+        return Status.NOT_EXPLAINED, fault
     if not evidence.converged:
         return Status.DID_NOT_CONVERGE, "least squares was still moving when its evaluations ran out"
     if evidence.bounds_hit:
@@ -166,17 +167,21 @@ def _unexplained(evidence: Evidence, limits: Limits) -> str | None:
             f"more than {limits.stretch_chi2:g}: the plant did something there the model cannot"
         )
     if not evidence.fit_y >= limits.fit_y:
-        return f"the best fit of the temperature is {evidence.fit_y:.2f} NRMSE, less than {limits.fit_y:g}"
+        return f"the best fit of the output is {evidence.fit_y:.2f} NRMSE, less than {limits.fit_y:g}"
     return None
 
 
 def _bounds_sentence(evidence: Evidence) -> str:
-    named = dict(zip(evidence.free, evidence.values.tolist(), strict=True))
+    named = {u.name: value for u, value in zip(evidence.free, evidence.values.tolist(), strict=True)}
     return ", ".join(f"{name} ended on its bound at {named[name]:.3g}" for name in evidence.bounds_hit)
 
 
 def undetermined(
-    free: Sequence[str], values: FloatArray, standard_errors: FloatArray, condition: float, limits: Limits
+    free: Sequence[Unknown],
+    values: FloatArray,
+    standard_errors: FloatArray,
+    condition: float,
+    limits: Limits,
 ) -> str | None:
     """One sentence on a parameter or combination that is not determined; None if all are."""
     if not condition <= limits.condition:
@@ -184,8 +189,8 @@ def undetermined(
             f"the condition number {condition:.3g} is above {limits.condition:g}: "
             "some combination of the free parameters hardly shows in this window"
         )
-    for name, value, error in zip(free, values.tolist(), standard_errors.tolist(), strict=True):
-        size = SCALES[name] if name in WITHOUT_ZERO else abs(value)
+    for unknown, value, error in zip(free, values.tolist(), standard_errors.tolist(), strict=True):
+        size = abs(value) if unknown.relative else unknown.scale
         if not (math.isfinite(error) and error <= limits.relative_error * size):
-            return f"{name} is {value:.3g} ± {error:.1g}: this window does not determine it"
+            return f"{unknown.name} is {value:.3g} ± {error:.1g}: this window does not determine it"
     return None

@@ -15,12 +15,11 @@ from itertools import combinations
 
 import numpy as np
 
-from twinmatch.matching.bounds import SCALES, SINK_START, WITHOUT_ZERO
+from twinmatch.dynamics import Parameters
 from twinmatch.matching.estimation import Estimate, Uncertainty, on_bounds, solve, starts_for, uncertainty
 from twinmatch.matching.excitation import suggest_step
 from twinmatch.matching.problem import Problem
 from twinmatch.matching.profile import profile_intervals
-from twinmatch.plant import RigParameters
 from twinmatch.signals import FloatArray
 
 __all__ = ["Identified", "identify", "unidentified"]
@@ -52,13 +51,13 @@ class Identified:
 def unidentified(problem: Problem, found: Estimate) -> Identified:
     """An estimate whose parameters mean nothing, because it does not explain the window."""
     known = uncertainty(problem, found)
-    return Identified(found, known, known, intervals=np.full((len(problem.free), 2), np.nan))
+    return Identified(found, known, known, intervals=np.full((len(problem.names), 2), np.nan))
 
 
 def identify(
     problem: Problem,
     found: Estimate,
-    standing: RigParameters,
+    standing: Parameters,
     stands: Callable[[Uncertainty, FloatArray], bool],
 ) -> Identified:
     """Ask the window which parameters it determines.
@@ -69,18 +68,19 @@ def identify(
     known = uncertainty(problem, found)
     intervals = profile_intervals(problem, found.values, known.covariance)
     widths = _widths(problem, intervals)
-    believed = tuple(n for n, width in zip(problem.free, widths, strict=True) if width <= 1.0)
+    believed = tuple(n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0)
     final, kept = found, ""
     if not stands(known, found.values):
         kept = _to_keep(problem, found.values, widths)
     if kept:
-        interval = intervals[problem.free.index(kept)]
-        final = _keep(problem, found, kept, interval, float(getattr(standing, kept)))
+        interval = intervals[problem.names.index(kept)]
+        before = standing.get(kept, problem.base[kept])
+        final = _keep(problem, found, kept, interval, before)
         known = uncertainty(problem, final)
-    places = [i for i, name in enumerate(problem.free) if name != kept]
+    places = [i for i, name in enumerate(problem.names) if name != kept]
     suggestion = ""
-    if len(believed) < len(problem.free):
-        least = problem.free[int(np.argmax(widths))]
+    if len(believed) < len(problem.names):
+        least = problem.names[int(np.argmax(widths))]
         suggestion = suggest_step(problem, final.values, known.fisher, least)
     return Identified(
         estimate=final,
@@ -96,19 +96,19 @@ def identify(
 
 def _to_keep(problem: Problem, values: FloatArray, widths: list[float]) -> str:
     """Name of the parameter with the widest interval, of equals the first; none if a bound stopped one."""
-    stopped = [n for n in on_bounds(problem, values) if values[problem.free.index(n)] != 0.0]
-    at_most = [-1.0 if name == SINK_START else w for name, w in zip(problem.free, widths, strict=True)]
-    place = int(np.argmax(at_most))
-    return "" if stopped or at_most[place] <= 1.0 or len(widths) == 1 else problem.free[place]
+    stopped = [n for n in on_bounds(problem, values) if values[problem.names.index(n)] != 0.0]
+    of_parameters = widths[: len(problem.free)]
+    place = int(np.argmax(of_parameters))
+    return "" if stopped or of_parameters[place] <= 1.0 or len(widths) == 1 else problem.free[place]
 
 
 def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
     """Width of each interval in units of what is believed, infinite if the data leave a side open."""
     widths = []
-    for name, (low, high) in zip(problem.free, intervals.tolist(), strict=True):
-        closed = math.isfinite(low) and math.isfinite(high) and low > problem.bounds[name][0]
-        if name in WITHOUT_ZERO:
-            width = (high - low) / SCALES[name]
+    for unknown, (low, high) in zip(problem.unknowns, intervals.tolist(), strict=True):
+        closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
+        if not unknown.relative:
+            width = (high - low) / unknown.scale
         else:
             width = math.log(high / low) / math.log(_WIDEST) if closed else math.inf
         widths.append(width if closed else math.inf)
@@ -117,8 +117,9 @@ def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
 
 def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, standing: float) -> Estimate:
     """The fit with one parameter kept as near to what stands as its interval (low, high) allows."""
-    low, high = np.clip(interval, *problem.bounds[name])
-    value, place = float(np.clip(standing, low, high)), problem.free.index(name)
+    place = problem.names.index(name)
+    low, high = np.clip(interval, *problem.unknowns[place].bounds)
+    value = float(np.clip(standing, low, high))
     others = replace(
         problem,
         free=tuple(n for n in problem.free if n != name),
@@ -138,8 +139,8 @@ def _determined(
     """Which parameters or combination the window determines, and which it leaves open (95 %)."""
     if not np.isfinite(covariance).all():
         return "some combination of the free parameters does not show in this window at all"
-    known = [f"{n} ({_range(intervals[problem.free.index(n)])})" for n in problem.free if n in believed]
-    left = [f"{n} ({_range(intervals[problem.free.index(n)])})" for n in problem.free if n not in believed]
+    known = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed]
+    left = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n not in believed]
     text = f"the window determines {_listed(known)}" if known else "the window determines no parameter alone"
     ratio = _best_ratio(problem, values, covariance)
     if ratio:
@@ -149,14 +150,14 @@ def _determined(
 
 def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:
     """The ratio of two parameters known best, if far better than each alone."""
-    places = [i for i, n in enumerate(problem.free) if n not in WITHOUT_ZERO and values[i] > 0.0]
+    places = [i for i, unknown in enumerate(problem.unknowns) if unknown.relative and values[i] > 0.0]
     best, text = math.inf, ""
     for i, j in combinations(places, 2):
         pair = [i, j]
         relative = covariance[np.ix_(pair, pair)] / np.outer(values[pair], values[pair])
         error = math.sqrt(max(relative[0, 0] + relative[1, 1] - 2.0 * relative[0, 1], 0.0))
         if error < best and _TIGHTER * error < math.sqrt(min(relative[0, 0], relative[1, 1])):
-            best, text = error, f"{problem.free[i]} / {problem.free[j]} (± {200 * error:.2g} %)"
+            best, text = error, f"{problem.names[i]} / {problem.names[j]} (± {200 * error:.2g} %)"
     return text
 
 

@@ -1,19 +1,15 @@
-"""Behavioral matching: the rig parameters that make the twin behave as the plant did in a window."""
+"""Behavioral matching: the parameters that make the twin behave as the plant did in a window."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from twinmatch.matching.bounds import (
-    SINK_START,
-    Bounds,
-    MatchingError,
-    checked_bounds,
-    checked_free,
-)
+from twinmatch.dynamics import Parameters, PidGains
+from twinmatch.matching.bounds import Bounds, checked_free, unknown_parameters
 from twinmatch.matching.estimation import Uncertainty, on_bounds, solve, starts_for
 from twinmatch.matching.gate import (
     Evidence,
@@ -24,88 +20,86 @@ from twinmatch.matching.gate import (
     undetermined,
     worst_stretch,
 )
-from twinmatch.matching.health import fault_in_signals
 from twinmatch.matching.identifiability import Identified, identify, unidentified
-from twinmatch.matching.problem import Noise, Problem
+from twinmatch.matching.noise import Noise
+from twinmatch.matching.problem import Problem, checked_gains
 from twinmatch.matching.result import Fit, Match, without_fit
-from twinmatch.plant import Driver, PidGains, RigParameters
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["FREE", "match"]
+__all__ = ["match"]
 
-FREE = ("seebeck", "conductance", "heat_capacity")
-"""What the paper matches."""
+_LEAST_MOVEMENT: Final = 20.0
+"""Movement that excites the plant, in units of the noise, where nothing else is said."""
 
 
 def match(
     window: Window,
     *,
-    free: Iterable[str] = FREE,
-    start: RigParameters | None = None,
-    incumbent: RigParameters | None = None,
+    start: Parameters,
+    free: Iterable[str] | None = None,
+    incumbent: Parameters | None = None,
     bounds: Bounds | None = None,
     noise: Noise | None = None,
     gains: PidGains | None = None,
-    driver: Driver | None = None,
-    min_step: float = 2.0,
+    min_step: float | None = None,
     limits: Limits | None = None,
 ) -> Match:
-    """Fit the closed-loop twin to a window by nonlinear least squares on temperature and PWM.
+    """Fit the twin to a window by nonlinear least squares.
+
+    A plant whose controller is known is run in closed loop on the window's set-points, and output and input
+    are fitted. Any other is driven by the recorded input, and the output is fitted.
 
     First a fit without the window's last part is tested on that part against `incumbent` (or, without
     one, against `start`); the parameters returned are then fitted to the whole window. One that the
     window leaves quite open is kept as near to its value in `incumbent` or `start` as the window allows.
 
     Args:
-        window: recorded samples; should hold two set-point levels and the way between them.
-        free: names of the rig parameters to fit; the others keep their value in `start`.
-        start: where the search begins.
-        incumbent: parameters that stand for this regime so far.
-        bounds: replace some of `BOUNDS`.
-        noise: standard deviations by which the residuals are weighed.
-        gains: the plant's controller.
-        driver: the plant's driver.
-        min_step: least movement of the set-point that excites the loop, °C.
+        window: recorded samples; should hold two levels and the way between them.
+        start: plant, structure, where the search begins, and the values of all that is not free.
+        free: names of the parameters to fit; those of the structure if not given.
+        incumbent: parameters that stand for this regime so far, of any structure of the plant.
+        bounds: replace some of the plant's, by name of a parameter or of a state that starts unknown.
+        noise: standard deviations by which the residuals are weighed; the plant's if not given.
+        gains: the plant's controller; the plant file's at the window's period if not given.
+        min_step: least movement of the set-point (in the driven twin, of the input) that excites the plant,
+            in its unit; twenty times the noise if not given.
         limits: where the gate closes.
 
     Raises:
         MatchingError: the names or bounds have no meaning, or the controller has another period.
-        PlantError: bounds reach where no rig can be.
+        PlantError: bounds reach where no such plant can be.
     """
-    start, limits = start or RigParameters(), limits or Limits()
-    gains = gains or PidGains(period=window.period)
-    if gains.period != window.period:
-        msg = (
-            f"matching: the controller runs every {gains.period} s but the window's samples come every "
-            f"{window.period} s; give both the same period"
-        )
-        raise MatchingError(msg)
-    names, limited = checked_free(free, start), checked_bounds(bounds)
-    fault = fault_in_signals(window, gains.limit)
-    if fault:
-        return without_fit(window, names, start, Status.PLANT_FAULT_SUSPECTED, fault)
-    split, missing = _split(window, min_step, limits)
+    model, limits = start.model, limits or Limits()
+    gains = checked_gains(model, window, gains)
+    names = checked_free(model, free)
+    unknown_parameters(model, names, bounds)
+    problem = Problem(window, names, start, noise or Noise.of(model.plant), gains, bounds)
+    split, missing = _split(problem, min_step, limits)
     if missing:
-        return without_fit(window, names, start, Status.NO_EXCITATION, missing)
-    problem = Problem(window, names, start, noise or Noise(), gains, driver or Driver(), limited)
+        return without_fit(window, problem.names, start, Status.NO_EXCITATION, missing)
     return _with_fit(problem, split, incumbent or start, limits)
 
 
-def _split(window: Window, min_step: float, limits: Limits) -> tuple[int, str]:
+def _split(problem: Problem, min_step: float | None, limits: Limits) -> tuple[int, str]:
     """How many samples the test fit sees, or what is missing for one."""
-    excited = first_excited(window, min_step)
+    window, plant = problem.window, problem.base.model.plant
+    what, signal, unit, noise = "set-point", window.reference, plant.output.unit, plant.output.noise
+    if problem.gains is None:
+        what, signal, unit, noise = "input", window.input, plant.drive.unit, plant.drive.noise
+    least = _LEAST_MOVEMENT * noise if min_step is None else min_step
+    excited = first_excited(signal, least)
     if excited is None:
-        return 0, f"the set-point did not move by {min_step:g} °C within the window's {len(window)} samples"
+        return 0, f"the {what} did not move by {least:g} {unit} within the window's {len(window)} samples"
     split = max(int((1.0 - limits.held_back) * len(window)), excited + limits.least_samples)
     if len(window) - split < limits.least_samples:
         return 0, (
-            f"the set-point moved at sample {window.first + excited}, too near to the window's end at "
+            f"the {what} moved at sample {window.first + excited}, too near to the window's end at "
             f"{window.last} for a fit and its test"
         )
     return split, ""
 
 
-def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits) -> Match:
+def _with_fit(problem: Problem, split: int, rival: Parameters, limits: Limits) -> Match:
     window = problem.window
     seen = replace(problem, window=window.part(window.first, window.first + split - 1))
     starts = starts_for(problem, problem.base)
@@ -115,18 +109,18 @@ def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits
 
     def stands(known: Uncertainty, values: FloatArray) -> bool:
         errors = np.sqrt(np.diag(known.covariance))
-        loose = undetermined(problem.free, values, errors, known.condition, limits)
+        loose = undetermined(problem.unknowns, values, errors, known.condition, limits)
         return not loose and not on_bounds(problem, values)
 
     found = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
-    held = split - (len(window) - problem.output.size)
-    tested = problem.residuals(test.values).reshape(2, -1)[:, held:]
+    held = split - (len(window) - problem.measured.shape[1])
+    tested = problem.residuals(test.values).reshape(problem.outputs, -1)[:, held:]
     standing = _residuals_of(problem, seen, rival)[:, held:]
     final, known, fit = found.estimate, found.known, _fit(problem, found.estimate.residuals)
-    free = [i for i, name in enumerate(problem.free) if name != found.kept]
+    free = [i for i, name in enumerate(problem.names) if name != found.kept]
     bounds_hit = tuple(n for n in on_bounds(problem, final.values) if n != found.kept)
     evidence = Evidence(
-        free=tuple(problem.free[i] for i in free),
+        free=tuple(problem.unknowns[i] for i in free),
         values=final.values[free],
         standard_errors=np.sqrt(np.diag(found.others.covariance)),
         condition=found.others.condition,
@@ -142,8 +136,8 @@ def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits
     status, reason = judge(evidence, limits)
     return Match(
         parameters=problem.parameters_at(final.values),
-        free=problem.free,
-        sink_start=problem.sink_start_at(final.values),
+        free=problem.names,
+        starts=problem.starts_at(final.values),
         covariance=known.covariance,
         fisher=known.fisher,
         eigenvalues=known.eigenvalues,
@@ -166,29 +160,29 @@ def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits
 def _kept_words(problem: Problem, found: Identified) -> str:
     if not found.kept:
         return ""
-    place = problem.free.index(found.kept)
+    place = problem.names.index(found.kept)
     low, high = found.intervals[place]
     return (
         f"{found.kept} at {found.estimate.values[place]:.3g} (anything from {low:.2g} to {high:.2g} will do)"
     )
 
 
-def _residuals_of(problem: Problem, seen: Problem, rival: RigParameters) -> FloatArray:
-    """Residuals of given parameters on the window; their sink's unknown start is fitted to the seen part."""
-    sink = None
-    if rival.sink_has_mass:
-        alone = replace(seen, free=(SINK_START,), base=rival)
-        sink = alone.sink_start_at(solve(alone, [alone.values_of(rival)]).values)
-    return problem.weigh(problem.simulate(rival, sink))
+def _residuals_of(problem: Problem, seen: Problem, rival: Parameters) -> FloatArray:
+    """Residuals of given parameters on the window; their unknown starts are fitted to the seen part."""
+    alone = replace(seen, free=(), base=rival)
+    values = alone.values_of(rival)
+    if values.size:
+        values = solve(alone, [values]).values
+    whole = replace(problem, free=(), base=rival)
+    return whole.weigh(whole.experiment.simulate(values))
 
 
 def _fit(problem: Problem, residuals: FloatArray) -> Fit:
     """NRMSE over the last samples of the window, as many as there are residuals."""
     count = residuals.shape[1]
-    scales = (problem.noise.output, problem.noise.input)
     figures = []
-    for measured, left, scale in zip((problem.output, problem.input), residuals, scales, strict=True):
+    for measured, left, weight in zip(problem.measured, residuals, problem.weights[:, 0], strict=True):
         values = measured[-count:]
         spread = float(np.linalg.norm(values - np.mean(values)))
-        figures.append(1.0 - scale * float(np.linalg.norm(left)) / spread if spread > 0 else float("nan"))
-    return Fit(*figures)
+        figures.append(1.0 - float(np.linalg.norm(left)) / weight / spread if spread > 0 else float("nan"))
+    return Fit(*figures, *[float("nan")] * (2 - len(figures)))

@@ -2,253 +2,153 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from twinmatch.matching.bounds import BOUNDS, SCALES, SINK_START, Bounds, MatchingError
-from twinmatch.plant import (
-    Driver,
+from twinmatch.dynamics import (
+    Descended,
+    Experiment,
+    Model,
+    Parameters,
     PidGains,
-    PidState,
     Response,
-    RigParameters,
-    controller_state,
-    noise_sensitivity,
-    simulate_closed_loop,
+    Tangents,
+    gains_of,
+    noise_scores,
 )
-from twinmatch.plant.sensitivity import DIFFERENTIABLE, LoopSensitivity, Tangents, noise_scores
-from twinmatch.signals import KELVIN, FloatArray, Window
+from twinmatch.matching.bounds import Bounds, MatchingError, Unknown, unknown_parameters, unknown_starts
+from twinmatch.matching.noise import Noise
+from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Evaluation", "Noise", "Problem"]
-
-
-_STEP = 1e-5
-"""Finite difference in units of the scale: truncation near 1e-10, rounding near 1e-8 of a residual."""
-_NOISE_STEP = 1e-3
-"""Finite difference of the start, °C."""
-_SKIPPED = 2
-"""A twin starts at the third sample, where the controller's memory is known."""
+__all__ = ["Evaluation", "Problem", "checked_gains"]
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """Standard deviations by which residuals are weighed; the defaults are the healthy rig's.
+def checked_gains(model: Model, window: Window, gains: PidGains | None) -> PidGains | None:
+    """The controller with which the twin is closed into its loop; None for a plant whose loop is not known.
 
     Raises:
-        MatchingError: one is not finite and positive.
+        MatchingError: the controller has another period than the window.
     """
-
-    output: float = 0.1
-    """Of the output, on the rig the temperature, °C."""
-    input: float = 7.0
-    """Of the input, on the rig the PWM command."""
-
-    def __post_init__(self) -> None:
-        for name, value in (("output", self.output), ("input", self.input)):
-            if not (math.isfinite(value) and value > 0):
-                msg = f"noise: {name} is {value}; it must be finite and positive"
-                raise MatchingError(msg)
+    if gains is None:
+        return None if model.plant.loop is None else gains_of(model.plant, window.period)
+    if gains.period != window.period:
+        msg = (
+            f"matching: the controller runs every {gains.period} s but the window's samples come every "
+            f"{window.period} s; give both the same period"
+        )
+        raise MatchingError(msg)
+    return gains
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The closed-loop twin on one window as a function of the free parameters.
+    """The twin on one window as a function of the free parameters and of its unknown starts.
 
-    The twin gets the window's reference from the third sample on. It starts with the plate as it was
-    measured there and with the controller as the first two samples leave it.
+    Closed into its loop, it gets the window's reference and is held against output and input; without a
+    known loop it is driven by the recorded input, and the output alone is compared. It begins at the third
+    sample: with the output as it was measured there, and with the controller as the first two samples leave
+    it.
     """
 
     window: Window
     free: tuple[str, ...]
-    """Names that vary, in the order of every array of values; `SINK_START` among them or not."""
-    base: RigParameters
+    """Names of the parameters that vary."""
+    base: Parameters
     """Values of all that does not vary."""
     noise: Noise
-    gains: PidGains
-    driver: Driver
-    bounds: Bounds = field(default_factory=lambda: BOUNDS)
-    controller: PidState = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "controller", controller_state(self.window, self.gains))
+    gains: PidGains | None
+    bounds: Bounds | None = None
+    """Replace some of the plant's."""
 
     @cached_property
-    def _loop(self) -> LoopSensitivity | None:
-        """The loop with its derivatives; None when rig or free parameters ask for finite differences."""
-        if not (LoopSensitivity.handles(self.base) and set(self.free) <= set(DIFFERENTIABLE)):
-            return None
-        return LoopSensitivity(
-            self.free,
-            self.window.reference[_SKIPPED:],
-            plate=float(self.window.output[_SKIPPED]) + KELVIN,
-            controller=self.controller,
-            gains=self.gains,
-            driver=self.driver,
-        )
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What varies, in the order of every array of values: the parameters, then the starts."""
+        model = self.base.model
+        return unknown_parameters(model, self.free, self.bounds) + unknown_starts(model, self.bounds)
 
     @cached_property
-    def weights(self) -> FloatArray:
-        """Of output and input, shape (2, 1)."""
-        return np.array([[1.0 / self.noise.output], [1.0 / self.noise.input]])
-
-    @cached_property
-    def _measured(self) -> FloatArray:
-        """Output and input, shape (2, N − 2)."""
-        return np.stack([self.output, self.input])
-
-    @cached_property
-    def _rig(self) -> tuple[FloatArray, list[int]]:
-        """Values of all `DIFFERENTIABLE` parameters, and which of them are free."""
-        fixed = np.array([getattr(self.base, name) for name in DIFFERENTIABLE], dtype=np.float64)
-        return fixed, [DIFFERENTIABLE.index(name) for name in self.free]
-
-    @property
-    def output(self) -> FloatArray:
-        """Measured output against which the twin is held, shape (N − 2,)."""
-        return self.window.output[_SKIPPED:]
-
-    @property
-    def input(self) -> FloatArray:
-        """Measured input against which the twin is held, shape (N − 2,)."""
-        return self.window.input[_SKIPPED:]
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns."""
+        return tuple(unknown.name for unknown in self.unknowns)
 
     @cached_property
     def lower(self) -> FloatArray:
-        """Lower bounds of the free parameters."""
-        return np.array([self.bounds[name][0] for name in self.free])
+        """Lower bounds of the unknowns."""
+        return np.array([unknown.bounds[0] for unknown in self.unknowns])
 
     @cached_property
     def upper(self) -> FloatArray:
-        """Upper bounds of the free parameters."""
-        return np.array([self.bounds[name][1] for name in self.free])
+        """Upper bounds of the unknowns."""
+        return np.array([unknown.bounds[1] for unknown in self.unknowns])
 
     @cached_property
     def scales(self) -> FloatArray:
-        """Typical sizes of the free parameters."""
-        return np.array([SCALES[name] for name in self.free])
+        """Typical sizes of the unknowns."""
+        return np.array([unknown.scale for unknown in self.unknowns])
 
-    def values_of(self, parameters: RigParameters, sink_start: float | None = None) -> FloatArray:
-        """The free parameters of a rig as an array, moved inside the bounds."""
-        start = parameters.ambient if sink_start is None else sink_start
-        values = [start if name == SINK_START else getattr(parameters, name) for name in self.free]
-        return np.clip(np.array(values, dtype=np.float64), self.lower, self.upper)
-
-    def parameters_at(self, values: FloatArray) -> RigParameters:
-        """The rig with these values of the free parameters."""
-        named = dict(zip(self.free, values.tolist(), strict=True))
-        named.pop(SINK_START, None)
-        return self.base.replace(**named)
-
-    def sink_start_at(self, values: FloatArray) -> float | None:
-        """The sink's first temperature among the values, K; None when it starts at ambient."""
-        return float(values[self.free.index(SINK_START)]) if SINK_START in self.free else None
-
-    def simulate(
-        self, parameters: RigParameters, sink_start: float | None = None, plate: float | None = None
-    ) -> Response:
-        """The twin's answer to the window's reference, from the third sample on.
-
-        Its sink starts at `sink_start` (K) or else at ambient, its plate at `plate` (K) or else where
-        the third sample measured it.
-        """
-        return simulate_closed_loop(
-            parameters,
-            self.window.reference[_SKIPPED:],
-            plate=float(self.window.output[_SKIPPED]) + KELVIN if plate is None else plate,
-            sink=sink_start,
-            controller=self.controller,
+    @cached_property
+    def experiment(self) -> Experiment:
+        """The run and its derivatives."""
+        return Experiment(
+            self.base,
+            self.free,
+            self.window,
+            free_starts=self.base.model.structure.free_starts,
             gains=self.gains,
-            driver=self.driver,
+            closed=self.gains is not None,
+            weights=(1.0 / self.noise.output, 1.0 / self.noise.input),
         )
 
-    def weigh(self, response: Response) -> FloatArray:
-        """Measured minus simulated in units of the noise, shape (2, N − 2): output, input."""
-        left = np.empty((2, self.output.size))
-        left[0] = self.output - response.output
-        left[1] = self.input - response.input
-        left *= self.weights
-        return left
+    @property
+    def outputs(self) -> int:
+        """How many signals are compared: output and input in closed loop, else the output alone."""
+        return 1 if self.gains is None else 2
+
+    @property
+    def weights(self) -> FloatArray:
+        """Of the signals compared, shape (outputs, 1)."""
+        return np.array([[1.0 / self.noise.output], [1.0 / self.noise.input]])[: self.outputs]
+
+    @property
+    def measured(self) -> FloatArray:
+        """The signals compared, as they were recorded, shape (outputs, N − 2)."""
+        return self.experiment.measured[: self.outputs]
+
+    def values_of(self, parameters: Parameters) -> FloatArray:
+        """The unknowns of a plant as an array, moved inside the bounds; starts as the plant file has them."""
+        return np.clip(self.experiment.values_of(parameters), self.lower, self.upper)
+
+    def parameters_at(self, values: FloatArray) -> Parameters:
+        """The plant with these values of the unknowns."""
+        return self.experiment.parameters_at(values)
+
+    def starts_at(self, values: FloatArray) -> Mapping[str, float]:
+        """States at the third sample among the values, by name."""
+        return self.experiment.starts_at(values)
+
+    def weigh(self, response: Response | Tangents) -> FloatArray:
+        """Measured minus simulated in units of the noise, shape (outputs, N − 2)."""
+        simulated = np.stack([response.output, response.input][: self.outputs])
+        return np.asarray((self.measured - simulated) * self.weights, dtype=np.float64)
 
     def evaluate(self, values: FloatArray) -> Evaluation:
         """Residuals and Jacobian at some values."""
         return Evaluation(self, values)
 
     def residuals(self, values: FloatArray) -> FloatArray:
-        """Weighed residuals of both outputs in a row, shape (2(N − 2),)."""
-        return self.weigh(self.simulate(self.parameters_at(values), self.sink_start_at(values))).ravel()
-
-    @property
-    def differentiable(self) -> bool:
-        """Whether the loop comes with its derivatives; otherwise they are finite differences."""
-        return self._loop is not None
-
-    def tangents(self, values: FloatArray) -> Tangents | None:
-        """The loop and its derivatives in one pass, where this rig is of the kind that has them."""
-        return None if self._loop is None else self._loop(self._rig_at(values))
-
-    def normal_equations(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray] | None:
-        """Sum of squares, gradient and JᵀJ in one pass, where this rig is of the kind that has them."""
-        if self._loop is None:
-            return None
-        weights = 1.0 / self.noise.output, 1.0 / self.noise.input
-        return self._loop.normal_equations(self._rig_at(values), self._measured, weights)
-
-    def _rig_at(self, values: FloatArray) -> FloatArray:
-        rig, places = self._rig[0].copy(), self._rig[1]
-        rig[places] = values
-        return rig
+        """Weighed residuals of the signals in a row, shape (outputs·(N − 2),)."""
+        return self.weigh(self.experiment.simulate(values)).ravel()
 
     def jacobian(self, values: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, shape (2(N − 2), n)."""
+        """Derivatives of the residuals, shape (outputs·(N − 2), n)."""
         return self.evaluate(values).jacobian
 
-    def differences(self, values: FloatArray) -> FloatArray:
-        """The Jacobian by finite differences: central, one-sided at a bound."""
-        columns = []
-        for i, scale in enumerate(self.scales):
-            above, below = values.copy(), values.copy()
-            above[i] = min(values[i] + _STEP * scale, self.upper[i])
-            below[i] = max(values[i] - _STEP * scale, self.lower[i])
-            change = self.residuals(above) - self.residuals(below)
-            columns.append(change / (above[i] - below[i]))
-        return np.stack(columns, axis=1)
-
-    def noise_scores(self, evaluation: Evaluation) -> tuple[FloatArray, float]:
-        """Jᵀ times the residuals that the nominal noise of each sample alone would leave, shape (N − 2, n),
-        and the mean squared residual that all of it leaves."""
-        if evaluation.tangents is None:
-            left = self.noise_left(evaluation.values)
-            return left @ evaluation.jacobian, float(np.sum(np.square(left))) / left.shape[1]
-        weighed = evaluation.jacobian.reshape(2, -1, len(self.free))
-        return noise_scores(
-            evaluation.tangents, weighed, (1.0, self.noise.output / self.noise.input), self.gains
-        )
-
-    def noise_left(self, values: FloatArray) -> FloatArray:
-        """Residuals that the nominal noise of each sample alone would leave, shape (N − 2, 2(N − 2)).
-
-        Noise of the first reading also misplaces the start of the twin, which knows no better.
-        """
-        parameters, sink = self.parameters_at(values), self.sink_start_at(values)
-        start = float(self.window.output[_SKIPPED]) + KELVIN
-        loop = noise_sensitivity(
-            parameters,
-            self.window.reference[_SKIPPED:],
-            plate=start,
-            sink=sink,
-            controller=self.controller,
-            gains=self.gains,
-            driver=self.driver,
-        )
-        misplaced = self.simulate(parameters, sink, start + _NOISE_STEP)
-        quiet = self.simulate(parameters, sink)
-        loop[0, 0] -= (misplaced.output - quiet.output) / _NOISE_STEP
-        loop[0, 1] -= (misplaced.input - quiet.input) / _NOISE_STEP
-        weights = np.array([1.0, self.noise.output / self.noise.input])
-        return np.reshape(loop * weights[:, None], (loop.shape[0], -1))
+    def descend(self, start: FloatArray, most_evaluations: int, found: Descended | None = None) -> Descended:
+        """Least squares from one start inside the bounds."""
+        return self.experiment.descend(start, self.lower, self.upper, self.scales, most_evaluations, found)
 
 
 class Evaluation:
@@ -260,35 +160,34 @@ class Evaluation:
     @cached_property
     def normal(self) -> tuple[float, FloatArray, FloatArray]:
         """Sum of squares S, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n)."""
-        found = self.problem.normal_equations(self.values)
-        if found is None:
-            return self.cost, self.jacobian.T @ self.residuals, self.jacobian.T @ self.jacobian
-        return found
+        return self.problem.experiment.normal(self.values)
 
-    @cached_property
+    @property
     def cost(self) -> float:
         """Sum of the squared residuals."""
-        if self.problem.differentiable:
-            return self.normal[0]
-        return float(self.residuals @ self.residuals)
+        return self.normal[0]
 
     @cached_property
-    def tangents(self) -> Tangents | None:
-        """The loop with its derivatives, where this rig is of the kind that has them."""
-        return self.problem.tangents(self.values)
+    def tangents(self) -> Tangents:
+        """The run with its derivatives."""
+        return self.problem.experiment.tangents(self.values)
 
     @cached_property
     def residuals(self) -> FloatArray:
-        """Shape (2(N − 2),)."""
-        if self.tangents is None:
-            return self.problem.residuals(self.values)
-        response = Response(self.tangents.temperature, self.tangents.pwm)
-        return self.problem.weigh(response).ravel()
+        """Shape (outputs·(N − 2),)."""
+        return self.problem.weigh(self.tangents).ravel()
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """Shape (2(N − 2), n)."""
-        if self.tangents is None:
-            return self.problem.differences(self.values)
-        derivative = self.tangents.derivative * -self.problem.weights[:, :, None]
+        """Shape (outputs·(N − 2), n)."""
+        derivative = self.tangents.by[: self.problem.outputs] * -self.problem.weights[:, :, None]
         return derivative.reshape(-1, derivative.shape[2])
+
+    @cached_property
+    def noise_scores(self) -> tuple[FloatArray, float]:
+        """Jᵀ times the residuals that the nominal noise of each sample alone would leave, shape (N − 2, n),
+        and the mean squared residual that all of it leaves."""
+        noise = self.problem.noise
+        weighed = self.tangents.by * -np.array([1.0 / noise.output, 1.0 / noise.input])[:, None, None]
+        weights = (1.0, noise.output / noise.input)
+        return noise_scores(self.problem.experiment, self.tangents, weighed, weights)

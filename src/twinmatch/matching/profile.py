@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.compiled import compiled
-from twinmatch.matching.descent import box_step, descend
+from twinmatch.dynamics import box_step
 from twinmatch.matching.problem import Evaluation, Problem
 from twinmatch.signals import FloatArray
 
@@ -33,11 +33,8 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
     parameter's variance to the one that white noise would give: the profile's curvature at its minimum
     is then that of the variance, and its shape farther out that of the twin. An end that a bound cuts
     off is infinite; where that bound is zero it is zero, for there physics ends and not the search.
-    Where the Jacobian costs a simulation for each parameter, the ends are those of the variance alone.
     """
     here = problem.evaluate(values)
-    if not problem.differentiable:
-        return _from_variance(problem, values, covariance)
     rises = QUANTILE * np.diag(covariance) / _white_variance(problem, here)
     intervals = np.empty((values.size, 2))
     for i, rise in enumerate(rises.tolist()):
@@ -49,13 +46,6 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
             else:
                 intervals[i, side] = 0.0 if sign < 0 and problem.lower[i] == 0.0 else sign * math.inf
     return intervals
-
-
-def _from_variance(problem: Problem, values: FloatArray, covariance: FloatArray) -> FloatArray:
-    half = np.sqrt(QUANTILE * np.diag(covariance))
-    low, high = values - half, values + half
-    low = np.where(low > problem.lower, low, np.where(problem.lower == 0.0, 0.0, -np.inf))
-    return np.stack([low, np.where(high < problem.upper, high, np.inf)], axis=1)
 
 
 def _white_variance(problem: Problem, here: Evaluation) -> FloatArray:
@@ -122,7 +112,7 @@ def _bracketed(
             target = min(target, bound) if bound > here else max(target, bound)
         lower, upper, start = problem.lower.copy(), problem.upper.copy(), near.values.copy()
         lower[i] = upper[i] = start[i] = target
-        found = descend(problem.evaluate, start, lower, upper, problem.scales, _MOST_EVALUATIONS)
+        found = problem.experiment.descend(start, lower, upper, problem.scales, _MOST_EVALUATIONS)
         excess = found.cost - limit
         if abs(excess) <= _CLOSE * rise:
             return found.values

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.matching.bounds import SINK_START
+from twinmatch.dynamics import Parameters
 from twinmatch.matching.gate import Status
-from twinmatch.plant import RigParameters
 from twinmatch.signals import FloatArray, Window
 
 __all__ = ["Fit", "Match", "without_fit"]
@@ -19,9 +19,9 @@ class Fit(NamedTuple):
     """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean."""
 
     y: float
-    """Of the temperature."""
+    """Of the output."""
     u: float
-    """Of the PWM."""
+    """Of the input; NaN for a twin that is driven by it."""
 
 
 _NO_FIT = Fit(float("nan"), float("nan"))
@@ -29,18 +29,18 @@ _NO_FIT = Fit(float("nan"), float("nan"))
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Rig parameters matched to a window, how well they are known, and whether they may be used.
+    """Parameters of a plant matched to a window, how well they are known, and whether they may be used.
 
     When no fit was made (the status says why) the parameters are the start values and all figures of
     the fit are NaN.
     """
 
-    parameters: RigParameters
+    parameters: Parameters
     free: tuple[str, ...]
-    """Names of the fitted parameters in canonical order; arrays below are in this order. For a sink
-    with mass the last is `sink_start`, the sink's temperature at the window's third sample."""
-    sink_start: float | None
-    """That temperature, K; None for a sink without mass."""
+    """Names of what was fitted, in the order of the arrays below: parameters in the model's order, then the
+    states whose value at the window's third sample was unknown."""
+    starts: Mapping[str, float]
+    """Those states' values, by name; empty where the structure leaves none open."""
     covariance: FloatArray
     """Of the fitted parameters, shape (n, n), their own units."""
     fisher: FloatArray
@@ -55,7 +55,7 @@ class Match:
     held_back: Fit
     """Of a fit made without the window's last part, on that part."""
     chi2: float
-    """Mean squared residual of both outputs in units of the noise variance."""
+    """Mean squared residual of the signals compared in units of the noise variance."""
     samples: tuple[int, int]
     """Session indices of the window's first and last sample."""
     status: Status
@@ -94,15 +94,15 @@ class Match:
 
 
 def without_fit(
-    window: Window, free: tuple[str, ...], start: RigParameters, status: Status, reason: str
+    window: Window, free: tuple[str, ...], start: Parameters, status: Status, reason: str
 ) -> Match:
-    """A match whose status says why no fit was made."""
+    """A match whose status says why no fit was made; its unknown starts are NaN."""
     n = len(free)
     unknown = np.full((n, n), np.nan)
     return Match(
         parameters=start,
         free=free,
-        sink_start=start.ambient if SINK_START in free else None,
+        starts={name: float("nan") for name in free if name not in start},
         covariance=unknown,
         fisher=unknown,
         eigenvalues=np.full(n, np.nan),

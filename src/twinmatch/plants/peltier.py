@@ -55,7 +55,12 @@ _VALLEY: Final = (
 
 
 def _structure(
-    free: tuple[str, ...], parts: tuple[str, ...] = (), *, switched: bool = False, room: float = 293.0
+    free: tuple[str, ...],
+    parts: tuple[str, ...] = (),
+    *,
+    switched: bool = False,
+    room: float = 293.0,
+    watched: bool = False,
 ) -> Structure:
     return Structure(
         free=free,
@@ -63,6 +68,7 @@ def _structure(
         fixed={**_RIG, "ambient": room, "drive_ripple": float(switched)},
         free_starts=("sink",) if _MASS in parts else (),
         starts=_VALLEY,
+        watched=watched,
     )
 
 
@@ -75,8 +81,8 @@ class Peltier(Plant, name="peltier"):
     parts = (_MASS, _LAG, _SLOPE)
 
     temperature = Output(
-        unit="°C", noise=0.1, span=(-60.0, 250.0), absolute=KELVIN, text="plate temperature", symbol="y",
-        sensor="camera",
+        unit="°C", noise=0.1, span=(-60.0, 250.0), set_points=(20.0, 90.0), absolute=KELVIN,
+        text="plate temperature", symbol="y", sensor="camera",
     )  # fmt: skip
     pwm = Drive(unit="PWM", limits=(-COUNTS, COUNTS), noise=7.0, text="PWM, positive heats", symbol="u")
 
@@ -144,11 +150,13 @@ class Peltier(Plant, name="peltier"):
         ),
         "held sink, free ambient": _structure(_ROOM),
         "held sink, free ambient, switched drive": _structure(_ROOM, switched=True),
-        "sink with mass": _structure(_SINK, (_MASS,), room=296.0),
+        "sink with mass": _structure(_SINK, (_MASS,), room=296.0, watched=True),
         "sink with mass, sensor lag": _structure((*_SINK, "sensor_lag"), (_MASS, _LAG), room=296.0),
-        "sink with mass, free ambient": _structure(_BOTH, (_MASS,)),
+        "sink with mass, free ambient": _structure(_BOTH, (_MASS,), watched=True),
         "sink with mass, switched drive": _structure(_SINK, (_MASS,), switched=True, room=296.0),
-        "sink with mass, free ambient, switched drive": _structure(_BOTH, (_MASS,), switched=True),
+        "sink with mass, free ambient, switched drive": _structure(
+            _BOTH, (_MASS,), switched=True, watched=True
+        ),
         "sink with mass, free ambient, switched drive, sensor lag": _structure(
             (*_BOTH, "sensor_lag"), (_MASS, _LAG), switched=True
         ),

@@ -21,7 +21,7 @@ from twinmatch.twin.mirror import Mirror, MirrorState
 from twinmatch.twin.residuals import Residuals, closed_loop_fit, nrmse, residuals
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinError, TwinSettings
-from twinmatch.twin.structure_watch import StructureSettings, StructureWatch
+from twinmatch.twin.structure_watch import StructureSettings, StructureWatch, watched
 from twinmatch.twin.structures import StructureChoice, StructureScore, choose_structure
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "closed_loop_fit",
     "nrmse",
     "residuals",
+    "watched",
 ]
 
 

@@ -19,7 +19,7 @@ from twinmatch.twin.members import Judged, Members, plant_model
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinSettings
-from twinmatch.twin.structure_watch import StructureSettings, StructureWatch
+from twinmatch.twin.structure_watch import StructureSettings, StructureWatch, watched
 from twinmatch.twin.threads import one_thread
 
 __all__ = ["Discriminator", "trust_level"]
@@ -52,6 +52,7 @@ class Discriminator:
         self._members = Members(self.settings)
         self._structure = StructureWatch(
             StructureSettings(
+                models=watched(self.settings.plant),
                 noise=self.settings.noise, gains=self.settings.gains, decimals=self.settings.decimals
             )
         )
@@ -160,7 +161,7 @@ class Discriminator:
             return self._stand(trigger.sample, window, f"nothing could be identified: {error}")
         fresh = replace(self._standing or self._nothing(), stands=False, reason=reason)
         self._standing = self._scored(fresh, self._looked)
-        doubtful = report is not None and report.match.status is Status.PLANT_FAULT_SUSPECTED
+        doubtful = report is not None and report.match.status is Status.NOT_EXPLAINED
         self._standing = self._at(self._standing, trigger.sample, window, doubtful=doubtful)
         return self._standing
 

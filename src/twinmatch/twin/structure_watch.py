@@ -2,58 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
+from twinmatch.dynamics import Model, PidGains, Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import STRUCTURES, Noise, Structure
-from twinmatch.plant import PidGains
+from twinmatch.matching import Noise
 from twinmatch.signals import Window
 from twinmatch.twin.structures import StructureChoice, choose_structure
 
-__all__ = ["WATCHED", "StructureSettings", "StructureWatch"]
-
-WATCHED: tuple[Structure, ...] = tuple(
-    s
-    for s in STRUCTURES
-    if s.name
-    in {
-        "held sink",
-        "sink with mass",
-        "sink with mass, free ambient",
-        "sink with mass, free ambient, switched drive",
-    }
-)
-"""What is tried beside a running plant: the twin of three parameters, and what an hour of a rig pays for."""
+__all__ = ["StructureSettings", "StructureWatch", "watched"]
 
 
 @dataclass(frozen=True)
 class StructureSettings:
-    """When to look, and at how much.
+    """What to look for, when to look, and at how much.
 
     Raises:
         TwinmatchError: the counts do not go together.
     """
 
+    models: tuple[Model, ...]
+    """The plant in each structure that is tried."""
     least: int = 900
     """Samples wanted before the first look."""
     every: int = 1200
     """Samples between two looks."""
     longest: int = 1200
     """Newest samples that are looked at."""
-    structures: tuple[Structure, ...] = WATCHED
-    noise: Noise = field(default_factory=Noise)
-    gains: PidGains = field(default_factory=PidGains)
+    noise: Noise | None = None
+    gains: PidGains | None = None
     decimals: int = 2
 
     def __post_init__(self) -> None:
-        if not (100 <= self.least <= self.longest and self.every >= 1 and self.structures):
+        if not (100 <= self.least <= self.longest and self.every >= 1 and self.models):
             msg = (
                 f"structure watch: least {self.least} samples must be 100 or more and not above longest "
                 f"{self.longest}, every {self.every} positive, and there must be a structure to try"
             )
             raise TwinmatchError(msg)
+
+
+def watched(plant: type[Plant]) -> tuple[Model, ...]:
+    """The plant in those structures that its file wants watched beside a running plant."""
+    return tuple(plant.model(name) for name, structure in plant.structures.items() if structure.watched)
 
 
 class StructureWatch:
@@ -65,9 +58,9 @@ class StructureWatch:
     replay chooses as the live twin did.
     """
 
-    def __init__(self, settings: StructureSettings | None = None) -> None:
+    def __init__(self, settings: StructureSettings) -> None:
         """Begin with no samples."""
-        self.settings = settings or StructureSettings()
+        self.settings = settings
         self._history: Window | None = None
         self._looked: int | None = None
         self._choice: StructureChoice | None = None
@@ -88,7 +81,7 @@ class StructureWatch:
         self._looked = history.last
         self._choice = choose_structure(
             history,
-            settings.structures,
+            settings.models,
             previous=self._choice,
             noise=settings.noise,
             gains=settings.gains,

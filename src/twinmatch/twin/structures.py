@@ -1,19 +1,20 @@
 """Which structure of the plant the data pay for.
 
 Every structure is fitted to the same windows and judged by the criteria that also choose the order of the
-Box–Jenkins models: information gain, nAIC, BIC and MDL, for temperature and PWM and in total.
+Box–Jenkins models: information gain, nAIC, BIC and MDL, for output and input and in total.
 
-What a twin leaves unexplained is far from white: noise of the camera goes round the loop, and a slow error of
+What a twin leaves unexplained is far from white: noise of the sensor goes round the loop, and a slow error of
 the twin stays for minutes. Counted as if each sample were news, a thousand samples would buy any structure.
 So a noise model of fixed order, the same for all, is put behind the twin, as C/D stands behind B/F in a
 Box–Jenkins model, and the loss is that of its prediction errors: only what the past did not foretell counts.
-Errors of more than three robust standard deviations are cut off there, since the camera's flat-field
-corrections are larger than everything that tells structures apart. The information gain is that of the bare
+Errors of more than three robust standard deviations are cut off there, since the pauses
+of a sensor are larger than everything that tells structures apart. The information gain is that of the bare
 simulation, as for the models, less the characters that the parameters cost.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,16 +26,9 @@ from twinmatch.discrimination import information_gain
 from twinmatch.discrimination.code_length import two_part_length
 from twinmatch.discrimination.criteria import bic, mdl, naic
 from twinmatch.discrimination.score import Criteria
-from twinmatch.matching import (
-    STRUCTURES,
-    MatchingError,
-    Noise,
-    Structure,
-    StructureFit,
-    fit_structure,
-)
-from twinmatch.plant import Driver, PidGains, RigParameters
-from twinmatch.signals import KELVIN, FloatArray, Window
+from twinmatch.dynamics import Model, Parameters, PidGains
+from twinmatch.matching import MatchingError, Noise, StructureFit, fit_structure
+from twinmatch.signals import FloatArray, Window
 
 __all__ = ["StructureChoice", "StructureScore", "choose_structure", "prediction_errors", "score_structure"]
 
@@ -54,27 +48,27 @@ class StructureScore:
     """One structure on the windows of a choice."""
 
     fitted: StructureFit
-    y: Criteria
-    u: Criteria
+    signals: tuple[Criteria, ...]
+    """Of the output and, in closed loop, of the input."""
     total: Criteria
     evidence: Criteria
     """`total`, and that of all choices before on samples that came before."""
-    loss: tuple[float, float]
-    """Mean square of the prediction errors of temperature and PWM, °C² and counts²."""
+    loss: tuple[float, ...]
+    """Mean square of the prediction errors of output and input, in their units squared."""
 
     @property
     def name(self) -> str:
         """Of the structure."""
-        return self.fitted.structure.name
+        return self.fitted.model.structure_name
 
     @property
-    def parameters(self) -> RigParameters:
-        """The rig as this structure has it."""
+    def parameters(self) -> Parameters:
+        """The plant as this structure has it."""
         return self.fitted.parameters
 
     @property
     def fit(self) -> tuple[float, float]:
-        """NRMSE of temperature and PWM in closed loop on the windows of the choice."""
+        """NRMSE of output and input in closed loop on the windows of the choice."""
         return self.fitted.fit
 
 
@@ -95,8 +89,8 @@ class StructureChoice:
         return self.of(self.chosen)
 
     @property
-    def parameters(self) -> RigParameters:
-        """The rig as the chosen structure has it."""
+    def parameters(self) -> Parameters:
+        """The plant as the chosen structure has it."""
         return self.score.parameters
 
     def of(self, name: str) -> StructureScore:
@@ -117,7 +111,8 @@ class StructureChoice:
         best = self.score
         text = f"{count} of {len(self.votes)} criteria choose: {self.chosen}"
         y, u = best.fit
-        text += f" ({best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y, {100 * u:.1f} % of u)"
+        of_u = "" if math.isnan(u) else f", {100 * u:.1f} % of u"
+        text += f" ({best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y{of_u})"
         others = [s for s in self.scores if s.name != self.chosen]
         if others:
             second = min(others, key=lambda s: s.evidence.bic)
@@ -129,12 +124,11 @@ class StructureChoice:
 
 def choose_structure(
     windows: Window | Sequence[Window],
-    structures: Sequence[Structure] = STRUCTURES,
+    models: Sequence[Model],
     *,
     previous: StructureChoice | None = None,
     noise: Noise | None = None,
     gains: PidGains | None = None,
-    driver: Driver | None = None,
     decimals: int = 2,
     thorough: bool = True,
 ) -> StructureChoice:
@@ -143,14 +137,13 @@ def choose_structure(
     Of equals the one with fewer parameters is chosen, then the one named first.
 
     Args:
-        windows: what was recorded of one rig, one window or several.
-        structures: what to try.
+        windows: what was recorded of one plant, one window or several.
+        models: the plant in each structure to be tried.
         previous: a choice before, from whose parameters the searches begin. If it was made on samples before
             these, its evidence counts too: the plant is then taken to have had one structure all along,
             whatever its parameters did.
-        noise: what the residuals of the fits are measured in.
-        gains: of the running controller.
-        driver: bridge between PWM and module.
+        noise: what the residuals of the fits are measured in; the plant's if not given.
+        gains: of the running controller; the plant file's if not given.
         decimals: places the tables of the information gain are written with.
         thorough: as in `fit_structure`.
 
@@ -160,14 +153,13 @@ def choose_structure(
     held = [windows] if isinstance(windows, Window) else list(windows)
     before = {s.name: s.fitted for s in previous.scores} if previous else {}
     scores = []
-    for structure in structures:
+    for model in models:
         fitted = fit_structure(
             held,
-            structure,
-            start=before.get(structure.name),
+            model,
+            start=before.get(model.structure_name),
             noise=noise,
             gains=gains,
-            driver=driver,
             thorough=thorough,
         )
         scores.append(score_structure(fitted, decimals))
@@ -189,7 +181,9 @@ def choose_structure(
 def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
     """Judge a fit on the windows it was made on."""
     scores, losses = [], []
-    for row, offset in ((0, KELVIN), (1, 0.0)):
+    offsets = (fitted.model.plant.output.absolute, 0.0)
+    for row in range(len(fitted.measured[0])):
+        offset = offsets[row]
         measured = [window[row] for window in fitted.measured]
         simulated = [window[row] for window in fitted.simulated]
         errors = prediction_errors([m - s for m, s in zip(measured, simulated, strict=True)])
@@ -212,8 +206,8 @@ def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
                 two_part_length=two_part_length(gain.model_length, n, count),
             )
         )
-    y, u = scores
-    return StructureScore(fitted, y, u, y + u, y + u, (losses[0], losses[1]))
+    total = sum(scores[1:], scores[0])
+    return StructureScore(fitted, tuple(scores), total, total, tuple(losses))
 
 
 def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER) -> FloatArray:

@@ -15,7 +15,7 @@ __all__ = ["STATUS_WORDS", "Event", "EventKind", "Stretch", "events", "level_str
 
 STATUS_WORDS = {
     Status.ACCEPTED: "accepted",
-    Status.PLANT_FAULT_SUSPECTED: "refused: the plant may be faulty",
+    Status.NOT_EXPLAINED: "refused: the twin cannot explain it",
     Status.NO_EXCITATION: "refused: the set-point moved too little",
     Status.DID_NOT_CONVERGE: "refused: the search did not end",
     Status.BOUNDS_HIT: "refused: a parameter ran into its bound",

@@ -1,0 +1,271 @@
+"""Damped least squares inside bounds, for few parameters and many residuals.
+
+Levenberg–Marquardt on the normal equations. A step is the minimum of the damped quadratic model inside
+the box, found by fixing one parameter after another on the bound it would cross and letting go those that
+pull inwards; so a parameter lands on its bound exactly, and leaves it again when the residuals ask for
+it. The search ends where an undamped step promises nothing more, which a step cut short by damping cannot
+pretend.
+
+A search asks and is told: `told` takes the sum of squares at the point that was asked for and writes down the
+next one. So the same search runs in Python, on whatever can be evaluated (`descend`), and
+within a plant's compiled code.
+"""
+
+# ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.compiled import compiled
+from twinmatch.signals import FloatArray
+
+__all__ = ["LEAST_DAMPING", "Descended", "Search", "begun", "box_step", "descend", "ended", "told"]
+
+_TOLERANCE = 1e-9
+"""Promised decrease, in units of the sum of squares, below which the search ends."""
+_NOTHING = 1e-10
+"""The same in units of the noise variance: exact data leave no sum to compare with."""
+_SMALL = 1e-10
+"""Step, in units of the scales, below which a search between kinks ends."""
+_FIRST_DAMPING = 1e-3
+_NEAR, _ALIKE = 0.5, 0.5
+"""Largest rise above a minimum found before, and largest error of its quadratic model, within its valley."""
+LEAST_DAMPING: Final = 1e-12
+
+_COST, _DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MOST, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(10)
+
+
+class Descended(NamedTuple):
+    """Where a search ended."""
+
+    values: FloatArray
+    cost: float
+    """Sum of the squared residuals."""
+    converged: bool
+    evaluations: int
+    hessian: FloatArray
+    """JᵀJ there, shape (n, n)."""
+
+
+class Search(NamedTuple):
+    """A search on its way, for compiled code; every array is filled in place."""
+
+    tried: FloatArray
+    """The point asked for, shape (n,)."""
+    values: FloatArray
+    """The best point so far."""
+    gradient: FloatArray
+    hessian: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    scales: FloatArray
+    known: FloatArray
+    """A minimum found before, shape (n,), and its JᵀJ."""
+    known_hessian: FloatArray
+    figures: FloatArray
+    """Sum, damping, its growth, decrease expected, evaluations so far and at most, whether it converged, sum
+    at the known minimum (NaN without one), whether the search came into its valley."""
+
+
+def begun(
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    scales: FloatArray,
+    most_evaluations: int,
+    found: Descended | None = None,
+) -> Search:
+    """A search that asks for its start, shape (n,), inside the bounds."""
+    n = start.size
+    figures = np.zeros(_N)
+    figures[_DAMPING], figures[_GROWTH], figures[_MOST] = _FIRST_DAMPING, 2.0, most_evaluations
+    known = found is not None and found.converged
+    figures[_KNOWN] = found.cost if known and found else np.nan
+    return Search(
+        tried=start.copy(),
+        values=start.copy(),
+        gradient=np.empty(n),
+        hessian=np.empty((n, n)),
+        lower=lower,
+        upper=upper,
+        scales=scales,
+        known=found.values if known and found else start,
+        known_hessian=found.hessian if known and found else np.zeros((n, n)),
+        figures=figures,
+    )
+
+
+def ended(search: Search, found: Descended | None) -> Descended:
+    """What a search has come to; `found` itself if it came into that minimum's valley."""
+    figures = search.figures
+    if found is not None and figures[_CAME_BACK]:
+        return found
+    return Descended(
+        search.values,
+        float(figures[_COST]),
+        bool(figures[_CONVERGED]),
+        int(figures[_EVALUATIONS]),
+        search.hessian,
+    )
+
+
+def descend(
+    normal: Callable[[FloatArray], tuple[float, FloatArray, FloatArray]],
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    scales: FloatArray,
+    most_evaluations: int,
+    found: Descended | None = None,
+) -> Descended:
+    """Minimise the sum of squared residuals from one start (shape (n,), inside the bounds).
+
+    `normal` gives the sum, the gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n). Where the search comes into
+    the valley of a minimum found before, it ends with that one.
+    """
+    search = begun(start, lower, upper, scales, most_evaluations, found)
+    while told(search, *normal(search.tried.copy())):
+        pass
+    return ended(search, found)
+
+
+@compiled
+def told(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray) -> bool:
+    """Take sum, gradient and JᵀJ at the point asked for; say whether another is asked for now."""
+    values, figures = search.values, search.figures
+    lower, upper = search.lower, search.upper
+    first = figures[_EVALUATIONS] == 0.0
+    figures[_EVALUATIONS] += 1.0
+    if first or cost < figures[_COST]:
+        if not first:
+            # How far the quadratic model was right decides how far the next one is followed.
+            fell, expected = figures[_COST] - cost, figures[_EXPECTED]
+            trusted = fell / expected if expected > 0.0 else 0.0
+            less = max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3)
+            figures[_DAMPING] = max(figures[_DAMPING] * less, LEAST_DAMPING)
+            figures[_GROWTH] = 2.0
+        figures[_COST] = cost
+        values[:], search.gradient[:], search.hessian[:, :] = search.tried, gradient, hessian
+        if _in_valley(search, cost):
+            figures[_CAME_BACK] = figures[_CONVERGED] = 1.0
+            return False
+        promised = box_step(search.hessian, search.gradient, values, lower, upper, LEAST_DAMPING)[1]
+        if promised <= _TOLERANCE * cost + _NOTHING:
+            figures[_CONVERGED] = 1.0
+            return False
+    else:
+        figures[_DAMPING] *= figures[_GROWTH]
+        figures[_GROWTH] *= 2.0
+    if figures[_EVALUATIONS] >= figures[_MOST]:
+        return False
+    step, expected = box_step(search.hessian, search.gradient, values, lower, upper, figures[_DAMPING])
+    figures[_EXPECTED] = expected
+    moved = False
+    for i in range(values.size):
+        moved = moved or abs(step[i]) > _SMALL * search.scales[i]
+        # What lies beyond a bound, or short of it by no more than rounding, is put on it.
+        there, near = values[i] + step[i], 1e-12 * (upper[i] - lower[i])
+        there = lower[i] if there < lower[i] + near else there
+        search.tried[i] = upper[i] if there > upper[i] - near else there
+    if not moved:
+        figures[_CONVERGED] = 1.0 if np.isfinite(figures[_COST]) else 0.0
+    return moved
+
+
+@compiled
+def _in_valley(search: Search, cost: float) -> bool:
+    """Whether the quadratic model around a minimum found before accounts for the sum at these values."""
+    least = search.figures[_KNOWN]
+    if np.isnan(least):
+        return False
+    rise, n = 0.0, search.values.size
+    for i in range(n):
+        for j in range(n):
+            way = (search.values[i] - search.known[i]) * (search.values[j] - search.known[j])
+            rise += search.known_hessian[i, j] * way
+    return bool(rise <= _NEAR * least and abs(cost - least - rise) <= _ALIKE * rise)
+
+
+@compiled
+def box_step(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    values: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    damping: float,
+) -> tuple[FloatArray, float]:
+    """Step to the minimum of gᵀd + ½dᵀ(H + damping·diag H)d with values + d in the box.
+
+    Returns the step, shape (n,), and by how much 2gᵀd + dᵀHd, the change of the sum, is negative.
+    """
+    n = values.size
+    step = np.zeros(n)
+    held = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
+        held[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
+    for _ in range(4 * n):
+        # Cholesky on what is free, in units in which the diagonal is one.
+        free = np.flatnonzero(~held)
+        m = free.size
+        factor, right = np.zeros((m, m)), np.zeros(m)
+        for i in range(m):
+            p = free[i]
+            size = np.sqrt(hessian[p, p])
+            right[i] = -gradient[p]
+            for q in range(n):
+                if held[q]:
+                    right[i] -= hessian[p, q] * step[q]
+            right[i] /= size
+            for j in range(i + 1):
+                q = free[j]
+                value = hessian[p, q] / size / np.sqrt(hessian[q, q])
+                if i == j:
+                    value = 1.0 + damping
+                for k in range(j):
+                    value -= factor[i, k] * factor[j, k]
+                factor[i, j] = np.sqrt(max(value, 1e-15)) if i == j else value / factor[j, j]
+        for i in range(m):
+            for k in range(i):
+                right[i] -= factor[i, k] * right[k]
+            right[i] /= factor[i, i]
+        for i in range(m - 1, -1, -1):
+            for k in range(i + 1, m):
+                right[i] -= factor[k, i] * right[k]
+            right[i] /= factor[i, i]
+        first, reach = -1, 1.0
+        for i in range(m):
+            p = free[i]
+            step[p] = right[i] / np.sqrt(hessian[p, p])
+            room = upper[p] - values[p] if step[p] > 0.0 else lower[p] - values[p]
+            if abs(step[p]) > abs(room) and abs(room) / abs(step[p]) < reach:
+                first, reach = p, abs(room) / abs(step[p])
+        if first < 0:
+            # A parameter that would rather leave its bound again is let go, one at a time.
+            pull = 0.0
+            for i in range(n):
+                if held[i] and lower[i] < upper[i] and hessian[i, i] > 0.0:
+                    slope = gradient[i] + damping * hessian[i, i] * step[i]
+                    for j in range(n):
+                        slope += hessian[i, j] * step[j]
+                    inward = -slope if values[i] + step[i] <= lower[i] else slope
+                    inward /= np.sqrt(hessian[i, i])
+                    if inward > max(pull, 1e-9 * abs(gradient[i]) / np.sqrt(hessian[i, i])):
+                        first, pull = i, inward
+            if first < 0:
+                break
+            held[first] = False
+            continue
+        step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
+        held[first] = True
+    promised = 0.0
+    for i in range(n):
+        promised -= 2.0 * gradient[i] * step[i]
+        for j in range(n):
+            promised -= step[i] * hessian[i, j] * step[j]
+    return step, promised
