@@ -18,7 +18,7 @@ from twinmatch.plant import RigParameters
 from twinmatch.replay import Judgement, judge_samples
 from twinmatch.sessions import open_any
 from twinmatch.signals import Sample
-from twinmatch.twin import Discriminator, Matcher, MatchReport, TwinSettings
+from twinmatch.twin import Discriminator, MatchReport, TwinSettings, answer
 
 HOUR = 3600
 HOUR_TARGET = 2.0
@@ -68,10 +68,12 @@ def _growth(quick: bool) -> list[Row]:
 
 def _full_verdict(quick: bool) -> list[Row]:
     """Everything anew: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
-    ready, report = _before_a_verdict()
+    ready, sample, report = _before_a_verdict()
 
-    def judge() -> list[Verdict]:
-        return copy.deepcopy(ready).push_match(report)
+    def judge() -> tuple[Verdict, ...]:
+        discriminator = copy.deepcopy(ready)
+        discriminator.push_sample(sample)
+        return discriminator.push_match(report).verdicts
 
     timings = measure_side_by_side({"twinmatch": judge}, 1 if quick else 5, patience=120.0)
     verdict = timings["twinmatch"].result[-1]
@@ -80,8 +82,8 @@ def _full_verdict(quick: bool) -> list[Row]:
     return rows_of("replay", case, timings, targets={"twinmatch": VERDICT_TARGET}, notes={"twinmatch": note})
 
 
-def _before_a_verdict() -> tuple[Discriminator, MatchReport]:
-    """A discriminator with eight candidates that has all samples of a window, and the match it waits for."""
+def _before_a_verdict() -> tuple[Discriminator, Sample, MatchReport]:
+    """A discriminator with eight candidates before a window's last sample, that sample, and the match."""
     settings = TwinSettings()
     given = [
         Candidate(
@@ -89,12 +91,13 @@ def _before_a_verdict() -> tuple[Discriminator, MatchReport]:
         )
         for at in POINTS
     ]
-    discriminator, matcher = Discriminator(settings, given), Matcher(settings)
-    for sample in recorded(HOUR):
-        discriminator.push_sample(sample)
-        report = matcher.push(sample)
-        if report is not None:
-            return discriminator, report
+    samples = recorded(HOUR)
+    probe, ready = Discriminator(settings, given), Discriminator(settings, given)
+    for sample in samples:
+        request = probe.push_sample(sample).request
+        if request is not None:
+            return ready, sample, answer(request, settings)
+        ready.push_sample(sample)
     raise RuntimeError("the recording sets off no match")
 
 

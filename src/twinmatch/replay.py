@@ -104,5 +104,5 @@ def judge_samples(
             told(done + 1, outcome)
         if watch is not None and done % 50 == 0:
             watch(done, len(samples))
-    summary = summarise(samples, matches, verdicts, settings.gains, notes, limits=settings.limits)
+    summary = summarise(samples, verdicts, settings.gains, notes, limits=settings.limits)
     return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)

@@ -13,7 +13,7 @@ from twinmatch.nodes.twin_parameters import read_settings, recorded_values, sett
 from twinmatch.sessions import Session, Topic, read_session
 from twinmatch.sessions.candidates import parse_candidates, read_candidates
 from twinmatch.sessions.settings import CANDIDATES, parameters_of
-from twinmatch.twin import Matcher, Twin, TwinSettings
+from twinmatch.twin import Twin, TwinSettings
 from twinmatch.verify_trees import Tree, differences, match_tree, message_tree, verdict_tree
 
 __all__ = ["Difference", "Verification", "VerifyError", "verify_session"]
@@ -96,7 +96,7 @@ def verify_session(
     session = read_session(path, topic)
     place = f"session {session.name}"
     prefix = session.topic.removesuffix(SAMPLE)
-    scores, matches = _recorded(session, prefix + SCORES), _recorded(session, prefix + MATCHES)
+    scores, matches = _recorded(session, prefix + SCORES), _once(_recorded(session, prefix + MATCHES))
     if not scores:
         msg = (
             f"{place}: holds no verdicts on {prefix}{SCORES}; nothing to verify, twinmatch replay makes some"
@@ -128,6 +128,19 @@ def _recorded(session: Session, name: str) -> list[Tree]:
     return [message_tree(decode(message.data)) for message in session.messages([name])]
 
 
+def _once(matches: list[Tree]) -> list[Tree]:
+    """Without those that say what the one before says: one asked for twice is answered twice."""
+    return [
+        m
+        for m, before in zip(matches, [None, *matches], strict=False)
+        if before is None or _differ(m, before)
+    ]
+
+
+def _differ(one: Tree, other: Tree) -> bool:
+    return next(differences(one, other), None) is not None
+
+
 def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
     from mcap.records import Schema  # noqa: PLC0415 - the command line starts without it
     from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
@@ -150,9 +163,7 @@ def _twin(session: Session, prefix: str, config: Path | None, candidates: Path |
         matching, _ = _settings(session, prefix + "matcher")
         judging, begun_with = _settings(session, prefix + "discriminator")
     given = read_candidates(candidates) if candidates is not None else _given(session, begun_with)
-    twin = Twin(judging, given)
-    twin.matcher = Matcher(matching)
-    return twin
+    return Twin(judging, given, matching=matching)
 
 
 def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:

@@ -48,6 +48,8 @@ def verdict_tree(verdict: Verdict, stamp: int) -> Tree:
         "stands": verdict.stands,
         "nominal": verdict.nominal or "",
         "reason": verdict.reason,
+        "match": verdict.match,
+        "dismissed": list(verdict.dismissed),
         "decided": verdict.decided,
         "certainty": verdict.certainty,
         "fault": verdict.fault,

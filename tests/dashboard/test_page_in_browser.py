@@ -23,6 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, Temperature
 
 from tests.support.processes import Process, Processes
+from twinmatch.discrimination import ADMITTED
 from twinmatch.nodes.conversions import match_message, sample_message, score_message, state_message
 from twinmatch.nodes.samples import RELIABLE
 from twinmatch.replay import Judgement
@@ -177,8 +178,8 @@ def test_verdicts_family_and_events_are_shown(
     gaps = browser.column("matrix", 0, "gap")
     assert gaps == [gap for row in last.nu_gap for gap in row]
     assert browser.column("matrix", 2, "gap") == [c.nu_gap_sum for c in last.candidates]
-    accepted = sum(m.match.accepted for m in judged.matches)
-    assert browser.text.count("accepted") >= accepted
+    accepted = sum(v.match == ADMITTED for v in judged.verdicts)
+    assert browser.text.count("match admitted") >= accepted
     rows = browser.run("return deep(document).filter((e) => e.tagName == 'TR').length")
     browser.click("all orders")
     orders = len(last.candidates[0].orders)

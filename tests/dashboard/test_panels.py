@@ -73,7 +73,7 @@ def test_before_anything_came_it_says_so() -> None:
     assert "waiting for the first sample" in words(panels.status(state, 0.0))
     assert "no verdict has come yet" in words(panels.headline(None, 1.0))
     assert words(panels.family_table(None, every=False)) == [
-        "There is no candidate yet: no match has been accepted."
+        "There is no candidate yet: no match has been admitted."
     ]
     assert words(panels.events_table([], 1, 1.0)) == ["Nothing has happened yet."]
     assert words(panels.nodes(state.roster, 0.0)) == ["No node has reported yet."]

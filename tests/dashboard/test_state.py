@@ -11,7 +11,7 @@ import pytest
 
 from twinmatch.dashboard import DashboardState, Lane, Mark, TwinRow
 from twinmatch.dashboard.state import CAPACITY, EVENTS, STRETCHES, Drive
-from twinmatch.discrimination import TrustLevel
+from twinmatch.discrimination import ADMITTED, TrustLevel
 from twinmatch.replay import Judgement
 from twinmatch.signals import Sample
 from twinmatch.views.events import events, level_stretches
@@ -86,12 +86,10 @@ def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None
     """Told one by one as they come, or looked at together afterwards: the same words and spans."""
     assert len(judged.verdicts) > 5
     state = DashboardState()
-    for match in judged.matches:
-        state.push_match(match)
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
     told = {(e.sample, e.title, e.text) for e in state.events.newest_first()}
-    expected = events(judged.matches, judged.verdicts)
+    expected = events(judged.verdicts)
     assert told == {(e.sample, e.title, e.why) for e in expected}
     assert len(state.events.newest_first()) == len(expected)
     assert list(state.trust) == level_stretches(judged.verdicts)
@@ -99,12 +97,11 @@ def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None
 
 def test_marks_follow_what_happened(judged: Judgement) -> None:
     state = DashboardState()
-    accepted = next(m for m in judged.matches if m.match.accepted)
-    state.push_match(accepted)
-    state.push_verdict(replace(judged.verdicts[-1], level=TrustLevel.DOUBTFUL))
+    last = replace(judged.verdicts[-1], match="")
+    state.push_verdict(replace(last, level=TrustLevel.DOUBTFUL, match=ADMITTED))
     marks = {(e.lane, e.mark) for e in state.events.newest_first()}
     assert marks == {(Lane.MATCH, Mark.GOOD), (Lane.TRUST, Mark.NOTE), (Lane.TRUST, Mark.WARNING)}
-    state.push_verdict(replace(judged.verdicts[-1], level=TrustLevel.FAULT))
+    state.push_verdict(replace(last, level=TrustLevel.FAULT))
     newest = state.events.newest_first()[0]
     assert (newest.lane, newest.mark) == (Lane.FAULT, Mark.BAD)
 

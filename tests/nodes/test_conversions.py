@@ -15,7 +15,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from twinmatch.discrimination import Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.discrimination import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.matching import Fit, Match, Status
 from twinmatch.nodes.conversions import (
@@ -25,6 +25,8 @@ from twinmatch.nodes.conversions import (
     match_from,
     match_message,
     parameters_from,
+    request_from,
+    request_message,
     sample_from,
     sample_message,
     score_message,
@@ -32,8 +34,8 @@ from twinmatch.nodes.conversions import (
     verdict_from,
 )
 from twinmatch.plant import RigParameters
-from twinmatch.signals import Sample
-from twinmatch.twin import MatchReport, MirrorState
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 
 # NaN stands for "absent" in two fields, so it is left out of those alone.
 NUMBERS = st.floats(allow_nan=False)
@@ -149,6 +151,32 @@ def test_match(report: MatchReport, stamp: int) -> None:
 
 
 @st.composite
+def requests(draw: st.DrawFn) -> MatchRequest:
+    size, wide = draw(st.integers(1, 5)), draw(st.integers(0, 2))
+    finite = st.floats(allow_nan=False, allow_infinity=False)
+    row = st.lists(finite, min_size=size, max_size=size)
+    disturbances = draw(st.lists(finite, min_size=size * wide, max_size=size * wide))
+    window = Window(
+        reference=np.array(draw(row)),
+        output=np.array(draw(row)),
+        input=np.array(draw(row)),
+        first=draw(INDICES),
+        period=draw(POSITIVE),
+        disturbances=np.array(disturbances).reshape(size, wide),
+    )
+    return MatchRequest(draw(INDICES), draw(ANY), window, draw(PARAMETERS), draw(st.none() | PARAMETERS))
+
+
+@given(request=requests(), stamp=STAMPS)
+def test_request(request: MatchRequest, stamp: int) -> None:
+    message = there_and_back(request_message(request, stamp))
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+    found = request_from(message)
+    same(found.window, request.window)
+    assert repr(found._replace(window=None)) == repr(request._replace(window=None))
+
+
+@st.composite
 def verdicts(draw: st.DrawFn) -> Verdict:
     candidates = draw(st.lists(CANDIDATES, max_size=3))
     row = st.lists(ANY, min_size=len(candidates), max_size=len(candidates)).map(tuple)
@@ -166,6 +194,8 @@ def verdicts(draw: st.DrawFn) -> Verdict:
         nu_gap=tuple(draw(row) for _ in candidates),
         residual_y=draw(ANY),
         residual_u=draw(ANY),
+        match=draw(st.sampled_from(["", ADMITTED, REFUSED])),
+        dismissed=tuple(draw(st.lists(TEXTS, max_size=2))),
         decided=draw(st.booleans()),
         certainty=draw(TEXTS),
         fault=draw(TEXTS),

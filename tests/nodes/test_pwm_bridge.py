@@ -33,6 +33,8 @@ pytestmark = pytest.mark.ros
 
 QUIET = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0"]
 """For tests that are not about time, on a busy machine."""
+SLOW = 0.1
+"""Speed of a board whose deadline, a second of its own time, is not to pass before the test has looked."""
 SCRIPT = """
 import sys
 from twinmatch.nodes.pwm_bridge import main
@@ -167,6 +169,7 @@ def test_commands_reach_the_pins_and_what_was_applied_is_told(
     assert abs(last.header.stamp.sec - time.time()) < 60
     rig.drive(-80.0, any_board)
     assert sockets_elsewhere(bridge.id) == []
+    any_board.run(SLOW)
     assert bridge.end() == 0  # SIGTERM
     assert any_board.drive()[1:] == (0.0, True)  # an acknowledged zero, before the board's own deadline
 
@@ -205,6 +208,7 @@ def test_a_signal_ends_it_with_zero(
 ) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(200.0, board)
+    board.run(SLOW)
     assert bridge.end(number) == 0
     assert board.drive()[1:] == (0.0, True)
 

@@ -26,7 +26,7 @@ from twinmatch.nodes.conversions import (
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
-from twinmatch_msgs.msg import Candidate, LoopSample, Match, ModelScore, TwinState
+from twinmatch_msgs.msg import Candidate, LoopSample, Match, MatchRequest, ModelScore, TwinState
 
 pytestmark = pytest.mark.ros
 
@@ -54,19 +54,52 @@ def test_live_verdicts_are_the_offline_ones(
     nominals = listener.hear(Candidate, "twin/nominal", LATCHED)
     for name in ("discriminator", "twin_simulator", "matcher"):
         start(name)
-    topics = ("twin/match", "twin/model_score", "twin/state")
+    requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
+    topics = ("twin/match", "twin/match_request", "twin/model_score", "twin/state")
     listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the nodes")
-    start("player", "-p", f"session:={session}", "-p", "rate:=0.0", "-p", "wait_for:=3")
+    start("player", "-p", f"session:={session}", "-p", "rate:=0.0", "-p", "wait_for:=2")
     listener.spin_until(lambda: len(heard) == len(verdicts) and len(states) == len(steps), "the last verdict")
     stamps = {sample.index: sample.stamp for sample in steps}
     expected: list[Any] = [score_message(verdict, stamps[verdict.sample]) for verdict in verdicts]
     assert [repr(m) for m in heard] == [repr(m) for m in expected]
     expected = [match_message(report, stamps[report.sample]) for report in matches]
-    assert [repr(m) for m in heard_matches] == [repr(m) for m in expected]
+    # On a busy machine one may have been asked for, and so answered, twice.
+    assert list(dict.fromkeys(repr(m) for m in heard_matches)) == [repr(m) for m in expected]
+    assert list(dict.fromkeys(r.sample for r in requests)) == [report.sample for report in matches]
     assert [state.index for state in states] == [sample.index for sample in steps]
     listener.spin_until(lambda: nominals[-1].name == verdicts[-1].nominal, "the last nominal")
     assert repr(verdict_from(heard[-1])) == repr(verdicts[-1])
     assert repr(match_from(heard_matches[-1])) == repr(matches[-1])
+
+
+def test_a_matcher_that_dies_costs_time_and_nothing_else(
+    start: Callable[..., Any], listener: Any, steps: list[Sample], offline: list[Outcome]
+) -> None:
+    """Killed while it works on a match: another one is asked again, and the verdicts are the same."""
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
+    heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
+    requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    start("discriminator")
+    first = start("matcher")
+    topics = ("twin/match", "twin/match_request", "twin/model_score")
+    listener.spin_until(
+        lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
+        "the nodes",
+    )
+    for sample in steps:
+        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: requests, "the first request")
+    first.kill()
+    listener.spin_until(
+        lambda: any("has not come" in m.status[0].message for m in health), "word of the lost match"
+    )
+    assert {request.sample for request in requests} == {requests[0].sample}
+    assert len(requests) > 1
+    start("matcher")
+    verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
+    listener.spin_until(lambda: len(heard) == len(verdicts), "the last verdict")
+    assert [repr(verdict_from(m)) for m in heard] == [repr(v) for v in verdicts]
 
 
 def test_late_simulator_is_given_the_nominal(
@@ -98,14 +131,14 @@ def test_gap_is_an_error_on_diagnostics(
 ) -> None:
     samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
-    start("matcher")
-    listener.spin_until(samples.get_subscription_count, "the matcher")
+    start("discriminator")
+    listener.spin_until(samples.get_subscription_count, "the discriminator")
     for sample in [*steps[:5], *steps[8:12]]:
         samples.publish(sample_message(sample))
     listener.spin_until(lambda: any("missing" in m.status[0].message for m in health), "the complaint")
     status = next(m.status[0] for m in health if "missing" in m.status[0].message)
     assert status.level == b"\x02"
-    assert status.name == "matcher: health"
+    assert status.name == "discriminator: health"
     assert "samples 5 to 7 are missing" in status.message
 
 

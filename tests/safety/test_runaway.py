@@ -68,6 +68,6 @@ def test_the_lost_drive_of_a_real_hour_is_found(recorded_hour: Callable[[int], W
 def _alarm_in(hour: Window) -> int | None:
     watch = Runaway()
     for k in range(len(hour)):
-        if watch.check(float(k), hour.reference[k], hour.temperature[k], hour.pwm[k]):
+        if watch.check(float(k), hour.reference[k], hour.output[k], hour.input[k]):
             return k
     return None

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
+from twinmatch.discrimination import ADMITTED, REFUSED, CandidateScore, TrustLevel, Verdict
 from twinmatch.matching import Match, Status
 from twinmatch.plant import RigParameters
 from twinmatch.twin import MatchReport
-from twinmatch.views import Event, EventKind, events, level_stretches
+from twinmatch.views import Event, EventKind, admitted, events, level_stretches
+from twinmatch.views.events import match_word
 
 CANDIDATE = CandidateScore("50 °C", 50.0, RigParameters(), 0, 99, (), "22221", 0.0, None, None)
 
@@ -66,22 +67,39 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
         verdict(260, TrustLevel.FAULT, nominal="70 °C", fault="drive-lost"),
         verdict(300, TrustLevel.FAULT, nominal="70 °C", fault="drive-lost"),
     ]
-    found = events([report(200, Status.BOUNDS_HIT), report(119, Status.ACCEPTED)], story)
+    story[1] = replace(story[1], match=ADMITTED, reason="matched on these samples")
+    story[3] = replace(story[3], match=REFUSED, reason="match refused: on its bound")
+    story[5] = replace(story[5], dismissed=("50 °C",))
+    found = events(story)
     assert [(e.sample, e.kind) for e in found] == [
-        (119, EventKind.ACCEPTED),
+        (120, EventKind.ADMITTED),
         (120, EventKind.NOMINAL),
         (120, EventKind.LEVEL),
-        (200, EventKind.REFUSED),
+        (240, EventKind.REFUSED),
         (240, EventKind.NOMINAL),
         (240, EventKind.LEVEL),
         (260, EventKind.FAULT),
+        (300, EventKind.DISMISSED),
     ]
-    assert found[0].why == "so it is"
-    assert "bound" in found[3].title
+    assert (found[0].title, found[0].why) == ("match admitted", "matched on these samples")
+    assert (found[3].title, found[3].why) == ("match refused", "on its bound")
+    assert found[7].title == "50 °C dismissed"
     assert "8.00 °C and 60.0 counts" in found[5].why
     assert found[6] == Event(
         260, EventKind.FAULT, "fault: drive-lost", "why it is so (it shows since sample 255)"
     )
+
+
+def test_what_is_told_of_a_match_is_the_verdicts_word() -> None:
+    """Whatever the gate said: the discriminator may refuse what the gate accepted."""
+    told = replace(verdict(200, TrustLevel.TRUSTED), match=REFUSED, reason="no models of candidate 50 °C")
+    assert match_word(report(200, Status.ACCEPTED), [told]) == "refused"
+    assert match_word(report(200, Status.BOUNDS_HIT), [told]) == "refused: a parameter ran into its bound"
+    assert match_word(report(200, Status.ACCEPTED), []) == ""
+    joined = replace(told, match=ADMITTED)
+    assert match_word(report(200, Status.ACCEPTED), [joined]) == "admitted"
+    assert admitted([told]) == frozenset()
+    assert admitted([joined]) == {200}
 
 
 def test_a_level_is_that_of_the_samples_since_the_verdict_before() -> None:

@@ -52,7 +52,7 @@ SUMMARY = Summary(
         ),
         (
             {"nominal": None, "level": TrustLevel.UNKNOWN},
-            "No nominal twin: 5 verdicts, but no match was accepted. The loop needs set-point steps of a few "
+            "No nominal twin: 5 verdicts, but no match stands. The loop needs set-point steps of a few "
             "degrees, some minutes apart.",
         ),
         (

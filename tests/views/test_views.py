@@ -90,11 +90,11 @@ def test_lines_have_no_colour_in_a_pipe() -> None:
 
 def test_the_summary_is_a_sentence_with_the_parameters_and_the_fit() -> None:
     settings = TwinSettings()
-    summary = summarise(samples(), [], [verdict(TrustLevel.TRUSTED, stands=False)], settings.gains)
+    summary = summarise(samples(), [verdict(TrustLevel.TRUSTED, stands=False)], settings.gains)
     text = sentence(summary)
     assert text.startswith("Nominal: 50 °C set; orders 22221; temperature fit ")
     assert f"{100 * summary.fit_y:.1f} %".replace("-", "−") in text
-    none = summarise(samples(), [], [], settings.gains)
+    none = summarise(samples(), [], settings.gains)
     assert "No nominal twin" in sentence(none)
     assert none.level is TrustLevel.UNKNOWN
 
@@ -104,7 +104,7 @@ def test_the_document_is_strict_json() -> None:
         verdict(TrustLevel.UNKNOWN, stands=True, nominal=None),
         verdict(TrustLevel.TRUSTED, stands=False),
     ]
-    entry = document("s", verdicts, summarise(samples(), [], verdicts, TwinSettings().gains))
+    entry = document("s", verdicts, summarise(samples(), verdicts, TwinSettings().gains))
     back = json.loads(json.dumps(entry, allow_nan=False))
     assert back["verdicts"][0]["residual"] == {"y": None, "u": None}
     assert back["verdicts"][1]["candidates"][0]["parameters"]["sink_heat_capacity"] is None
@@ -127,7 +127,7 @@ def test_a_figure_that_cannot_be_written_is_one_message(tmp_path: Path) -> None:
 def test_a_session_with_gaps_is_summed_up_and_drawn_all_the_same(tmp_path: Path) -> None:
     broken = samples()[:100] + samples()[150:]
     verdicts = [verdict(TrustLevel.TRUSTED, stands=False)]
-    summary = summarise(broken, [], verdicts, TwinSettings().gains)
+    summary = summarise(broken, verdicts, TwinSettings().gains)
     assert math.isfinite(summary.fit_y)
     assert "samples 150 to 399, the longest of 2 unbroken stretches" in summary.notes[0]
     draw_verdict(broken, verdicts, TwinSettings(), tmp_path / "verdict.png")

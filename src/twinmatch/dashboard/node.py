@@ -20,13 +20,13 @@ from twinmatch.dashboard.sentence import say
 from twinmatch.dashboard.server import PageServer
 from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.conversions import match_from, sample_from, verdict_from
+from twinmatch.nodes.conversions import sample_from, verdict_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.twin_parameters import read_settings
-from twinmatch_msgs.msg import LoopSample, Match, ModelScore, PwmApplied, TwinState
+from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, TwinState
 
 __all__ = ["Dashboard"]
 
@@ -75,7 +75,6 @@ class Dashboard(TwinmatchNode):
         self._hear(LoopSample, "plant/sample", self._on_sample, ALL)
         self._hear(TwinState, "twin/state", self._on_twin, ALL)
         self._hear(ModelScore, "twin/model_score", self._on_score, ALL)
-        self._hear(Match, "twin/match", self._on_match, ALL)
         self._hear(PwmApplied, "plant/pwm_applied", self._on_applied, ALL)
         self._hear(DiagnosticArray, "/diagnostics", self._on_health, ALL)
         self._hear(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
@@ -142,9 +141,6 @@ class Dashboard(TwinmatchNode):
 
     def _on_score(self, message: ModelScore) -> None:
         self.state.push_verdict(verdict_from(message))
-
-    def _on_match(self, message: Match) -> None:
-        self.state.push_match(match_from(message))
 
     def _on_applied(self, message: PwmApplied) -> None:
         self.state.push_drive(Drive(message.pwm, message.current, message.fault))

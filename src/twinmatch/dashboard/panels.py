@@ -40,7 +40,7 @@ IN_WORDS = ("level", "nominal", "why")
 CALLED = {"t / s": "judged at / s", "gain": "gain / characters", "rms u": "rms u / PWM"}
 """Its names that have no room there for a unit."""
 DASH = "–"
-NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been accepted.</p>'
+NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
 NO_SAMPLE = '<p class="quiet">No sample has come yet.</p>'
 NO_IMAGE = '<p class="quiet">No thermal image has come; only a rig with a camera sends them.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)

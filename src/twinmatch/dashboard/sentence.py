@@ -27,7 +27,7 @@ def say(state: DashboardState, gains: PidGains, limits: TrustLimits) -> None:
     if verdict is not None and verdict.nominal is not None:
         samples = _samples(columns)
         if samples:
-            said = sentence(summarise(samples, (), [verdict], replace(gains, period=period), limits=limits))
+            said = sentence(summarise(samples, [verdict], replace(gains, period=period), limits=limits))
     with state.lock:
         if state.verdict is verdict:
             state.sentence = said

@@ -15,9 +15,7 @@ from twinmatch.dashboard.events import Event, EventLog, Lane, Mark
 from twinmatch.dashboard.history import History
 from twinmatch.dashboard.roster import Roster
 from twinmatch.discrimination import TrustLevel, Verdict
-from twinmatch.matching import Status
 from twinmatch.signals import Sample
-from twinmatch.twin import MatchReport
 from twinmatch.views.events import Event as Told
 from twinmatch.views.events import EventKind, Stretch, events
 
@@ -135,20 +133,12 @@ class DashboardState:
         """Take a verdict."""
         with self.lock:
             before = [] if self.verdict is None else [self.verdict]
-            known = len(events((), before))
-            for event in events((), [*before, verdict])[known:]:
-                self._tell(event, _mark_of_level(event, verdict.level))
+            known = len(events(before))
+            for event in events([*before, verdict])[known:]:
+                self._tell(event, _mark_of(event, verdict))
             self.verdict = verdict
             self.verdicts += 1
             self._stretch(verdict)
-
-    def push_match(self, report: MatchReport) -> None:
-        """Take a match, accepted or refused."""
-        suspected = report.match.status is Status.NOT_EXPLAINED
-        with self.lock:
-            for event in events([report], ()):
-                refused = Mark.BAD if suspected else Mark.WARNING
-                self._tell(event, Mark.GOOD if event.kind is EventKind.ACCEPTED else refused)
 
     def push_drive(self, drive: Drive) -> None:
         """Take what the driver's board reported."""
@@ -220,11 +210,18 @@ class DashboardState:
 
 
 _LANES = {
-    EventKind.ACCEPTED: Lane.MATCH,
+    EventKind.ADMITTED: Lane.MATCH,
     EventKind.REFUSED: Lane.MATCH,
+    EventKind.DISMISSED: Lane.MATCH,
     EventKind.NOMINAL: Lane.TRUST,
     EventKind.LEVEL: Lane.TRUST,
     EventKind.FAULT: Lane.FAULT,
+}
+_MARKS = {
+    EventKind.ADMITTED: Mark.GOOD,
+    EventKind.REFUSED: Mark.WARNING,
+    EventKind.DISMISSED: Mark.WARNING,
+    EventKind.NOMINAL: Mark.NOTE,
 }
 _LEVEL_MARKS = {
     TrustLevel.UNKNOWN: Mark.NOTE,
@@ -234,5 +231,5 @@ _LEVEL_MARKS = {
 }
 
 
-def _mark_of_level(event: Told, level: TrustLevel) -> Mark:
-    return Mark.NOTE if event.kind is EventKind.NOMINAL else _LEVEL_MARKS[level]
+def _mark_of(event: Told, verdict: Verdict) -> Mark:
+    return _MARKS.get(event.kind) or _LEVEL_MARKS[verdict.level]

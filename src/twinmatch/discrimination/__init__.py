@@ -28,10 +28,19 @@ from twinmatch.discrimination.models import SimoModel, identify, twin_response
 from twinmatch.discrimination.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
 from twinmatch.discrimination.score import Criteria, OrderScore, choose_order, common_order, score
 from twinmatch.discrimination.uncertainty import FamilyUncertainty, family_uncertainty
-from twinmatch.discrimination.verdict import CandidateScore, TrustLevel, Verdict, nominal_of
+from twinmatch.discrimination.verdict import (
+    ADMITTED,
+    REFUSED,
+    CandidateScore,
+    TrustLevel,
+    Verdict,
+    nominal_of,
+)
 from twinmatch.discrimination.weights import AkaikeWeights, akaike_weights, score_orders
 
 __all__ = [
+    "ADMITTED",
+    "REFUSED",
     "AkaikeWeights",
     "Candidate",
     "CandidateScore",

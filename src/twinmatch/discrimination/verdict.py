@@ -5,11 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
 
 from twinmatch.discrimination.score import Criteria, OrderScore
 from twinmatch.dynamics import Parameters
 
-__all__ = ["CandidateScore", "TrustLevel", "Verdict", "nominal_of"]
+__all__ = ["ADMITTED", "REFUSED", "CandidateScore", "TrustLevel", "Verdict", "nominal_of"]
+
+ADMITTED: Final = "admitted"
+"""The match is a candidate of the family now."""
+REFUSED: Final = "refused"
+"""The gate, a fault of the plant or the lack of models kept it out; the verdict's reason says which."""
 
 
 class TrustLevel(Enum):
@@ -87,6 +93,10 @@ class Verdict:
     """RMS over the newest samples of measured minus driven-twin output; NaN without a nominal."""
     residual_u: float
     """RMS over the same samples of measured minus closed-loop-twin input; NaN without a nominal."""
+    match: str = ""
+    """What became of the window's match: `ADMITTED`, `REFUSED`, or nothing where none was to be made."""
+    dismissed: tuple[str, ...] = ()
+    """Names of the candidates that left with this verdict: matched while the fault already showed."""
     decided: bool = False
     """Whether the data tell which candidate is nominal."""
     certainty: str = ""

@@ -16,6 +16,7 @@ from rich.console import Console
 from twinmatch.discrimination import Verdict
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import LaunchError, Processes
+from twinmatch.launching.settled import Settled
 from twinmatch.nodes.conversions import match_from, sample_from, verdict_from
 from twinmatch.nodes.diagnostics import Level
 from twinmatch.nodes.node import TwinmatchNode
@@ -23,7 +24,7 @@ from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch.signals import Sample
-from twinmatch.twin import MatchReport, Schedule, TwinSettings
+from twinmatch.twin import MatchReport
 from twinmatch.views import Summary, summarise
 from twinmatch.views.line import Lines, closing_lines
 from twinmatch.views.terminal import Screen, view_on
@@ -34,7 +35,7 @@ __all__ = ["EXIT_LOST", "Live", "run_live"]
 EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
 
-READERS = "twin_simulator matcher discriminator live_watch"
+READERS = "twin_simulator discriminator live_watch"
 """Nodes that must have every sample, and the recorder if there is one."""
 
 POLL = 0.1
@@ -76,7 +77,7 @@ def run_live(live: Live) -> int:
     settings = read_settings(live.plan.twin_config)
     view = view_on(live.console, "live", settings.period)
     try:
-        code = run([_watch_class(live, settings, view)], ["live"])
+        code = run([_watch_class(live, view)], ["live"])
     finally:
         view.close()
     for name in live.killed:
@@ -85,9 +86,7 @@ def run_live(live: Live) -> int:
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {len(live.samples)} samples, {len(live.verdicts)} verdicts")
     if live.samples:
-        live.summary = summarise(
-            live.samples, live.matches, live.verdicts, settings.gains, limits=settings.limits
-        )
+        live.summary = summarise(live.samples, live.verdicts, settings.gains, limits=settings.limits)
         for line in closing_lines(live.summary, live.verdicts[-1] if live.verdicts else None):
             view.say(line)
     return code
@@ -192,7 +191,7 @@ class _Supervision:
         self._view.say(line)
 
 
-def _watch_class(live: Live, settings: TwinSettings, view: Screen | Lines) -> type[TwinmatchNode]:
+def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
     """The node of this process, bound to one run."""
 
     class Watch(TwinmatchNode):
@@ -204,15 +203,13 @@ def _watch_class(live: Live, settings: TwinSettings, view: Screen | Lines) -> ty
         def open(self) -> None:
             """Subscribe, then start the processes."""
             self._events = _Events(view)
-            self._schedule = Schedule(settings.schedule, settings.period)
-            self._due: int | None = None
-            """Sample of the newest trigger; its verdict ends a run whose profile has ended."""
+            self._settled = Settled()
             self._over: tuple[int, str] | None = None
             self._over_at = 0.0
             self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
             self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
             self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._events.take, 100)
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
             self._supervision = _Supervision(live, view)
             self._refuse_company()
             self._supervision.start()
@@ -236,11 +233,11 @@ def _watch_class(live: Live, settings: TwinSettings, view: Screen | Lines) -> ty
                 raise LaunchError(msg)
 
         def _on_sample(self, message: LoopSample) -> None:
-            sample = sample_from(message)
-            live.samples.append(sample)
-            trigger = self._schedule.push(sample)
-            if trigger is not None:
-                self._due = trigger.sample
+            live.samples.append(sample_from(message))
+
+        def _on_health(self, message: DiagnosticArray) -> None:
+            self._events.take(message)
+            self._settled.take(message)
 
         def _on_match(self, message: Match) -> None:
             live.matches.append(match_from(message))
@@ -261,7 +258,8 @@ def _watch_class(live: Live, settings: TwinSettings, view: Screen | Lines) -> ty
             if self._over is None:
                 return
             code, reason = self._over
-            judged = self._due is None or any(v.sample >= self._due for v in live.verdicts[-3:])
+            last = live.samples[-1].index if live.samples else -1
+            judged = last < 0 or self._settled.all_said(last, len(live.verdicts))
             if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE:
                 return
             live.ending = reason

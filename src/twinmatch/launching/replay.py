@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import tempfile
 import time
-from bisect import bisect_right
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
 
 from twinmatch.discrimination import Verdict
 from twinmatch.launching.processes import LaunchError, Processes
+from twinmatch.launching.settled import Settled
 from twinmatch.nodes.conversions import match_from, verdict_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import at_period, read_settings
 from twinmatch.sessions import Session, open_any, samples_of, write_session
-from twinmatch.twin import MatchReport, Schedule, TwinSettings
+from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch.views import Summary, summarise
 from twinmatch.views.line import Lines, closing_lines
 from twinmatch.views.terminal import Screen, view_on
@@ -29,12 +29,10 @@ from twinmatch_msgs.msg import Match, ModelScore
 __all__ = ["Replay", "play"]
 
 EXIT_INTERRUPTED = 130
-READERS = "twin_simulator matcher discriminator"
+READERS = "twin_simulator discriminator"
 """Nodes that must have every sample."""
 POLL = 0.2
 """Seconds between two looks at the children."""
-LAST_WORDS = 1.0
-"""Seconds that a verdict on the last samples may take to come."""
 STALLED = 120.0
 """Seconds without a verdict, after the last sample was played, that are an error."""
 
@@ -52,6 +50,8 @@ class Replay:
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
     summary: Summary | None = None
+    whole: bool = False
+    """Whether everything was judged."""
 
 
 def play(replay: Replay) -> int:
@@ -62,25 +62,19 @@ def play(replay: Replay) -> int:
     """
     session = open_any(replay.session)
     settings = at_period(read_settings(replay.config), session.period, replay.config)
-    triggers = _triggers(session, settings)
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
         playable = _playable(session, Path(folder))
         view = view_on(replay.console, session.name, settings.period, len(session.samples))
         try:
-            code = run([_watch_class(replay, session, settings, playable, triggers, view=view)], ["replay"])
+            code = run([_watch_class(replay, session, settings, playable, view)], ["replay"])
         finally:
             view.close()
-    if code == 0 and _reached(triggers, replay.verdicts) < len(triggers):
-        view.say(f"interrupted after {_judged(triggers, replay.verdicts)}")
+    if code == 0 and not replay.whole:
+        view.say(f"interrupted after {len(replay.verdicts)} verdicts")
         return EXIT_INTERRUPTED
     if code == 0:
         replay.summary = summarise(
-            session.samples,
-            replay.matches,
-            replay.verdicts,
-            settings.gains,
-            session.notes,
-            limits=settings.limits,
+            session.samples, replay.verdicts, settings.gains, session.notes, limits=settings.limits
         )
         for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
             view.say(line)
@@ -94,32 +88,11 @@ def _playable(session: Session, folder: Path) -> Path:
     return write_session(folder / session.name, samples_of(session.window()))
 
 
-def _triggers(session: Session, settings: TwinSettings) -> list[int]:
-    """The samples that will set off a verdict."""
-    schedule = Schedule(settings.schedule, settings.period)
-    return [t.sample for t in map(schedule.push, session.samples) if t is not None]
-
-
-def _reached(triggers: Sequence[int], verdicts: Sequence[Verdict]) -> int:
-    """How many triggers have their verdict; they come in order, and those on faults on top of them."""
-    return bisect_right(triggers, verdicts[-1].sample) if verdicts else 0
-
-
-def _judged(triggers: Sequence[int], verdicts: Sequence[Verdict]) -> str:
-    """The same in words, with the verdicts between the triggers counted by themselves."""
-    reached = _reached(triggers, verdicts)
-    more = len(verdicts) - reached
-    between = f" and {more} between them" if more > 0 else ""
-    return f"{reached} of {len(triggers)} verdicts{between}"
-
-
 def _watch_class(
     replay: Replay,
     session: Session,
     settings: TwinSettings,
     playable: Path,
-    triggers: list[int],
-    *,
     view: Screen | Lines,
 ) -> type[TwinmatchNode]:
     """The node of this process, bound to one replay."""
@@ -134,13 +107,12 @@ def _watch_class(
             """Subscribe, then start the twin and the player."""
             self._processes = Processes(view.say)
             self._changed = time.monotonic()
+            self._settled = Settled()
             self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
             self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
+            self.create_subscription(DiagnosticArray, "/diagnostics", self._settled.take, 100)
             self.create_timer(POLL, self._look)
-            view.say(
-                f"{session.name}: {len(session.samples)} samples at {replay.rate:g} times their speed, "
-                f"{len(triggers)} verdicts to come"
-            )
+            view.say(f"{session.name}: {len(session.samples)} samples at {replay.rate:g} times their speed")
             view.open()
             options = ["--ros-args", "-p", f"period:={settings.period}"]
             if replay.config is not None:
@@ -192,14 +164,14 @@ def _watch_class(
                     raise LaunchError(msg)
             if "player" not in ended:
                 return
-            silence = time.monotonic() - self._changed
-            if not triggers or (replay.verdicts and replay.verdicts[-1].sample >= triggers[-1]):
-                if silence > LAST_WORDS:  # a fault after the last trigger is told, too
-                    view.advance(len(session.samples))
-                    self.exit_code = 0
-            elif silence > STALLED:
-                came = _judged(triggers, replay.verdicts)
-                msg = f"replay: only {came} came; look at /diagnostics"
+            if self._settled.all_said(session.samples[-1].index, len(replay.verdicts)):
+                view.advance(len(session.samples))
+                replay.whole, self.exit_code = True, 0
+            elif time.monotonic() - self._changed > STALLED:
+                msg = (
+                    f"replay: after {len(replay.verdicts)} verdicts none came for {STALLED:g} s, and not "
+                    "everything is judged; look at /diagnostics"
+                )
                 raise LaunchError(msg)
 
     return Watch

@@ -16,8 +16,8 @@ from twinmatch.discrimination import Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.matching import Fit, Match, Status
 from twinmatch.plant import PARAMETER_NAMES, RigParameters
-from twinmatch.signals import FloatArray, Sample
-from twinmatch.twin import MatchReport, MirrorState
+from twinmatch.signals import FloatArray, Sample, Window
+from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
 
 __all__ = [
@@ -25,6 +25,8 @@ __all__ = [
     "match_from",
     "match_message",
     "parameters_from",
+    "request_from",
+    "request_message",
     "sample_from",
     "sample_message",
     "score_message",
@@ -83,6 +85,43 @@ def state_message(state: MirrorState, nominal: str) -> messages.TwinState:
     )
     _stamp(message.header, state.sample.stamp)
     return message
+
+
+def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
+    """A request as `MatchRequest`; `stamp` (ns) is that of the sample that set it off."""
+    window = request.window
+    message = messages.MatchRequest(
+        sample=request.sample,
+        operating_point=request.operating_point,
+        first=window.first,
+        period=window.period,
+        reference=window.reference.tolist(),
+        output=window.output.tolist(),
+        input=window.input.tolist(),
+        disturbances=window.disturbances.ravel().tolist(),
+        start=_parameters_message(request.start),
+        incumbent=_parameters_message(request.incumbent),
+    )
+    _stamp(message.header, stamp)
+    return message
+
+
+def request_from(message: messages.MatchRequest) -> MatchRequest:
+    """A request from `MatchRequest`.
+
+    Raises:
+        TwinmatchError: what it holds is no window, or parameters no rig has.
+    """
+    window = Window(
+        reference=np.array(message.reference),
+        output=np.array(message.output),
+        input=np.array(message.input),
+        first=message.first,
+        period=message.period,
+        disturbances=np.array(message.disturbances).reshape(len(message.reference), -1),
+    )
+    start, incumbent = parameters_from(message.start), _parameters_unless_nan(message.incumbent)
+    return MatchRequest(message.sample, message.operating_point, window, start, incumbent)
 
 
 def match_message(report: MatchReport, stamp: int) -> messages.Match:
@@ -157,6 +196,8 @@ def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
         stands=verdict.stands,
         nominal=verdict.nominal or "",
         reason=verdict.reason,
+        match=verdict.match,
+        dismissed=list(verdict.dismissed),
         decided=verdict.decided,
         certainty=verdict.certainty,
         fault=verdict.fault,
@@ -190,6 +231,8 @@ def verdict_from(message: messages.ModelScore) -> Verdict:
         nu_gap=tuple(tuple(row) for row in _square(message.nu_gap).tolist()),
         residual_y=message.residual_y,
         residual_u=message.residual_u,
+        match=message.match,
+        dismissed=tuple(message.dismissed),
         decided=message.decided,
         certainty=message.certainty,
         fault=message.fault,

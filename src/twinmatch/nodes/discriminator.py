@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
+from rclpy.clock import Clock, ClockType
+
 from twinmatch.discrimination import Verdict
-from twinmatch.nodes.conversions import candidate_message, match_from, score_message
+from twinmatch.nodes.conversions import candidate_message, match_from, request_message, score_message
+from twinmatch.nodes.diagnostics import Level
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE, SampleNode
 from twinmatch.sessions.candidates import read_candidates
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport
-from twinmatch_msgs.msg import Candidate, Match, ModelScore
+from twinmatch_msgs.msg import Candidate, Match, MatchRequest, ModelScore
 
-__all__ = ["DiscriminatorNode", "main"]
+__all__ = ["SETTLED", "VERDICTS", "DiscriminatorNode", "main"]
 
+PATIENCE = 2.0
+"""Wall seconds after which a match that did not come is asked for again."""
+LOOK = 0.5
+"""Wall seconds between two looks for one."""
+SETTLED = "settled"
+"""Key on /diagnostics: newest sample of which everything is said."""
+VERDICTS = "verdicts"
+"""Key on /diagnostics: verdicts so far."""
 MOST_STAMPS = 10_000
 """Samples whose stamps are kept for the verdicts that are still due."""
 
 
 class DiscriminatorNode(SampleNode):
-    """Publishes every verdict, and the nominal candidate when it is another or has other parameters."""
+    """Asks for matches, and publishes every verdict, and the nominal candidate when it is another.
+
+    A request is published again every `PATIENCE` seconds until it is answered: the matcher may have been
+    lost, or have come late. The answer depends on the request alone, so that waiting changes no verdict.
+    """
 
     NAME = "discriminator"
 
@@ -36,30 +52,60 @@ class DiscriminatorNode(SampleNode):
         self._discriminator = Discriminator(self.settings, given)
         self._stamps: dict[int, int] = {}
         self._nominal: Candidate | None = None
+        self._asking: MatchRequest | None = None
+        self._asked_at = 0.0
+        self._times_asked = 0
         self._scores = self.create_publisher(ModelScore, "twin/model_score", RELIABLE)
         self._nominals = self.create_publisher(Candidate, "twin/nominal", LATCHED)
+        self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
+        self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def work(self, item: Sample | MatchReport) -> None:
-        """Take one sample or match and publish the verdicts that became due."""
+        """Take one sample or match, publish the verdicts that became due, and ask for the match they need."""
         if isinstance(item, MatchReport):
-            verdicts = self._discriminator.push_match(item)
+            step = self._discriminator.push_match(item)
         else:
             self._stamps[item.index] = item.stamp
             if len(self._stamps) > MOST_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
-            verdicts = self._discriminator.push_sample(item)
-        for verdict in verdicts:
+            step = self._discriminator.push_sample(item)
+        for verdict in step.verdicts:
             self._publish(verdict)
-        waiting = self._discriminator.waiting_for
-        self.health.set("waits for a match of", "{} to {}".format(*waiting) if waiting else "nothing")
+        if step.request is not None:
+            self._times_asked = 0
+            self._ask(request_message(step.request, self._stamps.get(step.request.sample, 0)))
+        elif self._discriminator.request is None:
+            self.health.set("waits for a match of", "nothing")
+            self.health.withdraw("match")
+        self.health.set(SETTLED, self._discriminator.settled)
+
+    def _ask(self, request: MatchRequest) -> None:
+        self._asked_at = time.monotonic()
+        self._times_asked += 1
+        self._asking = request
+        self._requests.publish(request)
+        last = request.first + len(request.reference) - 1
+        self.health.set("waits for a match of", f"{request.first} to {last}")
+
+    def _look(self) -> None:
+        """Ask again for what was not answered."""
+        asking = self._asking
+        if asking is None or time.monotonic() - self._asked_at < PATIENCE:
+            return
+        self._ask(asking)
+        words = f"the match of sample {asking.sample} has not come; asked {self._times_asked} times"
+        self.health.complain("match", Level.WARN, words)
 
     def _on_match(self, message: Match) -> None:
+        asking = self._asking
+        if asking is not None and (message.sample, message.first) == (asking.sample, asking.first):
+            self._asking = None
         self.put(match_from(message))
 
     def _publish(self, verdict: Verdict) -> None:
-        self.health.count("verdicts")
+        self.health.count(VERDICTS)
         self.health.set("level", verdict.level.value)
         self.health.set("nominal", verdict.nominal or "none")
         self._scores.publish(score_message(verdict, self._stamps.get(verdict.sample, 0)))

@@ -1,37 +1,52 @@
-"""Fits the rig parameters to the windows in which the set-point moved: samples in, `twin/match` out."""
+"""Fits the rig's parameters to the windows it is asked about: `twin/match_request` in, `twin/match` out."""
 
 from __future__ import annotations
 
 import sys
+import threading
 
-from twinmatch.nodes.conversions import match_message
+from twinmatch.nodes.conversions import match_message, request_from
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.samples import RELIABLE, SampleNode
-from twinmatch.signals import Sample
-from twinmatch.twin import Matcher
-from twinmatch_msgs.msg import Match
+from twinmatch.nodes.samples import EVERYTHING, RELIABLE, TwinNode, nanoseconds
+from twinmatch.twin import answer
+from twinmatch_msgs.msg import Match, MatchRequest
 
 __all__ = ["MatcherNode", "main"]
 
 
-class MatcherNode(SampleNode):
-    """Publishes a match whenever the schedule says so."""
+class MatcherNode(TwinNode):
+    """Answers every request; one that comes again while it is worked on is answered once."""
 
     NAME = "matcher"
 
     def open(self) -> None:
-        """Publish matches of the samples to come."""
-        self._matcher = Matcher(self.settings)
+        """Wait for requests."""
         self._publisher = self.create_publisher(Match, "twin/match", RELIABLE)
+        self._at_work: set[tuple[int, int]] = set()
+        self._lock = threading.Lock()
+        self.health.say("waiting for requests")
         super().open()
+        self.create_subscription(MatchRequest, "twin/match_request", self._on_request, EVERYTHING)
 
-    def work(self, item: Sample) -> None:
-        """Take one sample and publish the match it sets off, if any."""
-        report = self._matcher.push(item)
-        if report is not None:
-            self.health.count("matches")
-            self.health.set("last match", f"{report.match.status.value} at sample {report.sample}")
-            self._publisher.publish(match_message(report, item.stamp))
+    def work(self, item: MatchRequest) -> None:
+        """Make the match and publish it."""
+        try:
+            report = answer(request_from(item), self.settings)
+        finally:
+            with self._lock:
+                self._at_work.discard((item.sample, item.first))
+        self.health.count("matches")
+        self.health.set("last match", f"{report.match.status.value} at sample {report.sample}")
+        self._publisher.publish(match_message(report, nanoseconds(item.header.stamp)))
+
+    def _on_request(self, message: MatchRequest) -> None:
+        self.health.say("working")
+        name = (message.sample, message.first)
+        with self._lock:
+            if name in self._at_work:
+                return
+            self._at_work.add(name)
+        self.put(message)
 
 
 def main() -> None:

@@ -19,13 +19,13 @@ from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 
-__all__ = ["EVERYTHING", "LATCHED", "RELIABLE", "SampleNode", "SampleWatch"]
+__all__ = ["EVERYTHING", "LATCHED", "RELIABLE", "SampleNode", "SampleWatch", "TwinNode", "nanoseconds"]
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """For readers that must not miss one: what they have not taken yet holds the writer back."""
 
 RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
-"""For writers of samples, matches and scores."""
+"""For writers of samples, requests, matches and scores."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -74,8 +74,8 @@ class SampleWatch:
             self._health.withdraw("silence")
 
 
-class SampleNode(TwinmatchNode):
-    """A node that takes every sample and works on it in its worker."""
+class TwinNode(TwinmatchNode):
+    """A node of the twin: its settings, and a worker for what takes time."""
 
     worker: Worker[Any] | None = None
 
@@ -91,12 +91,10 @@ class SampleNode(TwinmatchNode):
             TwinmatchError: some parameters do not go together.
         """
         self.settings: TwinSettings = settings_from(self.values)
-        self._watch = SampleWatch(self.health, self.settings.period)
 
     def open(self) -> None:
-        """Start the worker and subscribe to `plant/sample`."""
+        """Start the worker."""
         self.worker = Worker(self.work, self.health)
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
         self.report_on()
 
     @abstractmethod
@@ -109,8 +107,7 @@ class SampleNode(TwinmatchNode):
             self.worker.put(item)
 
     def report(self) -> Report:
-        """Queue, gaps, silence."""
-        self._watch.look(time.monotonic())
+        """The queue."""
         if self.worker is not None:
             self.worker.watch()
         return super().report()
@@ -124,7 +121,31 @@ class SampleNode(TwinmatchNode):
         """End the worker."""
         return self.worker is None or self.worker.close()
 
+
+class SampleNode(TwinNode):
+    """A node that takes every sample and works on it in its worker."""
+
+    def read_parameters(self) -> None:
+        """Make the settings, and watch the samples by them."""
+        super().read_parameters()
+        self._watch = SampleWatch(self.health, self.settings.period)
+
+    def open(self) -> None:
+        """Start the worker and subscribe to `plant/sample`."""
+        super().open()
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
+
+    def report(self) -> Report:
+        """Queue, gaps, silence."""
+        self._watch.look(time.monotonic())
+        return super().report()
+
     def _on_sample(self, message: LoopSample) -> None:
         sample: Sample = sample_from(message)
         self._watch.push(sample.index, time.monotonic())
         self.put(sample)
+
+
+def nanoseconds(stamp: Any) -> int:
+    """A stamp of ROS as nanoseconds."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from twinmatch.discrimination import CandidateScore, Verdict
+from twinmatch.discrimination import REFUSED, CandidateScore, Verdict
 from twinmatch.matching import Match
 from twinmatch.reporting.table import Cell, Table, head, words
 from twinmatch.twin import MatchReport
-from twinmatch.views.events import STATUS_WORDS, events
+from twinmatch.views.events import events, match_word
 from twinmatch.views.family import Member
 from twinmatch.views.intervals import interval, value_of
 from twinmatch.views.quantities import Quantity, in_order, number, quantity
@@ -17,7 +17,7 @@ from twinmatch.views.quantities import Quantity, in_order, number, quantity
 __all__ = ["event_table", "family_table", "match_table", "nominal_table", "structure_table"]
 
 
-def event_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float) -> Table:
+def event_table(verdicts: Sequence[Verdict], period: float) -> Table:
     """What happened, in order."""
     rows = tuple(
         (
@@ -26,7 +26,7 @@ def event_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], per
             words(event.title),
             words(event.why),
         )
-        for event in events(matches, verdicts)
+        for event in events(verdicts)
     )
     return Table("What happened", ("t / s", "kind", "what", "why"), rows)
 
@@ -118,8 +118,9 @@ def _shown(members: Sequence[Member]) -> list[Quantity]:
     return [quantity(plant, name) for name in in_order(plant, {name for names in free for name in names})]
 
 
-def match_table(matches: Sequence[MatchReport], period: float) -> Table:
-    """Every match, accepted or refused, with why."""
+def match_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float) -> Table:
+    """Every match, admitted or refused, with why."""
+    said = {v.sample: v.reason.removeprefix("match refused: ") for v in verdicts if v.match == REFUSED}
     shown = []
     if matches:
         plant = matches[0].match.parameters.model.plant
@@ -132,23 +133,22 @@ def match_table(matches: Sequence[MatchReport], period: float) -> Table:
             Cell(q.text(value_of(report.match, q.name)) if fitted and q.name in report.match.free else "–")
             for q in shown
         ]
-        mark = "accepted" if report.match.accepted else "refused"
-        status = STATUS_WORDS.get(report.match.status, report.match.status.value)
+        word = match_word(report, verdicts)
         rows.append(
             (
                 Cell(f"{report.sample * period:.0f}"),
                 Cell(f"{report.operating_point:g}"),
-                words(status, mark=mark),
+                words(word, mark=word.partition(":")[0]),
                 *cells,
                 Cell(_percent(report.match.fit.y)),
                 Cell(_percent(report.match.fit.u)),
-                words(report.match.reason),
+                words(said.get(report.sample, report.match.reason)),
             )
         )
     columns = (
         "t / s",
         "set / °C",
-        "gate",
+        "match",
         *(q.label for q in shown),
         "fit y / %",
         "fit u / %",

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twinmatch.discrimination import REFUSED
 from twinmatch.errors import TwinmatchError
 from twinmatch.replay import Judgement
-from twinmatch.views.events import level_stretches
+from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.family import Member
 from twinmatch.views.figures import (
     draw_criteria,
@@ -71,7 +72,7 @@ def pictures(judgement: Judgement, members: Sequence[Member]) -> dict[str, Pictu
     ]
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
-        figure = draw_parameters(j.matches, nominal, j.settings.period)
+        figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
         found.append(_picture("parameters", "Parameters of every match", _parameters_alt(j), figure))
     if members:
         names = ", ".join(m.score.name for m in members)
@@ -155,10 +156,10 @@ def _health_alt(j: Judgement) -> str:
         f"{s.level.value} from {s.first * period:.0f} to {s.last * period:.0f} s"
         for s in level_stretches(j.verdicts, j.samples[0].index)
     )
-    accepted = sum(m.match.accepted for m in j.matches)
+    joined = len(admitted(j.verdicts))
     return (
-        f"Trust over time: {told or 'nothing was judged'}. {accepted} matches accepted, "
-        f"{len(j.matches) - accepted} refused."
+        f"Trust over time: {told or 'nothing was judged'}. {joined} matches admitted, "
+        f"{sum(v.match == REFUSED for v in j.verdicts)} refused."
     )
 
 

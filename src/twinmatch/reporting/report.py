@@ -83,11 +83,13 @@ class Report:
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
-            "events": event_table(judgement.matches, judgement.verdicts, period),
+            "events": event_table(judgement.verdicts, period),
             "match": nominal.match if nominal else None,
             "nominal_parameters": nominal_table(nominal.score, nominal.match) if nominal else None,
             "family": family_table(self.members) if self.members else None,
-            "matches": match_table(judgement.matches, period) if judgement.matches else None,
+            "matches": match_table(judgement.matches, judgement.verdicts, period)
+            if judgement.matches
+            else None,
             "verdict": last,
             "criteria": criterion_tables(last) if last else [],
             "weights": order_table(last) if last else None,

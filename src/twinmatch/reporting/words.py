@@ -10,7 +10,7 @@ from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 from twinmatch.twin.discriminator import UNEXPLAINED
 from twinmatch.views.comparison import compare, root_mean_square
-from twinmatch.views.events import level_stretches
+from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.quantities import number
 from twinmatch.views.standing import last_verdict, nominal_score
 
@@ -88,19 +88,19 @@ def _matching(judgement: Judgement) -> str:
             "No set-point step was found that a digital twin could be fitted to, so there was no match and "
             "no candidate."
         )
-    accepted = sum(m.match.accepted for m in judgement.matches)
-    refused = count - accepted
+    joined = len(admitted(judgement.verdicts))
+    refused = count - joined
     return (
         f"After set-point steps a digital twin, a simulation of the plate with its controller, was fitted to "
-        f"what had been measured: {count} time{_s(count)}, of which {accepted} "
-        f"{'was' if accepted == 1 else 'were'} accepted"
+        f"what had been measured: {count} time{_s(count)}, of which {joined} "
+        f"{'was' if joined == 1 else 'were'} admitted to the family"
         + (f" and {refused} refused (section 2 says why)." if refused else ".")
     )
 
 
 def _nothing(judgement: Judgement) -> str:
     if judgement.matches:
-        return "No fit was accepted, so there is no twin to trust."
+        return "No fit stands, so there is no twin to trust."
     return (
         f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} °C or more, some "
         "minutes apart; a recording of one or two set-points held for a few minutes each is enough."

@@ -1,11 +1,11 @@
 """Samples in, matches and verdicts out: one object for the live nodes and for replay.
 
-`Matcher` fits rig parameters when the schedule says that a window excited the loop, `Discriminator`
-judges the family of accepted matches, `Mirror` runs the nominal twin beside the plant. `Twin` is the
-first two, fed from one stream. `choose_structure` says what the plant is made of as far as its samples pay
-for it, and `StructureWatch` asks that again and again. All of them are synchronous and depend on nothing
-but the samples they are given: no clock, no thread, no random state, so a recorded session judges itself
-again exactly.
+`Discriminator` keeps schedule and family: it says when parameters are to be matched and judges the
+candidates. `answer` makes a match of such a `MatchRequest`. `Mirror` runs the nominal twin beside the
+plant. `Twin` is the first two on one stream. `choose_structure` says what the plant is made of as far as
+its samples pay for it, and `StructureWatch` asks that again and again. All of them are synchronous and
+depend on nothing but the samples they are given: no clock, no thread, no random state, so a recorded
+session judges itself again exactly.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 from twinmatch.discrimination import Candidate, Verdict
 from twinmatch.signals import Sample
-from twinmatch.twin.discriminator import Discriminator
-from twinmatch.twin.matcher import Matcher, MatchReport
+from twinmatch.twin.discriminator import Discriminator, Step
+from twinmatch.twin.matcher import MatchReport, MatchRequest, answer
 from twinmatch.twin.mirror import Mirror, MirrorState
 from twinmatch.twin.residuals import Residuals, closed_loop_fit, nrmse, residuals
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
@@ -27,7 +27,7 @@ from twinmatch.twin.structures import StructureChoice, StructureScore, choose_st
 __all__ = [
     "Discriminator",
     "MatchReport",
-    "Matcher",
+    "MatchRequest",
     "Mirror",
     "MirrorState",
     "Outcome",
@@ -35,6 +35,7 @@ __all__ = [
     "Schedule",
     "ScheduleError",
     "ScheduleSettings",
+    "Step",
     "StructureChoice",
     "StructureScore",
     "StructureSettings",
@@ -44,6 +45,7 @@ __all__ = [
     "Twin",
     "TwinError",
     "TwinSettings",
+    "answer",
     "choose_structure",
     "closed_loop_fit",
     "nrmse",
@@ -60,18 +62,27 @@ class Outcome(NamedTuple):
 
 
 class Twin:
-    """Matcher and discriminator on one stream of samples."""
+    """A discriminator whose requests are answered at once, on one stream of samples."""
 
-    def __init__(self, settings: TwinSettings | None = None, given: Sequence[Candidate] = ()) -> None:
-        """Begin with no samples and with the candidates given, if any."""
+    def __init__(
+        self,
+        settings: TwinSettings | None = None,
+        given: Sequence[Candidate] = (),
+        *,
+        matching: TwinSettings | None = None,
+    ) -> None:
+        """Begin with no samples and with the candidates given, if any.
+
+        `matching` are the settings of matches, if they have their own.
+        """
         self.settings = settings or TwinSettings()
-        self.matcher = Matcher(self.settings)
         self.discriminator = Discriminator(self.settings, given)
+        self._matching = matching or self.settings
 
     def push(self, sample: Sample) -> Outcome:
         """Take one sample; return the match and the verdicts it sets off."""
-        verdicts = self.discriminator.push_sample(sample)
-        report = self.matcher.push(sample)
-        if report is not None:
-            verdicts += self.discriminator.push_match(report)
-        return Outcome(report, tuple(verdicts))
+        step = self.discriminator.push_sample(sample)
+        if step.request is None:
+            return Outcome(None, step.verdicts)
+        report = answer(step.request, self._matching)
+        return Outcome(report, step.verdicts + self.discriminator.push_match(report).verdicts)

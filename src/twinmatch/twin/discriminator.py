@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import Candidate, SimoModel, TrustLevel, Verdict
+from twinmatch.discrimination import ADMITTED, REFUSED, Candidate, SimoModel, TrustLevel, Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import Alarm, Fault, Health, Monitor, State
 from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
-from twinmatch.twin.matcher import MatchReport, candidate_name
+from twinmatch.twin.matcher import MatchReport, MatchRequest
 from twinmatch.twin.members import Judged, Members, plant_model
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
@@ -22,10 +22,27 @@ from twinmatch.twin.settings import TrustLimits, TwinSettings
 from twinmatch.twin.structure_watch import StructureSettings, StructureWatch, watched
 from twinmatch.twin.threads import one_thread
 
-__all__ = ["Discriminator", "trust_level"]
+__all__ = ["Discriminator", "Step", "trust_level"]
 
 UNEXPLAINED = "unexplained"
 """What a fault is called that the residuals show and the monitor has no name for."""
+
+
+class Step(NamedTuple):
+    """What one sample or match brought about."""
+
+    verdicts: tuple[Verdict, ...]
+    """In order."""
+    request: MatchRequest | None
+    """A match to be asked for now; its answer is awaited."""
+
+
+class _Fate(NamedTuple):
+    """What became of a match."""
+
+    word: str
+    """`ADMITTED` or `REFUSED`."""
+    reason: str
 
 
 class _Looked(NamedTuple):
@@ -38,17 +55,18 @@ class _Looked(NamedTuple):
 class Discriminator:
     """Judges the family at every trigger of the schedule, and the plant's health at every sample.
 
-    It runs its own schedule on the samples and, at an excited trigger, waits for the match of that
-    window; samples that come meanwhile wait behind it. So verdicts come out in one order, whenever
-    matches arrive, and live nodes and a replay give the same ones. A fault of the plant is told at
-    once, with a verdict between the triggers.
+    Schedule and family are here and nowhere else. At an excited trigger it asks for the match of that
+    window and waits for the answer; samples that come meanwhile wait behind it. So a request depends on
+    nothing but the samples before it, verdicts come out in one order whenever matches arrive, and live nodes
+    and a replay give the same ones. A fault of the plant is told at once, with a verdict between the
+    triggers.
     """
 
     def __init__(self, settings: TwinSettings | None = None, given: Sequence[Candidate] = ()) -> None:
         """Begin with no candidates but those given (their twins are judged on the first excited window)."""
         self.settings = settings or TwinSettings()
-        self.schedule = Schedule(self.settings.schedule, self.settings.period)
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
+        self._schedule = Schedule(self.settings.schedule, self.settings.period)
         self._members = Members(self.settings)
         self._structure = StructureWatch(
             StructureSettings(
@@ -58,19 +76,22 @@ class Discriminator:
         )
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
-        self._reports: deque[MatchReport] = deque()
+        self._request: MatchRequest | None = None
+        self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
         self._looked: _Looked | None = None
         self._standing: Verdict | None = None
 
     @property
-    def waiting_for(self) -> tuple[int, int] | None:
-        """First and last sample of the window whose match is awaited, if any."""
-        if not self._waiting or isinstance(self._waiting[0], Sample):
-            return None
-        window = self._waiting[0].window
-        return window.first, window.last
+    def request(self) -> MatchRequest | None:
+        """The request whose answer is awaited, if any; it may be sent again, the answer is the same."""
+        return self._request
+
+    @property
+    def settled(self) -> int | None:
+        """Index of the newest sample of which everything is said; None before the first."""
+        return self._settled if self._request is None else self._request.sample - 1
 
     @property
     def nominal(self) -> Candidate | None:
@@ -79,41 +100,58 @@ class Discriminator:
             return None
         return self._members.candidate(self._standing.nominal)
 
-    def push_sample(self, sample: Sample) -> list[Verdict]:
-        """Take one sample; return the verdicts that became due."""
+    def push_sample(self, sample: Sample) -> Step:
+        """Take one sample; return the verdicts that became due, and the match to ask for."""
         self._waiting.append(sample)
-        trigger = self.schedule.push(sample)
+        trigger = self._schedule.push(sample)
         if trigger is not None:
             self._waiting.append(trigger)
-        return self._settle()
+        return Step((), None) if self._request is not None else self._settle([])
 
-    def push_match(self, report: MatchReport) -> list[Verdict]:
-        """Take one match; return the verdicts that became due."""
-        self._reports.append(report)
-        return self._settle()
+    def push_match(self, report: MatchReport) -> Step:
+        """Take one match; return the verdicts that became due, and the next match to ask for.
 
-    def _settle(self) -> list[Verdict]:
-        verdicts = []
+        A match nobody waits for changes nothing: an answer that came twice, or to another who asked.
+        """
+        if self._request is None or not report.answers(self._request):
+            return Step((), None)
+        self._request = None
+        trigger = self._waiting.popleft()
+        assert isinstance(trigger, Trigger)  # noqa: S101 — only a trigger is waited for
+        return self._settle([self._judged(trigger, self._admit(trigger, report), report)])
+
+    def _settle(self, verdicts: list[Verdict]) -> Step:
+        """Go on until nothing waits, or a match has to be waited for."""
         while self._waiting:
             item = self._waiting[0]
             if isinstance(item, Sample):
-                self._waiting.popleft()
+                self._settled = item.index
                 verdicts += self._watch(item)
-                continue
-            report = None
-            if item.excited:
-                # Matches come in order: one for an earlier window is of a trigger this object never
-                # had (it joined late), one for a later window means that ours was lost.
-                while self._reports and self._reports[0].sample < item.sample:
-                    self._reports.popleft()
-                if not self._reports:
-                    break
-                if self._reports[0].sample == item.sample:
-                    report = self._reports.popleft()
+            elif not item.excited:
+                verdicts.append(self._judged(item, None))
+            elif (alarm := self.monitor.fault_between(item.window.first, item.window.last)) is not None:
+                reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
+                verdicts.append(self._judged(item, _Fate(REFUSED, reason)))
+            else:
+                self._request = self._asked(item)
+                break
             self._waiting.popleft()
-            with one_thread():
-                verdicts.append(self._judge(item, report))
-        return verdicts
+        return Step(tuple(verdicts), self._request)
+
+    def _asked(self, trigger: Trigger) -> MatchRequest:
+        """What to ask for; the rival is who stands for the regime, as far as the family knows now."""
+        with one_thread():
+            while self._given:
+                self._take_in(self._given.pop(0), trigger.window)
+        rival = self._members.standing_at(trigger.operating_point)
+        incumbent = rival.parameters if rival else None
+        return MatchRequest(
+            sample=trigger.sample,
+            operating_point=trigger.operating_point,
+            window=trigger.window,
+            start=incumbent or self.settings.start,
+            incumbent=incumbent,
+        )
 
     def _watch(self, sample: Sample) -> list[Verdict]:
         """Judge the plant's health; return a verdict if a fault has just begun or gone."""
@@ -131,38 +169,44 @@ class Discriminator:
         if news.last is not None:
             return [self._stand(sample.index, window, f"{news.fault.value} is over: the plate obeys again")]
         with one_thread():
-            self._let_go(news)
-        return [self._stand(sample.index, window, news.reason)]
+            gone = self._let_go(news)
+        return [replace(self._stand(sample.index, window, news.reason), dismissed=gone)]
 
-    def _let_go(self, alarm: Alarm) -> None:
-        """Dismiss the candidates that were matched while the fault was already there."""
+    def _let_go(self, alarm: Alarm) -> tuple[str, ...]:
+        """Dismiss the candidates that were matched while the fault was already there; return their names."""
         gone = () if alarm.fault is Fault.DRIFT else self._members.expel(alarm.first, alarm.flagged)
         if not gone or self._standing is None or self._looked is None:
-            return
+            return gone
         if not len(self._members):
             nobody = Judged((), None, None, (), decided=False, certainty="")
             self._standing = replace(self._standing, **nobody._asdict())
-            return
+            return gone
         order = self._members.order
         plant = plant_model(self._looked.window, order)
         self._standing = self._scored(self._standing, self._looked._replace(plant=plant))
+        return gone
 
-    def _judge(self, trigger: Trigger, report: MatchReport | None) -> Verdict:
-        window = trigger.window
+    def _judged(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None = None) -> Verdict:
+        """The verdict on a window and what became of its match; None: none was to be made."""
+        with one_thread():
+            verdict = self._judge(trigger, fate, report)
+        return replace(verdict, match=fate.word if fate else "")
+
+    def _judge(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None) -> Verdict:
+        sample, window = trigger.sample, trigger.window
         self._watch_structure(window)
-        if not trigger.excited:
-            return self._stand(trigger.sample, window, "the set-point did not move")
-        reason = self._admit(trigger, report)
+        if fate is None:
+            return self._stand(sample, window, "the set-point did not move")
         if not len(self._members):
-            return self._stand(trigger.sample, window, reason)
+            return self._stand(sample, window, fate.reason)
         try:
             self._looked = _Looked(window, plant_model(window, self._members.order))
         except TwinmatchError as error:
-            return self._stand(trigger.sample, window, f"nothing could be identified: {error}")
-        fresh = replace(self._standing or self._nothing(), stands=False, reason=reason)
+            return self._stand(sample, window, f"nothing could be identified: {error}")
+        fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
         self._standing = self._scored(fresh, self._looked)
         doubtful = report is not None and report.match.status is Status.NOT_EXPLAINED
-        self._standing = self._at(self._standing, trigger.sample, window, doubtful=doubtful)
+        self._standing = self._at(self._standing, sample, window, doubtful=doubtful)
         return self._standing
 
     def _watch_structure(self, window: Window) -> None:
@@ -225,25 +269,20 @@ class Discriminator:
             residual_u=float("nan"),
         )
 
-    def _admit(self, trigger: Trigger, report: MatchReport | None) -> str:
-        if report is None:
-            return "no match of this window arrived"
-        window, match = trigger.window, report.match
-        while self._given:
-            self._take_in(self._given.pop(0), window)
+    def _admit(self, trigger: Trigger, report: MatchReport) -> _Fate:
+        match, window = report.match, trigger.window
         if match.status is not Status.ACCEPTED:
-            return f"match refused: {match.reason}"
-        alarm = self.monitor.fault_between(window.first, window.last)
-        if alarm is not None:
-            return f"match refused: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
-        name = candidate_name(report.operating_point)
-        return self._take_in(Candidate(name, report.operating_point, match.parameters, window), window)
+            return _Fate(REFUSED, f"match refused: {match.reason}")
+        name = f"{report.operating_point:g} °C"
+        candidate = Candidate(name, report.operating_point, match.parameters, window)
+        with one_thread():
+            return self._take_in(candidate, window)
 
-    def _take_in(self, candidate: Candidate, window: Window) -> str:
+    def _take_in(self, candidate: Candidate, window: Window) -> _Fate:
         try:
-            return self._members.admit(candidate, window)
+            return _Fate(ADMITTED, self._members.admit(candidate, window))
         except TwinmatchError as error:
-            return f"no models of candidate {candidate.name}: {error}"
+            return _Fate(REFUSED, f"no models of candidate {candidate.name}: {error}")
 
     def _residuals(self, nominal: str | None, window: Window) -> Residuals:
         if nominal is None:

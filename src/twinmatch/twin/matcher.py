@@ -1,17 +1,32 @@
-"""Samples in, matches out."""
+"""From a request to a match: nothing is kept between two of them."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from twinmatch.discrimination import Candidate, Family
+from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Match, Status, match
-from twinmatch.signals import Sample
-from twinmatch.twin.schedule import Schedule, Trigger
+from twinmatch.matching.result import without_fit
+from twinmatch.plant import RigParameters
+from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.threads import one_thread
 
-__all__ = ["MatchReport", "Matcher", "candidate_name"]
+__all__ = ["MatchReport", "MatchRequest", "answer"]
+
+
+class MatchRequest(NamedTuple):
+    """All that a match is made from."""
+
+    sample: int
+    """Index of the sample that set it off."""
+    operating_point: float
+    """Set-point at the window's end, °C."""
+    window: Window
+    start: RigParameters
+    """Where the search begins, and the values of all that is not free."""
+    incumbent: RigParameters | None
+    """What stands for this regime, which the match has to beat; None: nothing does."""
 
 
 class MatchReport(NamedTuple):
@@ -23,42 +38,26 @@ class MatchReport(NamedTuple):
     """Set-point at the window's end, °C."""
     match: Match
 
+    def answers(self, request: MatchRequest) -> bool:
+        """Whether this is the match of that window."""
+        window = request.window
+        return (self.sample, *self.match.samples) == (request.sample, window.first, window.last)
 
-class Matcher:
-    """Fits the rig parameters whenever the schedule says a window excited the loop."""
 
-    def __init__(self, settings: TwinSettings | None = None) -> None:
-        """Begin with the start values of the settings."""
-        self.settings = settings or TwinSettings()
-        self.schedule = Schedule(self.settings.schedule, self.settings.period)
-        self._standing = Family(self.settings.most_candidates, self.settings.regime_width)
-
-    def push(self, sample: Sample) -> MatchReport | None:
-        """Take one sample; return the match it sets off, if any."""
-        trigger = self.schedule.push(sample)
-        if trigger is None or not trigger.excited:
-            return None
+def answer(request: MatchRequest, settings: TwinSettings) -> MatchReport:
+    """The match asked for; a window that cannot be matched at all is refused in its words."""
+    try:
         with one_thread():
-            return self._match(trigger)
-
-    def _match(self, trigger: Trigger) -> MatchReport:
-        settings = self.settings
-        standing = self._standing.standing_at(trigger.operating_point)
-        result = match(
-            trigger.window,
-            free=settings.free,
-            start=standing.parameters if standing else settings.start,
-            incumbent=standing.parameters if standing else None,
-            noise=settings.noise,
-            gains=settings.gains,
-            min_step=settings.schedule.min_step,
-        )
-        if result.status is Status.ACCEPTED:
-            name = candidate_name(trigger.operating_point)
-            self._standing.admit(Candidate(name, trigger.operating_point, result.parameters, None))
-        return MatchReport(trigger.sample, trigger.operating_point, result)
-
-
-def candidate_name(operating_point: float) -> str:
-    """What a candidate is called: the set-point it was matched at."""
-    return f"{operating_point:g} °C"
+            found = match(
+                request.window,
+                free=settings.free,
+                start=request.start,
+                incumbent=request.incumbent,
+                noise=settings.noise,
+                gains=settings.gains,
+                min_step=settings.schedule.min_step,
+            )
+    except TwinmatchError as error:
+        status, words = Status.DID_NOT_CONVERGE, f"the window could not be matched: {error}"
+        found = without_fit(request.window, settings.free, request.start, status, words)
+    return MatchReport(request.sample, request.operating_point, found)

@@ -71,6 +71,10 @@ class Members:
         """
         return self._members[name].candidate
 
+    def standing_at(self, operating_point: float) -> Candidate | None:
+        """The candidate whose regime holds this set-point (°C), if there is one."""
+        return self._family.standing_at(operating_point)
+
     @property
     def order(self) -> str:
         """The order most members chose, at which all of them are compared."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from twinmatch.views.comparison import Comparison, compare, rolling_rms, root_mean_square
 from twinmatch.views.criteria import CRITERIA, OUTPUTS, Criterion, CriterionRow, criterion_rows
 from twinmatch.views.document import document, verdict_entry
-from twinmatch.views.events import STATUS_WORDS, Event, EventKind, Stretch, events, level_stretches
+from twinmatch.views.events import STATUS_WORDS, Event, EventKind, Stretch, admitted, events, level_stretches
 from twinmatch.views.family import Member, family
 from twinmatch.views.intervals import Interval, interval, value_of
 from twinmatch.views.line import print_header, print_line
@@ -40,6 +40,7 @@ __all__ = [
     "Stretch",
     "Summary",
     "TrustRange",
+    "admitted",
     "compare",
     "criterion_rows",
     "document",

@@ -46,6 +46,8 @@ def verdict_entry(verdict: Verdict) -> dict[str, Any]:
         "stands": verdict.stands,
         "nominal": verdict.nominal,
         "reason": verdict.reason,
+        "match": verdict.match,
+        "dismissed": list(verdict.dismissed),
         "decided": verdict.decided,
         "certainty": verdict.certainty,
         "fault": verdict.fault,

@@ -6,30 +6,39 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.discrimination import ADMITTED, REFUSED, TrustLevel, Verdict
 from twinmatch.matching import Status
 from twinmatch.twin import MatchReport
 from twinmatch.views.style import LEVEL_WORDS
 
-__all__ = ["STATUS_WORDS", "Event", "EventKind", "Stretch", "events", "level_stretches"]
+__all__ = [
+    "STATUS_WORDS",
+    "Event",
+    "EventKind",
+    "Stretch",
+    "admitted",
+    "events",
+    "level_stretches",
+    "match_word",
+]
 
 STATUS_WORDS = {
-    Status.ACCEPTED: "accepted",
-    Status.NOT_EXPLAINED: "refused: the twin cannot explain it",
-    Status.NO_EXCITATION: "refused: the set-point moved too little",
-    Status.DID_NOT_CONVERGE: "refused: the search did not end",
-    Status.BOUNDS_HIT: "refused: a parameter ran into its bound",
-    Status.NOT_IDENTIFIABLE: "refused: the window does not determine the parameters",
-    Status.NOT_BETTER: "refused: no better than what stands",
+    Status.NOT_EXPLAINED: "the twin cannot explain it",
+    Status.NO_EXCITATION: "the set-point moved too little",
+    Status.DID_NOT_CONVERGE: "the search did not end",
+    Status.BOUNDS_HIT: "a parameter ran into its bound",
+    Status.NOT_IDENTIFIABLE: "the window does not determine the parameters",
+    Status.NOT_BETTER: "no better than what stands",
 }
-"""What became of a match, in words."""
+"""Why the gate refused a match, in words."""
 
 
 class EventKind(Enum):
     """What sort of event it is."""
 
-    ACCEPTED = "match accepted"
+    ADMITTED = "match admitted"
     REFUSED = "match refused"
+    DISMISSED = "candidate dismissed"
     NOMINAL = "nominal"
     LEVEL = "trust"
     FAULT = "fault"
@@ -56,18 +65,33 @@ class Stretch:
     level: TrustLevel
 
 
-def events(matches: Sequence[MatchReport], verdicts: Sequence[Verdict]) -> list[Event]:
-    """Everything worth telling, in the order in which it happened."""
-    found = [_match_event(m) for m in matches]
+def events(verdicts: Sequence[Verdict]) -> list[Event]:
+    """Everything worth telling, in the order in which it happened; matches as the verdict has them."""
+    found: list[Event] = []
     nominal: str | None = None
     level, fault = TrustLevel.UNKNOWN, ""
     for verdict in verdicts:
+        found += _match_events(verdict)
         if verdict.nominal != nominal and verdict.nominal is not None:
             found.append(_nominal_event(verdict, nominal))
         if (verdict.level, verdict.fault) != (level, fault):
             found.append(_level_event(verdict))
         nominal, level, fault = verdict.nominal, verdict.level, verdict.fault
-    return sorted(found, key=lambda e: e.sample)
+    return found
+
+
+def admitted(verdicts: Sequence[Verdict]) -> frozenset[int]:
+    """Samples whose match became a candidate of the family, whether or not it still is one."""
+    return frozenset(v.sample for v in verdicts if v.match == ADMITTED)
+
+
+def match_word(report: MatchReport, verdicts: Sequence[Verdict]) -> str:
+    """What became of a match, in words; empty before its verdict."""
+    verdict = next((v for v in verdicts if v.sample == report.sample and v.match), None)
+    if verdict is None:
+        return ""
+    why = STATUS_WORDS.get(report.match.status) if verdict.match == REFUSED else None
+    return f"{verdict.match}: {why}" if why else verdict.match
 
 
 def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch]:
@@ -93,11 +117,17 @@ def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch
     return stretches
 
 
-def _match_event(report: MatchReport) -> Event:
-    status = report.match.status
-    kind = EventKind.ACCEPTED if report.match.accepted else EventKind.REFUSED
-    title = f"match at {report.operating_point:g} °C {STATUS_WORDS.get(status, status.value)}"
-    return Event(report.sample, kind, title, report.match.reason)
+def _match_events(verdict: Verdict) -> list[Event]:
+    kind = {ADMITTED: EventKind.ADMITTED, REFUSED: EventKind.REFUSED}.get(verdict.match)
+    found = [] if kind is None else [Event(verdict.sample, kind, f"match {verdict.match}", _why(verdict))]
+    for name in verdict.dismissed:
+        title = f"{name} dismissed"
+        found.append(Event(verdict.sample, EventKind.DISMISSED, title, "the fault showed in its window"))
+    return found
+
+
+def _why(verdict: Verdict) -> str:
+    return verdict.reason.removeprefix("match refused: ")
 
 
 def _nominal_event(verdict: Verdict, before: str | None) -> Event:

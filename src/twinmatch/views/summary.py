@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import MatchReport, TrustLimits, closed_loop_fit
+from twinmatch.twin import TrustLimits, closed_loop_fit
 from twinmatch.twin.discriminator import UNEXPLAINED
 from twinmatch.views.quantities import number
 from twinmatch.views.trust_range import TrustRange, trust_range
@@ -33,7 +33,7 @@ class Summary:
     identified: int
     """Verdicts whose window excited the loop."""
     matches: dict[str, int]
-    """How many matches ended in each status."""
+    """How many matches were admitted, and how many refused."""
     notes: tuple[str, ...] = ()
     order: str | None = None
     """Box–Jenkins order that was chosen for the nominal candidate."""
@@ -45,7 +45,6 @@ class Summary:
 
 def summarise(
     samples: Sequence[Sample],
-    matches: Sequence[MatchReport],
     verdicts: Sequence[Verdict],
     gains: PidGains,
     notes: Sequence[str] = (),
@@ -74,7 +73,7 @@ def summarise(
         fit_u=fit[1],
         verdicts=len(verdicts),
         identified=sum(not v.stands for v in verdicts),
-        matches=dict(Counter(m.match.status.value for m in matches)),
+        matches=dict(Counter(v.match for v in verdicts if v.match)),
         notes=tuple(remarks),
         order=chosen.chosen_order if chosen else None,
         range=trust_range(samples, chosen, gains, limits) if chosen else None,
@@ -88,7 +87,7 @@ def sentence(summary: Summary) -> str:
         if summary.level is TrustLevel.FAULT:
             return f"No nominal twin: {_trouble(summary)}. Look at the plant first."
         return (
-            f"No nominal twin: {summary.verdicts} verdicts, but no match was accepted. "
+            f"No nominal twin: {summary.verdicts} verdicts, but no match stands. "
             "The loop needs set-point steps of a few degrees, some minutes apart."
         )
     parts = [f"Nominal: {summary.nominal} set", f"orders {summary.order}"]

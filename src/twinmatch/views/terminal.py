@@ -32,8 +32,9 @@ MOST_EVENTS = 8
 BAR = 30
 """Width of the progress bar, characters."""
 _MARKS = {
-    EventKind.ACCEPTED: ("✓", "green"),
+    EventKind.ADMITTED: ("✓", "green"),
     EventKind.REFUSED: ("✗", "yellow"),
+    EventKind.DISMISSED: ("✗", "yellow"),
     EventKind.NOMINAL: ("▶", "bold"),
     EventKind.LEVEL: ("●", "bold"),
     EventKind.FAULT: ("!", "bold red"),
@@ -80,9 +81,8 @@ class Screen:
             self._draw()
 
     def take_match(self, report: MatchReport) -> None:
-        """Show it among the events."""
+        """Show what to believe of it; the verdict says what became of it."""
         self._matches.append(report)
-        self._events = None
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Show it from now on."""
@@ -134,7 +134,7 @@ class Screen:
     def _newest(self, console: Console, options: ConsoleOptions, room: int) -> list[list[Segment]]:
         """The newest events that have room, oldest first."""
         if self._events is None:
-            self._events = events(self._matches, self._verdicts)
+            self._events = events(self._verdicts)
         shown: list[list[Segment]] = []
         for event in self._events[: -MOST_EVENTS - 1 : -1]:
             lines = console.render_lines(_event_line(event, self._period), options, pad=False)

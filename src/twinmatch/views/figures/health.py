@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, TwinSettings
-from twinmatch.views.events import level_stretches
+from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.figures.drawing import empty, new_figure, stack, styled, time_axis
 from twinmatch.views.style import LEVELS, PLANT, TEXT
 
@@ -30,7 +30,7 @@ def draw_health(
     verdicts: Sequence[Verdict],
     settings: TwinSettings,
 ) -> Figure:
-    """Trust level, residuals of every verdict against their limits, matches accepted and refused."""
+    """Trust level, residuals of every verdict against their limits, matches admitted and refused."""
     figure = new_figure(10, 4.8)
     axes = stack(figure, (1.2, 2, 2, 0.9))
     first, period = samples[0].index, settings.period
@@ -40,7 +40,7 @@ def draw_health(
     axes[1].set_ylabel("temperature\nRMS / °C")
     _draw_residual(axes[2], verdicts, "residual_u", period, (limits.doubtful_u, limits.fault_u))
     axes[2].set_ylabel("control\nRMS / counts")
-    _draw_matches(axes[3], matches, period)
+    _draw_matches(axes[3], matches, admitted(verdicts), period)
     time_axis(axes[-1], period, first, samples[-1].index)
     figure.align_ylabels(axes)
     return figure
@@ -92,17 +92,17 @@ def _draw_residual(
     axes.set_ylim(0, top)
 
 
-def _draw_matches(axes: Axes, matches: Sequence[MatchReport], period: float) -> None:
-    for accepted, marker, colour in (
+def _draw_matches(axes: Axes, matches: Sequence[MatchReport], joined: Collection[int], period: float) -> None:
+    for inside, marker, colour in (
         (True, "o", LEVELS[TrustLevel.TRUSTED]),
         (False, "x", LEVELS[TrustLevel.FAULT]),
     ):
-        times = [m.sample * period for m in matches if m.match.accepted is accepted]
-        axes.plot(times, [1.0 if accepted else 0.0] * len(times), marker, color=colour, ms=6, mew=1.6, ls="")
+        times = [m.sample * period for m in matches if (m.sample in joined) is inside]
+        axes.plot(times, [1.0 if inside else 0.0] * len(times), marker, color=colour, ms=6, mew=1.6, ls="")
     for m in matches:
         axes.annotate(
             f"{m.operating_point:g}",
-            (m.sample * period, 1.0 if m.match.accepted else 0.0),
+            (m.sample * period, 1.0 if m.sample in joined else 0.0),
             (0, 5),
             textcoords="offset points",
             ha="center",
@@ -110,5 +110,5 @@ def _draw_matches(axes: Axes, matches: Sequence[MatchReport], period: float) -> 
             color=TEXT,
         )
     axes.set_ylim(-0.6, 2.0)
-    axes.set_yticks([0, 1], ["refused", "accepted"])
+    axes.set_yticks([0, 1], ["refused", "admitted"])
     axes.set_ylabel("matches\n(°C)")

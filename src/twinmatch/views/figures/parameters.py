@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,8 +22,13 @@ __all__ = ["draw_parameters"]
 
 
 @styled
-def draw_parameters(matches: Sequence[MatchReport], nominal: Match | None, period: float) -> Figure:
-    """Value and 95 % interval of every parameter over the session; refused matches hollow."""
+def draw_parameters(
+    matches: Sequence[MatchReport], joined: Collection[int], nominal: Match | None, period: float
+) -> Figure:
+    """Value and 95 % interval of every parameter over the session; refused matches hollow.
+
+    `joined` holds the samples of those that were admitted to the family.
+    """
     fitted = [m for m in matches if np.isfinite(m.match.chi2)]
     names = fitted[0].match.free if fitted else ()
     figure = new_figure(10, max(1.75 * len(names), 1.5) + 0.4)
@@ -32,8 +37,13 @@ def draw_parameters(matches: Sequence[MatchReport], nominal: Match | None, perio
         return figure
     plant = fitted[0].match.parameters.model.plant
     axes = stack(figure, [1.0] * len(names))
+    groups = {
+        "refused": [m for m in fitted if m.sample not in joined],
+        "admitted": [m for m in fitted if m.sample in joined and m.match is not nominal],
+        "nominal": [m for m in fitted if m.match is nominal],
+    }
     for each, name in zip(axes, names, strict=True):
-        _draw_parameter(each, fitted, nominal, quantity(plant, name), period)
+        _draw_parameter(each, groups, quantity(plant, name), period)
     axes[-1].set_xlabel("time since the session began / s")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     figure.align_ylabels(axes)
@@ -41,17 +51,12 @@ def draw_parameters(matches: Sequence[MatchReport], nominal: Match | None, perio
 
 
 def _draw_parameter(
-    axes: Axes, reports: Sequence[MatchReport], nominal: Match | None, shown: Quantity, period: float
+    axes: Axes, groups: Mapping[str, Sequence[MatchReport]], shown: Quantity, period: float
 ) -> None:
     axes.set_ylabel(shown.label)
-    groups = {
-        "refused": [m for m in reports if not m.match.accepted],
-        "accepted": [m for m in reports if m.match.accepted and m.match is not nominal],
-        "nominal": [m for m in reports if m.match is nominal],
-    }
     looks: dict[str, dict[str, Any]] = {
         "refused": {"color": SET_POINT, "marker": "o", "mfc": "white", "ms": 4},
-        "accepted": {"color": PLANT, "marker": "o", "ms": 4},
+        "admitted": {"color": PLANT, "marker": "o", "ms": 4},
         "nominal": {"color": CLOSED, "marker": "D", "ms": 7},
     }
     for name, group in groups.items():
@@ -64,7 +69,9 @@ def _draw_parameter(
         axes.errorbar(
             [t for t, _ in points], values, spread, ls="", lw=1, capsize=2, label=name, **looks[name]
         )
-    everything = [_value(m.match, shown) for m in reports if shown.name in m.match.free]
+    everything = [
+        _value(m.match, shown) for group in groups.values() for m in group if shown.name in m.match.free
+    ]
     low, high = min(everything), max(everything)
     margin = 0.25 * (high - low) + 0.05 * abs(high) + 1e-9
     axes.set_ylim(max(low - margin, 0.0) if low >= 0 else low - margin, high + margin)
