@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.support.rig import rig
 from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
 from twinmatch.matching import Match, Status
-from twinmatch.plant import RigParameters
 from twinmatch.twin import MatchReport
 from twinmatch.views import Event, EventKind, events, level_stretches
 
-CANDIDATE = CandidateScore("50 °C", 50.0, RigParameters(), 0, 99, (), "22221", 0.0, None, None)
+CANDIDATE = CandidateScore("50 °C", 50.0, rig(), 0, 99, (), "22221", 0.0, None, None)
 
 
 def verdict(sample: int, level: TrustLevel, *, nominal: str | None = "50 °C", fault: str = "") -> Verdict:
@@ -39,7 +39,7 @@ def verdict(sample: int, level: TrustLevel, *, nominal: str | None = "50 °C", f
 def report(sample: int, status: Status) -> MatchReport:
     unknown = np.full((1, 1), np.nan)
     match = Match(
-        parameters=RigParameters(),
+        parameters=rig(),
         free=("seebeck",),
         sink_start=None,
         covariance=unknown,
