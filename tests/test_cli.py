@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 import scipy.io
 
+from tests.support.steps import drive_lost
 from twinmatch.cli import main
 from twinmatch.cli_interrupt import held_interrupts
-from twinmatch.plant import Pid, PlantState, RigParameters, advance
 from twinmatch.sessions import samples_of, write_session
-from twinmatch.signals import KELVIN, Sample, Window
+from twinmatch.signals import Window
 
 PROJECT = Path(__file__).resolve().parents[1]
 TERMINAL_VARIABLES = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
@@ -246,20 +246,7 @@ def test_unknown_words_on_the_command_line(capsys: pytest.CaptureFixture[str]) -
 @pytest.fixture(scope="module")
 def fault_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve minutes, in the eleventh of which the drive is lost."""
-    rig, pid, state = (
-        RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0),
-        Pid(),
-        PlantState(296.0, 296.0),
-    )
-    noise = np.random.default_rng(5).normal(0.0, 0.1, 720)
-    samples = []
-    for k, error in enumerate(noise):
-        r = (40.0, 70.0, 45.0, 80.0)[k // 200]
-        y = state.plate - KELVIN + float(error)
-        u = pid.step(r, y)
-        samples.append(Sample(k, k * 10**9, r, y, u))
-        state = advance(rig, state, 0.0 if k >= 640 else u)
-    return write_session(tmp_path_factory.mktemp("fault") / "drive_lost", samples)
+    return write_session(tmp_path_factory.mktemp("fault") / "drive_lost", drive_lost())
 
 
 def run_on_terminal(*arguments: object, width: int, **environment: str) -> tuple[int, str, str]:

@@ -19,18 +19,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
+from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
 from twinmatch.nodes.conversions import match_message, score_message
-from twinmatch.nodes.parameters import check
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
-from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, samples_of
+from twinmatch.nodes.twin_parameters import twin_values
+from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic
 from twinmatch.sessions.candidates import parse_candidates
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.installed import schema_of
 from twinmatch.sessions.settings import CANDIDATES, parameters_of, parameters_record
 from twinmatch.sessions.topics import SAMPLE
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
 from twinmatch.verify import VerifyError, verify_session
 from twinmatch.verify_trees import differences, match_tree, verdict_tree
@@ -51,11 +50,7 @@ MATCH = topic_of("/twin/match", "twinmatch_msgs/msg/Match")
 @pytest.fixture(scope="module")
 def samples() -> list[Sample]:
     """A simulated rig with two set-point steps that count."""
-    reference = np.repeat([25.0, 40.0, 60.0, 45.0], [60, 300, 300, 260])
-    parameters = RigParameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
-    camera = Camera().realise(reference.size, 1.0, 7)
-    response = simulate_closed_loop(parameters, reference, plate=296.0, camera=camera)
-    return samples_of(Window(reference=reference, output=response.output, input=response.input))
+    return quarter_of_an_hour()
 
 
 @pytest.fixture(scope="module")
@@ -75,13 +70,15 @@ def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Ca
         change: Change = lambda _matches, _scores: None,
         parameters: dict[str, Any] | None = None,
         family: str | None = FAMILY,
+        unknown: dict[str, Any] | None = None,
         nodes: tuple[str, ...] = ("/matcher", "/discriminator"),
     ) -> Path:
         stamps = {sample.index: sample.stamp for sample in samples}
         matches = [match_message(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
         scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
         change(matches, scores)
-        values = check("twin", TWIN_PARAMETERS, {"candidates": "family.yaml", **(parameters or {})})
+        values = twin_values("twin", {"candidates": "family.yaml", **(parameters or {})})
+        values |= unknown or {}
         with SessionWriter(tmp_path / "run") as writer:
             for node in nodes:
                 entries = {name: json.dumps(value) for name, value in values.items()}
@@ -234,11 +231,16 @@ def test_what_cannot_be_verified_is_said(
     assert message in capsys.readouterr().err
 
 
-def test_parameters_of_another_version_are_said(record: Callable[..., Path], monkeypatch: Any) -> None:
-    folder = record()
-    monkeypatch.setattr("twinmatch.verify.TWIN_PARAMETERS", TWIN_PARAMETERS[:-1])
-    with pytest.raises(VerifyError, match=r"are of another version: .*there is no parameter candidates"):
+def test_parameters_of_another_version_are_said(record: Callable[..., Path]) -> None:
+    folder = record(unknown={"schedule.hurry": 3})
+    with pytest.raises(VerifyError, match=r"are of another version: .*there is no parameter schedule.hurry"):
         verify_session(folder)
+
+
+def test_parameters_under_the_names_they_had_are_understood(record: Callable[..., Path]) -> None:
+    old = {"noise.temperature": 0.1, "camera.resolution": 0.01, "pid.limit": 255.0}
+    old |= {"start.sink_heat_capacity": 0.0, "start.sensor_lag": 0.0}
+    assert verify_session(record(unknown=old)).identical
 
 
 def test_files_stand_in_for_what_was_not_recorded(record: Callable[..., Path], tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinmatch.plant import RigParameters, simulate_closed_loop
+from tests.support.rig import rig, run
 from twinmatch.sessions import samples_of, write_session
 from twinmatch.signals import Window
 
@@ -24,11 +24,10 @@ def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def _make(folder: Path, *, seed: int, seebeck: float) -> Path:
     """Five minutes with two steps, so that one match is made."""
-    rig = RigParameters(seebeck=seebeck, conductance=0.5, heat_capacity=27.0)
     reference = np.repeat([30.0, 50.0, 65.0], [40, 130, 130])
-    run = simulate_closed_loop(rig, reference, plate=296.0)
+    window = run(rig(seebeck=seebeck, conductance=0.5, heat_capacity=27.0), reference)
     noise = np.random.default_rng(seed).normal(scale=CAMERA, size=reference.size)
-    return write_session(folder, samples_of(Window(reference, run.output + noise, run.input)))
+    return write_session(folder, samples_of(Window(reference, window.output + noise, window.input)))
 
 
 @pytest.fixture(scope="session")

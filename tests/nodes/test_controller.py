@@ -7,6 +7,7 @@ import re
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -19,10 +20,11 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
 from tests.support.processes import Process
+from tests.support.rig import GAINS
 from tests.support.ros import Listener
+from twinmatch.dynamics import Pid
 from twinmatch.nodes.conversions import sample_from
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
-from twinmatch.plant import Pid, PidGains
 from twinmatch_msgs.msg import LoopSample, PwmCommand
 
 pytestmark = pytest.mark.ros
@@ -78,7 +80,7 @@ def test_samples_are_steps_of_the_pid(start: Callable[..., Process], bench: Benc
     assert all(s.reference == (40.0 if s.index % 40 < 20 else 60.0) for s in samples)
     assert [m.data for m in references] == [40.0, 60.0, 40.0]
     assert samples[0].input == 0
-    gains = PidGains(period=0.05)
+    gains = replace(GAINS, period=0.05)
     for before, after in pairwise(samples):
         if after.index != before.index + 1:
             continue  # a tick was missed on a busy machine
@@ -99,7 +101,7 @@ def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Process], 
     start("controller", "-p", "period:=1.0", "-p", "profile.levels:=[26.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 4, "samples")
     samples = [sample_from(message) for message in bench.samples]
-    pid = Pid()
+    pid = Pid(GAINS)
     for sample in samples[:2]:
         pid.follow(sample.reference, sample.output, sample.input)
     for sample in samples[2:]:
@@ -259,7 +261,7 @@ def test_ticks_follow_the_clock(start: Callable[..., Process], bench: Bench) -> 
         (["-p", "exit_at_end:=true", "-p", "reference_source:=topic"], "a topic has no end"),
         (["-p", "profile.lowest:=60.0", "-p", "profile.highest:=50.0"], "profile.lowest 60 must be below"),
         (["-p", "reference_source:=moon"], "reference_source is 'moon'; allowed is one of"),
-        (["-p", "pid.limt:=3.0"], "did you mean pid.limit?"),
+        (["-p", "pid.hihg:=3.0"], "did you mean pid.high?"),
     ],
 )
 def test_wrong_parameters_are_one_line(

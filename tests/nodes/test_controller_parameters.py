@@ -15,7 +15,7 @@ from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.controller_parameters import CONTROLLER_PARAMETERS, profile_from
 from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.recorder import RecorderNode
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS
+from twinmatch.nodes.twin_parameters import twin_table
 from twinmatch.safety import GuardLimits
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "rig.yaml"
@@ -30,11 +30,11 @@ def test_the_file_is_what_the_table_renders(kind: Any) -> None:
 
 
 def test_the_twin_knows_the_running_pid() -> None:
-    twin = {p.name: p.default for p in TWIN_PARAMETERS}
+    twin = {p.name: p.default for p in twin_table()}
     shared = {
         p.name: p.default for p in CONTROLLER_PARAMETERS if p.name.startswith("pid.") or p.name == "period"
     }
-    assert len(shared) == 6
+    assert len(shared) == 8
     assert shared.items() <= twin.items()
 
 

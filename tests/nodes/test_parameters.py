@@ -12,7 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.nodes.parameters import Parameter, ParameterError, check, render
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, read_settings
+from twinmatch.nodes.twin_parameters import (
+    read_settings,
+    recorded_values,
+    settings_from,
+    twin_table,
+    twin_values,
+    values_of,
+)
+from twinmatch.plants import Peltier
 from twinmatch.twin import TwinSettings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -90,7 +98,7 @@ def test_rendered_section_reads_back() -> None:
 
 # Every parameter file, its section and the table it must agree with.
 def files() -> list[tuple[str, str, Any]]:
-    found = [("twin.yaml", "/**", TWIN_PARAMETERS)]
+    found = [("twin.yaml", "/**", twin_table())]
     try:
         from twinmatch.nodes.player import Player
     except ImportError:
@@ -112,3 +120,69 @@ def test_file_agrees_with_its_table(name: str, section: str, table: tuple[Parame
 
 def test_twin_file_holds_the_defaults() -> None:
     assert read_settings(CONFIG / "twin.yaml") == TwinSettings()
+
+
+def twin_file(tmp_path: Path, *lines: str) -> Path:
+    path = tmp_path / "twin.yaml"
+    path.write_text(
+        "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines), encoding="utf-8"
+    )
+    return path
+
+
+@pytest.mark.parametrize("structure", Peltier.structures)
+def test_every_structure_has_its_own_start_values(structure: str, tmp_path: Path) -> None:
+    settings = read_settings(twin_file(tmp_path, f"structure: {structure}", "start.seebeck: 0.08"))
+    model = Peltier.model(structure)
+    assert settings.start == model.parameters(seebeck=0.08)
+    assert settings.free == model.structure.free
+    assert settings_from(twin_values("twin", values_of(settings))) == settings
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("plant: oven", "plant 'oven': not known; there are peltier"),
+        ("structure: two sinks", "no structure 'two sinks'; it has held sink, "),
+        ("start.seebek: 0.1", "there is no parameter start.seebek; did you mean start.seebeck?"),
+        ("start.sensor_lag: 0.3", "'held sink' has no sensor_lag; name one that has: sink with mass, sensor"),
+        ("start.seebeck: -0.1", "parameter start.seebeck is -0.1; allowed is V/K, at least 0"),
+        ("start.heat_capacity: 0.0", "heat_capacity is 0 J/K; it must be finite and positive"),
+        (
+            "free: [seebeck, sensor_lag]",
+            "'sensor_lag']; allowed is one of: seebeck",
+        ),
+        ("noise.pwm: 7.0", "noise.pwm is now called noise.input; rename it"),
+        ("camera.noise: 0.1", "camera.noise is now called sensor.noise; rename it"),
+        ("pid.limit: 200.0", "pid.limit is now called pid.low and pid.high; rename it"),
+        ("pid.high: 256.0", "parameter pid.high is 256.0; allowed is PWM, -255 to 255"),
+        ("pid.high: -255.0", "the limits -255.0 and -255.0 must grow"),
+        ("pid.proportional: -3.0", "parameter pid.proportional is -3.0; allowed is PWM/°C, 0 to 10000"),
+        ("sensor.pause_period: 0.5", "a pause every 0.5 s leaves no time between pauses of 0.9 s"),
+    ],
+)
+def test_what_a_twin_cannot_have_is_refused_in_words(line: str, message: str, tmp_path: Path) -> None:
+    path = twin_file(tmp_path, line)
+    with pytest.raises(ParameterError) as caught:
+        read_settings(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_left_parts_out_by_zeros_still_works(tmp_path: Path) -> None:
+    zeros = ("sink_heat_capacity", "sink_convection", "sensor_lag", "seebeck_slope")
+    path = twin_file(tmp_path, "start.seebeck: 0.08", *(f"start.{name}: 0.0" for name in zeros))
+    assert read_settings(path).start == Peltier.model().parameters(seebeck=0.08)
+
+
+def test_recorded_values_are_understood_under_the_names_they_had() -> None:
+    old = {"noise.temperature": 0.2, "noise.pwm": 5.0, "camera.noise": 0.3, "pid.limit": 200.0}
+    old |= {"start.sink_heat_capacity": 250.0, "start.sink_convection": 6.0, "start.sensor_lag": 0.0}
+    settings = settings_from(recorded_values("session", old))
+    assert (settings.noise.output, settings.noise.input, settings.sensor.noise) == (0.2, 5.0, 0.3)
+    assert settings.gains is not None
+    assert (settings.gains.low, settings.gains.high) == (-200.0, 200.0)
+    assert settings.start == Peltier.model("sink with mass").parameters(
+        sink_heat_capacity=250.0, sink_convection=6.0
+    )

@@ -15,17 +15,15 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from rclpy.serialization import serialize_message
 
+from tests.support.rig import rig, run
 from twinmatch.nodes.conversions import match_message, score_message
-from twinmatch.nodes.parameters import check
-from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, settings_from
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.nodes.twin_parameters import settings_from, twin_values
 from twinmatch.reporting import judge, make_report
 from twinmatch.sessions import Qos, SessionWriter, Topic, samples_of
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.installed import schema_of
 from twinmatch.sessions.settings import parameters_record
 from twinmatch.sessions.topics import SAMPLE
-from twinmatch.signals import Window
 from twinmatch.twin import Twin
 
 pytestmark = pytest.mark.ros
@@ -45,11 +43,8 @@ def record(tmp_path: Path) -> Callable[..., Path]:
 
     def write(spoil: Callable[[Any], None] = lambda _score: None, *, parameters: bool = True) -> Path:
         reference = np.repeat([30.0, 60.0, 40.0], [60, 250, 120])
-        camera = Camera().realise(reference.size, 1.0, 3)
-        rig = RigParameters(seebeck=0.07, conductance=0.5, heat_capacity=27.0)
-        run = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
-        samples = samples_of(Window(reference, run.output, run.input))
-        values = check("twin", TWIN_PARAMETERS, {"decimals": 1})
+        samples = samples_of(run(rig(seebeck=0.07, conductance=0.5, heat_capacity=27.0), reference, seed=3))
+        values = twin_values("twin", {"decimals": 1})
         twin = Twin(settings_from(values))
         outcomes = [twin.push(sample) for sample in samples]
         stamps = {s.index: s.stamp for s in samples}

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.rig import rig, run
 from twinmatch.errors import TwinmatchError
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
 from twinmatch.reporting import Report, build_report, make_report, write_pictures
 from twinmatch.reporting.provenance import settings_of
 from twinmatch.sessions import SessionWriter, samples_of, write_session
@@ -209,11 +209,8 @@ def test_names_from_files_are_shown_and_not_run(tmp_path: Path) -> None:
 # Sessions out of the ordinary
 
 
-def rig(reference: np.ndarray, **changes: float) -> Window:
-    parameters = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0).replace(**changes)
-    camera = Camera().realise(reference.size, 1.0, 5)
-    run = simulate_closed_loop(parameters, reference, plate=296.0, camera=camera)
-    return Window(reference, run.output, run.input)
+def simulated(reference: np.ndarray, **changes: float) -> Window:
+    return run(rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0).replace(**changes), reference, seed=5)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +235,7 @@ def test_a_session_without_a_verdict_says_so(reference: np.ndarray, words: str, 
 def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> None:
     """The plant ignores its control half the way: no parameters explain that."""
     reference = np.repeat([30.0, 60.0, 30.0], [60, 260, 260])
-    window = rig(reference)
+    window = simulated(reference)
     temperature = window.output.copy()
     temperature[150:] = 20.0 + 0.01 * np.random.default_rng(1).normal(size=temperature.size - 150)
     samples = samples_of(Window(reference, temperature, window.input))
@@ -256,7 +253,7 @@ def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> No
 
 
 def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
-    window = rig(np.repeat([30.0, 50.0], [60, 250]))
+    window = simulated(np.repeat([30.0, 50.0], [60, 250]))
     path = tmp_path / "bench.csv"
     with path.open("w", newline="") as file:
         writer = csv.writer(file)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.support.rig import rig
 from twinmatch.discrimination import Verdict
-from twinmatch.plant import RigParameters
 from twinmatch.reporting import Report
 from twinmatch.reporting.match_tables import match_table, nominal_table
 from twinmatch.reporting.model_tables import gap_table, order_table
@@ -16,7 +16,7 @@ from twinmatch.reporting.words import duration
 
 from .conftest import grid, parse, tables_of
 
-RIG = RigParameters(seebeck=0.06, sink_heat_capacity=250.0, sink_convection=6.0)
+RIG = rig("sink with mass", seebeck=0.06, sink_heat_capacity=250.0, sink_convection=6.0)
 
 
 def verdict_of(report: Report) -> Verdict:
@@ -60,7 +60,7 @@ def telling(verdict: Verdict) -> Verdict:
         verdict,
         candidates=candidates,
         certainty="the choice is certain",
-        structure="sink-mass",
+        structure="sink with mass",
         structure_parameters=RIG,
     )
 
@@ -94,16 +94,16 @@ def test_the_page_shows_it_too(shipped: Report) -> None:
     assert "The choice is certain." in text
     rows = {
         row[0].text: row[2].text
-        for row in grid(tables_of(document)["The rig with the structure “sink-mass”"])
+        for row in grid(tables_of(document)["Peltier rig with the structure “sink with mass”"])
     }
-    assert rows["C_sink"] == "250"
+    assert rows["C_S"] == "250"
     assert "Akaike weights of the orders" in tables_of(document)
 
 
 def test_a_given_candidate_has_no_intervals(shipped: Report) -> None:
     score = verdict_of(shipped).candidates[0]
     rows = {row[0].text: row for row in nominal_table(score, None).rows}
-    assert rows["α"][2].text == f"{1000 * score.parameters.seebeck:.1f}"
+    assert rows["α"][2].text == f"{1000 * score.parameters['seebeck']:.1f}"
     assert rows["α"][6].text == "given"
     assert rows["α"][5].text == "–"
 

@@ -6,24 +6,25 @@ from collections.abc import Callable
 
 import pytest
 
-from twinmatch.plant import Pid, PlantState, RigParameters, advance
+from tests.support.rig import GAINS, rig
+from twinmatch.dynamics import Pid, advance, begin, read
 from twinmatch.safety import Runaway
-from twinmatch.signals import KELVIN, Window
+from twinmatch.signals import Window
 
-RIG = RigParameters(seebeck=0.06, conductance=0.65, heat_capacity=28.0)
+RIG = rig(seebeck=0.06, conductance=0.65, heat_capacity=28.0)
 
 
 def first_alarm(
     reference: Callable[[int], float], drive: Callable[[int, float], float], ticks: int = 900
 ) -> int:
     """Run the rig in its loop with a drive that may fail; the tick of the first alarm, or `ticks`."""
-    watch, pid, state = Runaway(), Pid(), PlantState(296.0, 296.0)
+    watch, pid, states = Runaway(), Pid(GAINS), begin(RIG, 22.85)
     for k in range(ticks):
-        y = state.plate - KELVIN
+        y = read(RIG, states)
         u = pid.step(reference(k), y)
         if watch.check(float(k), reference(k), y, u):
             return k
-        state = advance(RIG, state, drive(k, u))
+        states = advance(RIG, states, drive(k, u), GAINS.period)
     return ticks
 
 

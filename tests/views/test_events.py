@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.support.rig import rig
 from twinmatch.discrimination import ADMITTED, REFUSED, CandidateScore, TrustLevel, Verdict
 from twinmatch.matching import Match, Status
-from twinmatch.plant import RigParameters
 from twinmatch.twin import MatchReport
 from twinmatch.views import Event, EventKind, admitted, events, level_stretches
 from twinmatch.views.events import match_word
 
-CANDIDATE = CandidateScore("50 °C", 50.0, RigParameters(), 0, 99, (), "22221", 0.0, None, None)
+CANDIDATE = CandidateScore("50 °C", 50.0, rig(), 0, 99, (), "22221", 0.0, None, None)
 
 
 def verdict(sample: int, level: TrustLevel, *, nominal: str | None = "50 °C", fault: str = "") -> Verdict:
@@ -40,7 +40,7 @@ def verdict(sample: int, level: TrustLevel, *, nominal: str | None = "50 °C", f
 def report(sample: int, status: Status) -> MatchReport:
     unknown = np.full((1, 1), np.nan)
     match = Match(
-        parameters=RigParameters(),
+        parameters=rig(),
         free=("seebeck",),
         sink_start=None,
         covariance=unknown,

@@ -7,26 +7,21 @@ import json
 import numpy as np
 import pytest
 
+from tests.support.rig import rig, run
 from twinmatch.discrimination import Candidate, Verdict, score
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
 from twinmatch.sessions import samples_of
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, Twin, TwinSettings
 from twinmatch.views import Member, document, family, sentence, summarise
 from twinmatch.views.figures import draw_criteria, draw_matrix, draw_responses, draw_uncertainty, png, svg
 
-GIVEN = Candidate(
-    "from the paper", 90.0, RigParameters(seebeck=0.0295, conductance=0.38, heat_capacity=13.7), None
-)
+GIVEN = Candidate("from the paper", 90.0, rig(seebeck=0.0295, conductance=0.38, heat_capacity=13.7), None)
 
 
 @pytest.fixture(scope="module")
 def samples() -> list[Sample]:
     reference = np.repeat([30.0, 60.0], [60, 250])
-    rig = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0)
-    camera = Camera().realise(reference.size, 1.0, 11)
-    run = simulate_closed_loop(rig, reference, plate=296.0, camera=camera)
-    return samples_of(Window(reference, run.output, run.input))
+    return samples_of(run(rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0), reference, seed=11))
 
 
 Judged = tuple[list[MatchReport], list[Verdict]]

@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from tests.support.rig import rig
 from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, TrustLevel, Verdict
-from twinmatch.plant import RigParameters
 from twinmatch.views import Summary, sentence
 from twinmatch.views.line import Lines, closing_lines, header_text, line_text, redraws
 
@@ -18,7 +18,7 @@ SCORE = Criteria(1000, 400, 600, 0.6, 1.5, 900.0, 40.0)
 CANDIDATE = CandidateScore(
     name="50 °C",
     operating_point=50.0,
-    parameters=RigParameters(),
+    parameters=rig(),
     first=0,
     last=299,
     orders=(OrderScore("22221", SCORE, SCORE, SCORE + SCORE),),
@@ -44,7 +44,7 @@ VERDICT = Verdict(
     decided=True,
     certainty="50 °C is the only candidate",
     structure="sink with mass",
-    structure_parameters=RigParameters(seebeck=0.063),
+    structure_parameters=rig(seebeck=0.063),
 )
 NONE_YET = replace(
     VERDICT,

@@ -9,21 +9,47 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.plants import Motor
+from tests.support.rig import GAINS, rig, run
 from twinmatch.discrimination import CandidateScore, Criteria, OrderScore
-from twinmatch.plant import PARAMETER_NAMES, PidGains, RigParameters, simulate_closed_loop
+from twinmatch.dynamics import Plant
+from twinmatch.plants import PLANTS, Peltier
 from twinmatch.signals import KELVIN, Sample
-from twinmatch.views import compare, criterion_rows, number, quantity, rolling_rms
+from twinmatch.views import compare, criterion_rows, in_order, number, quantity, rolling_rms
 from twinmatch.views.style import CLOSED, DRIVEN, LEVELS, ORDERS, PLANT, SET_POINT, TEXT
 
 
-def test_every_rig_parameter_has_a_symbol_and_a_unit() -> None:
-    for name in PARAMETER_NAMES:
-        shown = quantity(name)
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=str)
+def test_every_parameter_has_a_symbol_a_unit_and_words(plant: type[Plant]) -> None:
+    for name in plant.parameters:
+        shown = quantity(plant, name)
         assert shown.name == name
-        assert shown.symbol != name, f"{name} has no entry in QUANTITIES"
-    assert quantity("seebeck").text(0.06) == "60.0"
-    assert quantity("ambient").text(KELVIN + 22.5) == "22.5"
-    assert quantity("new_thing").text(1.0) == "1.0000"
+        assert shown.symbol != name, f"{name} has no symbol"
+        assert shown.unit
+        assert shown.words
+
+
+def test_parameters_are_shown_in_units_that_read_well() -> None:
+    alpha, slope, room = (quantity(Peltier, name) for name in ("seebeck", "seebeck_slope", "ambient"))
+    assert (alpha.text(0.06), alpha.label) == ("60.0", "α / (mV/K)")
+    assert (slope.text(1.2e-4), slope.unit) == ("120", "µV/K²")
+    assert (room.text(KELVIN + 22.5), room.unit, room.error_text(0.5)) == ("22.5", "°C", "0.50")
+    assert quantity(Peltier, "conductance").text(0.7) == "0.700"
+    sink = quantity(Peltier, "sink")
+    assert (sink.symbol, sink.text(KELVIN + 30.0)) == ("T_B(0)", "30.0")
+    assert quantity(Peltier, "new_thing").text(1.0) == "1.0000"
+
+
+def test_another_plant_is_shown_as_it_declares_itself() -> None:
+    inertia, friction = quantity(Motor, "j"), quantity(Motor, "b")
+    assert (inertia.text(4e-4), inertia.unit) == ("0.000400", "kg m²"), "kilograms take no prefix"
+    assert (friction.symbol, friction.words) == ("b", "viscous friction")
+    assert quantity(Motor, "omega").unit == "rad/s"
+
+
+def test_names_come_in_the_plants_order() -> None:
+    names = ("sink", "heat_capacity", "unheard", "seebeck")
+    assert in_order(Peltier, names) == ("seebeck", "heat_capacity", "sink", "unheard")
 
 
 @pytest.mark.parametrize(
@@ -44,7 +70,7 @@ def test_the_best_is_the_largest_gain_and_the_smallest_of_the_others() -> None:
         OrderScore(name, criteria(gain, loss), criteria(gain, loss), criteria(gain, loss))
         for name, gain, loss in scores
     )
-    candidate = CandidateScore("c", 50.0, RigParameters(), 0, 99, orders, "33331", 0.0, None, None)
+    candidate = CandidateScore("c", 50.0, rig(), 0, 99, orders, "33331", 0.0, None, None)
     rows = criterion_rows(candidate)
     assert [(r.output, r.order) for r in rows[:3]] == [("y", "22221"), ("y", "33331"), ("y", "44441")]
     assert [r.chosen for r in rows[:3]] == [False, True, False]
@@ -62,12 +88,12 @@ def test_the_rolling_rms_is_that_of_the_newest_values(values: list[float], count
 
 
 def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
-    rig = RigParameters(seebeck=0.06, conductance=0.5, heat_capacity=27.0)
+    plant = rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0)
     reference = np.repeat([30.0, 60.0], 150)
-    run = simulate_closed_loop(rig, reference, plate=rig.ambient)
-    table = enumerate(zip(reference, run.output, run.input, strict=True))
+    window = run(plant, reference)
+    table = enumerate(zip(reference, window.output, window.input, strict=True))
     samples = [Sample(k, k * 10**9, float(r), float(y), float(u)) for k, (r, y, u) in table]
-    parts = compare(samples[:100] + samples[101:103] + samples[110:], rig, PidGains())
+    parts = compare(samples[:100] + samples[101:103] + samples[110:], plant, GAINS)
     assert [len(p.window) for p in parts] == [100, 190]
     for part in parts:
         np.testing.assert_allclose(part.residual_y, 0, atol=1e-6)

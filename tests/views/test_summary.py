@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
+from tests.support.rig import rig
 from twinmatch.discrimination import TrustLevel
-from twinmatch.plant import RigParameters
 from twinmatch.views import Summary, TrustRange, sentence
 
 SUMMARY = Summary(
     nominal="70 °C",
     level=TrustLevel.TRUSTED,
-    parameters=RigParameters(),
+    parameters=rig(),
     fit_y=0.9881,
     fit_u=0.9,
     verdicts=5,

@@ -6,13 +6,11 @@ import io
 import re
 from collections.abc import Sequence
 
-import numpy as np
 import pytest
 from rich.console import Console
 
-from twinmatch.plant import Pid, PlantState, RigParameters, advance
+from tests.support.steps import drive_lost
 from twinmatch.replay import Judgement, judge_samples
-from twinmatch.signals import KELVIN, Sample
 from twinmatch.twin import TwinSettings
 from twinmatch.views import nominal_score, number, quantity
 from twinmatch.views.line import Lines
@@ -23,22 +21,9 @@ LOST = 640
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
-def drive_lost() -> list[Sample]:
-    rig = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
-    noise = np.random.default_rng(5).normal(0.0, 0.1, 720)
-    pid, state, samples = Pid(), PlantState(296.0, 296.0), []
-    for k, error in enumerate(noise):
-        r = (40.0, 70.0, 45.0, 80.0)[k // 200]
-        y = state.plate - KELVIN + float(error)
-        u = pid.step(r, y)
-        samples.append(Sample(k, k * 10**9, r, y, u))
-        state = advance(rig, state, 0.0 if k >= LOST else u)
-    return samples
-
-
 @pytest.fixture(scope="module")
 def judged() -> Judgement:
-    return judge_samples("drive_lost", drive_lost(), TwinSettings())
+    return judge_samples("drive_lost", drive_lost(LOST), TwinSettings())
 
 
 def shown(judged: Judgement, width: int, height: int = 60, *, until: int = 720, **options: object) -> str:

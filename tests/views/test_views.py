@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from tests.support.rig import rig
 from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.errors import TwinmatchError
-from twinmatch.plant import RigParameters
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 from twinmatch.views import COLUMNS, News, document, news, print_header, print_line, row, sentence, summarise
@@ -22,7 +22,7 @@ CRITERIA = Criteria(1000, 400, 600, 0.6, 1.5, 900.0, 40.0)
 CANDIDATE = CandidateScore(
     name="50 °C",
     operating_point=50.0,
-    parameters=RigParameters(seebeck=0.06),
+    parameters=rig(seebeck=0.06),
     first=0,
     last=299,
     orders=tuple(OrderScore(o, CRITERIA, CRITERIA, CRITERIA + CRITERIA) for o in ("22221", "33331")),
