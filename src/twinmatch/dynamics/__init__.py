@@ -24,6 +24,7 @@ from twinmatch.dynamics.pid import Pid, PidGains, PidState, controller_state
 from twinmatch.dynamics.plant import Plant
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
 from twinmatch.dynamics.simulation import (
+    SKIPPED,
     Response,
     advance,
     begin,
@@ -36,6 +37,7 @@ from twinmatch.dynamics.simulation import (
 )
 
 __all__ = [
+    "SKIPPED",
     "Descended",
     "Disturbance",
     "Drive",

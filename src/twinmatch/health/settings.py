@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from twinmatch.dynamics import Parameters, Plant
@@ -21,6 +21,10 @@ _JUMP: Final = 80.0
 """Units of the output's noise."""
 
 
+def _typical(plant: type[Plant] = Peltier) -> Parameters:
+    return plant.model().parameters(**plant.typical)
+
+
 @dataclass(frozen=True)
 class HealthSettings:
     """When a trace in the signals becomes a fault; docs/health.md measures what each limit leaves.
@@ -31,15 +35,15 @@ class HealthSettings:
 
     period: float = 1.0
     """Sample time, s."""
-    reference: Parameters = None  # type: ignore[assignment]  # filled in below, as `jump` is
+    reference: Parameters = field(default_factory=_typical)
     """The twin until one is known that explains the plant better, in the structure that is judged by. How
     much the drive does and the time constant matter, and those roughly: half or twice will do. Of the
     Peltier rig, if not given."""
     lost: float = 0.4
     """Share of the drive's expected effect below which it is lost. A healthy plant shows 0.65 and more."""
-    jump: float = None  # type: ignore[assignment]
-    """Step of a reading within one sample that the plant cannot make, in the output's unit. If not given, 80
-    times its noise: 8 °C on the rig, whose healthy camera's corrections make 3."""
+    jump: float = 8.0
+    """Step of a reading within one sample that the plant cannot make, in the output's unit. Corrections of
+    the rig's healthy camera make 3 °C."""
     frozen: float = 10.0
     """How long the same reading has to be repeated, s. Healthy cameras repeat theirs for 5 s at most."""
     drift: float = 2.6
@@ -50,14 +54,11 @@ class HealthSettings:
 
     @classmethod
     def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:
-        """Those for a plant: judged by its first structure with typical parameters."""
-        return cls(period=period, reference=plant.model().parameters(**plant.typical))
+        """Those for a plant: judged by its first structure with typical parameters, a jump being 80 times its
+        noise."""
+        return cls(period=period, reference=_typical(plant), jump=_JUMP * plant.output.noise)
 
     def __post_init__(self) -> None:
-        if self.reference is None:
-            object.__setattr__(self, "reference", Peltier.model().parameters(**Peltier.typical))
-        if self.jump is None:
-            object.__setattr__(self, "jump", _JUMP * self.reference.model.plant.output.noise)
         for name in ("period", "lost", "jump", "frozen", "drift", "start"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):

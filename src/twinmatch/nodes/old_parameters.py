@@ -19,6 +19,8 @@ RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
     "camera.resolution": ("sensor.resolution",),
     "pid.limit": ("pid.low", "pid.high"),
 }
+GONE: Final = ("limits.fault_y", "limits.fault_u")
+"""What was told by residuals once; faults are the health monitor's to tell."""
 _START: Final = "start."
 
 
@@ -31,6 +33,10 @@ def refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
     for name, now in RENAMED.items():
         if name in given:
             msg = f"{place}: {name} is now called {' and '.join(now)}; rename it"
+            raise ParameterError(msg)
+    for name in GONE:
+        if name in given:
+            msg = f"{place}: {name} is no longer used: only the health monitor tells a fault; remove it"
             raise ParameterError(msg)
 
 
@@ -59,7 +65,7 @@ def without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[s
 
 def translated(given: Mapping[str, Any]) -> dict[str, Any]:
     """Recorded values under the names they have now."""
-    kept = {name: value for name, value in given.items() if name not in RENAMED}
+    kept = {name: value for name, value in given.items() if name not in {*RENAMED, *GONE}}
     for old, names in RENAMED.items():
         if old in given:
             kept |= dict.fromkeys(names, given[old])

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from twinmatch.dynamics import Model, PidGains, Plant, PlantError, Sensor
+from twinmatch.dynamics import Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
@@ -114,14 +114,14 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         free=tuple(values["free"]),
         start=plant.model(values["structure"]).parameters(**group("start.")),
         noise=Noise(**group("noise.")),
-        gains=None if plant.loop is None else pid_gains(values),
+        gains=pid_gains(values),
         sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],
         most_candidates=values["most_candidates"],
         regime_width=values["regime_width"],
         limits=TrustLimits(**group("limits.")),
-        health=HealthSettings(period=values["period"], **group("health.")),
+        health=replace(HealthSettings.of(plant, values["period"]), **group("health.")),
     )
 
 
@@ -197,8 +197,7 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     if config is not None:
         msg = f"{config}: the period is {settings.period:g} s, but the samples come every {period:g} s"
         raise TwinError(msg)
-    gains: PidGains | None = settings.gains
-    return replace(settings, period=period, gains=None if gains is None else replace(gains, period=period))
+    return replace(settings, period=period, gains=replace(settings.gains, period=period))
 
 
 def _plant(model: Model) -> tuple[Parameter, ...]:
@@ -234,7 +233,7 @@ def _plant(model: Model) -> tuple[Parameter, ...]:
 
 
 def _schedule(plant: type[Plant]) -> tuple[Parameter, ...]:
-    has = _defaults(ScheduleSettings)
+    has = _defaults(TwinSettings.of(plant).schedule)
     return tuple(
         Parameter(f"schedule.{name}", has[name], text, unit, low, high)
         for name, text, unit, low, high in (
@@ -270,7 +269,7 @@ def _sensor(plant: type[Plant]) -> tuple[Parameter, ...]:
 
 
 def _family(plant: type[Plant]) -> tuple[Parameter, ...]:
-    has = _defaults(TwinSettings)
+    has = _defaults(TwinSettings.of(plant))
     return (
         Parameter("seed", has["seed"], "Seed of that sensor's noise.", "", 0, 2**31),
         Parameter("decimals", has["decimals"], "Decimal places of the information gain's tables.", "", 0, 9),
@@ -288,13 +287,11 @@ def _family(plant: type[Plant]) -> tuple[Parameter, ...]:
 
 def _trust(plant: type[Plant]) -> tuple[Parameter, ...]:
     """Limits of the trust level and of the plant's health."""
-    limits, health = _defaults(TrustLimits), _defaults(HealthSettings)
+    limits, health = _defaults(TrustLimits.of(plant)), _defaults(HealthSettings.of(plant))
     y, u = plant.output.unit, unit_of(plant.drive)
     known = {
         "doubtful_y": ("Residual RMS that makes the twin doubtful.", y),
-        "fault_y": ("Residual RMS that is a fault.", y),
         "doubtful_u": ("The same for the control.", u),
-        "fault_u": ("The same for the control.", u),
     }
     return (
         *(
@@ -315,8 +312,8 @@ def _trust(plant: type[Plant]) -> tuple[Parameter, ...]:
     )
 
 
-def _defaults(settings: type[Any]) -> dict[str, Any]:
-    return {field.name: field.default for field in fields(settings)}
+def _defaults(settings: Any) -> dict[str, Any]:
+    return {field.name: getattr(settings, field.name) for field in fields(settings)}
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

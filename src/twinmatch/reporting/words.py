@@ -8,11 +8,11 @@ from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
 from twinmatch.replay import Judgement
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
-from twinmatch.twin.discriminator import UNEXPLAINED
 from twinmatch.views.comparison import compare, root_mean_square
 from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.quantities import number
 from twinmatch.views.standing import last_verdict, nominal_score
+from twinmatch.views.summary import UNEXPLAINED
 
 __all__ = ["as_sentence", "duration", "plain_words", "session_facts"]
 

@@ -24,9 +24,6 @@ from twinmatch.twin.threads import one_thread
 
 __all__ = ["Discriminator", "Step", "trust_level"]
 
-UNEXPLAINED = "unexplained"
-"""What a fault is called that the residuals show and the monitor has no name for."""
-
 
 class Step(NamedTuple):
     """What one sample or match brought about."""
@@ -71,7 +68,9 @@ class Discriminator:
         self._structure = StructureWatch(
             StructureSettings(
                 models=watched(self.settings.plant),
-                noise=self.settings.noise, gains=self.settings.gains, decimals=self.settings.decimals
+                noise=self.settings.noise,
+                gains=self.settings.gains,
+                decimals=self.settings.decimals,
             )
         )
         self._given = list(given)
@@ -234,10 +233,7 @@ class Discriminator:
         if health is not None and health.state is State.FAULT and health.fault is not None:
             fault, since = health.fault.value, health.since
             # A plant that drifts still obeys: its next matches bring the twin up to it.
-            drifts = health.fault is Fault.DRIFT and level is not TrustLevel.FAULT
-            level = TrustLevel.DOUBTFUL if drifts else TrustLevel.FAULT
-        elif level is TrustLevel.FAULT:
-            fault, since = UNEXPLAINED, max(window.first, window.last - self.settings.schedule.stride + 1)
+            level = TrustLevel.DOUBTFUL if health.fault is Fault.DRIFT else TrustLevel.FAULT
         return replace(
             verdict,
             sample=sample,
@@ -300,8 +296,6 @@ def trust_level(found: Residuals, limits: TrustLimits) -> TrustLevel:
     """How far residuals of this size leave the nominal twin to be trusted."""
     if np.isnan(found.y):
         return TrustLevel.UNKNOWN
-    if found.y >= limits.fault_y or found.u >= limits.fault_u:
-        return TrustLevel.FAULT
     if found.y >= limits.doubtful_y or found.u >= limits.doubtful_u:
         return TrustLevel.DOUBTFUL
     return TrustLevel.TRUSTED

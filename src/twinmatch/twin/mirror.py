@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from twinmatch.plant import Pid, PidGains, PlantState, RigParameters, advance
-from twinmatch.signals import KELVIN, Sample
+from twinmatch.dynamics import Parameters, Pid, PidGains, advance, begin, gains_of, read
+from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["Mirror", "MirrorState"]
 
 
 @dataclass(frozen=True)
 class MirrorState:
-    """Both twins at one tick, before the tick's control acts on them."""
+    """Both twins at one tick, before the tick's input acts on them."""
 
     sample: Sample
-    closed_temperature: float
-    """What the camera sees of the twin that is given the set-point and has a controller of its own, °C."""
-    closed_pwm: float
-    """Control of that twin."""
-    driven_temperature: float
-    """What the camera sees of the twin that is given the plant's control, °C."""
-    closed_sink: float
-    """Heat sink of the closed-loop twin, °C."""
-    driven_sink: float
+    closed_output: float
+    """Output of the twin that is given the set-point and has a controller of its own."""
+    closed_input: float
+    """Input that this controller gives it."""
+    driven_output: float
+    """Output of the twin that is given the plant's input."""
+    closed_states: Mapping[str, float]
+    """States of the closed-loop twin by name, each in its unit."""
+    driven_states: Mapping[str, float]
     residual_y: float
-    """Measured minus closed-loop temperature, °C."""
+    """Measured minus closed-loop output."""
     residual_u: float
-    """Measured minus closed-loop control, PWM counts."""
+    """Measured minus closed-loop input."""
     residual_driven: float
-    """Measured minus driven temperature, °C."""
+    """Measured minus driven output."""
     rms_y: float
     """RMS of the residuals above over the newest samples, same units."""
     rms_u: float
@@ -40,67 +41,91 @@ class MirrorState:
 
 
 class Mirror:
-    """Mirrors the live inputs: the set-point into one twin, the control into another.
+    """Mirrors what is measured live: the set-point into one twin, the input into another.
 
-    New parameters take over without a jump: plates, sinks and controller keep their state. A gap in
-    the samples starts both twins again from the measured temperature.
+    New parameters take over without a jump: states that both structures have, and the controller, stay as
+    they are. A gap in the samples starts both twins again from the measured output.
     """
 
-    _closed: PlantState
-    _driven: PlantState
+    _closed: FloatArray
+    _driven: FloatArray
     _pid: Pid
 
-    def __init__(
-        self, parameters: RigParameters | None = None, gains: PidGains | None = None, recent: int = 60
-    ) -> None:
-        """Start with these rig parameters; residuals are averaged over `recent` samples."""
-        self.parameters = parameters or RigParameters()
-        self._gains = gains or PidGains()
+    def __init__(self, parameters: Parameters, gains: PidGains | None = None, recent: int = 60) -> None:
+        """Start with these parameters; residuals are averaged over `recent` samples.
+
+        The gains are those of the plant file, at 1 s, if not given.
+        """
+        self._parameters = parameters
+        self._gains = gains or gains_of(parameters.model.plant, 1.0)
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
         self._previous: Sample | None = None
         self._started = 0
+
+    @property
+    def parameters(self) -> Parameters:
+        """Of both twins."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, new: Parameters) -> None:
+        if self._previous is not None and new.model is not self._parameters.model:
+            self._closed, self._driven = (self._moved(x, new) for x in (self._closed, self._driven))
+        self._parameters = new
 
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return where the twins are at its tick."""
         if self._previous is None or sample.index != self._previous.index + 1:
             self._restart(sample)
+        row = _disturbances(sample)
+        closed = read(self._parameters, self._closed, row)
         if self._started < 2:
             # The controller's state follows from two recorded samples; until then it is the plant's.
-            state = self._observe(sample, sample.input)
+            state = self._observe(sample, closed, sample.input)
             self._pid.follow(sample.reference, sample.output, sample.input)
             self._started += 1
         else:
-            closed = self._closed.sensor - KELVIN
-            state = self._observe(sample, self._pid.step(sample.reference, closed))
+            state = self._observe(sample, closed, self._pid.step(sample.reference, closed))
         period = self._gains.period
-        self._closed = advance(self.parameters, self._closed, state.closed_pwm, period)
-        self._driven = advance(self.parameters, self._driven, sample.input, period)
+        self._closed = advance(self._parameters, self._closed, state.closed_input, period, row)
+        self._driven = advance(self._parameters, self._driven, sample.input, period, row)
         self._previous = sample
         return state
 
     def _restart(self, sample: Sample) -> None:
-        start = PlantState(plate=sample.output + KELVIN, sink=self.parameters.ambient)
+        start = begin(self._parameters, sample.output, disturbances=_disturbances(sample))
         self._closed = self._driven = start
         self._pid = Pid(self._gains)
         self._recent.clear()
         self._started = 0
 
-    def _observe(self, sample: Sample, closed_pwm: float) -> MirrorState:
-        closed, driven = self._closed.sensor - KELVIN, self._driven.sensor - KELVIN
-        residual = (sample.output - closed, sample.input - closed_pwm, sample.output - driven)
+    def _moved(self, states: FloatArray, new: Parameters) -> FloatArray:
+        """States of another structure: those of this one as far as they go, the rest as at a begin."""
+        held = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
+        starts = {name: held[name] for name in new.model.states if name in held}
+        return begin(new, read(self._parameters, states), starts=starts)
+
+    def _observe(self, sample: Sample, closed: float, closed_input: float) -> MirrorState:
+        driven = read(self._parameters, self._driven, _disturbances(sample))
+        residual = (sample.output - closed, sample.input - closed_input, sample.output - driven)
         self._recent.append(residual)
-        rms_y, rms_u, rms_driven = np.sqrt(np.mean(np.square(self._recent), axis=0))
+        rms_y, rms_u, rms_driven = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()
+        names = self._parameters.model.states
         return MirrorState(
             sample=sample,
-            closed_temperature=closed,
-            closed_pwm=closed_pwm,
-            driven_temperature=driven,
-            closed_sink=self._closed.sink - KELVIN,
-            driven_sink=self._driven.sink - KELVIN,
+            closed_output=closed,
+            closed_input=closed_input,
+            driven_output=driven,
+            closed_states=dict(zip(names, self._closed.tolist(), strict=True)),
+            driven_states=dict(zip(names, self._driven.tolist(), strict=True)),
             residual_y=residual[0],
             residual_u=residual[1],
             residual_driven=residual[2],
-            rms_y=float(rms_y),
-            rms_u=float(rms_u),
-            rms_driven=float(rms_driven),
+            rms_y=rms_y,
+            rms_u=rms_u,
+            rms_driven=rms_driven,
         )
+
+
+def _disturbances(sample: Sample) -> FloatArray | None:
+    return np.array(sample.disturbances) if sample.disturbances else None

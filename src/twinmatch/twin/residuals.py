@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.plant import PidGains, RigParameters, simulate_driven, simulate_window
-from twinmatch.signals import KELVIN, FloatArray, Window
+from twinmatch.dynamics import SKIPPED, Parameters, PidGains, begin, simulate_driven, simulate_window
+from twinmatch.signals import FloatArray, Window
 
 __all__ = ["Residuals", "closed_loop_fit", "nrmse", "residuals"]
 
@@ -16,25 +16,30 @@ class Residuals(NamedTuple):
     """RMS of measured minus twin over a window."""
 
     y: float
-    """Temperature against the driven twin, which is given the measured control; °C."""
+    """Output against the driven twin, which is given the measured input."""
     u: float
-    """Control against the closed-loop twin, which is given the set-point; PWM counts."""
+    """Input against the closed-loop twin, which is given the set-point."""
 
 
-def residuals(parameters: RigParameters, window: Window, gains: PidGains) -> Residuals:
+def residuals(parameters: Parameters, window: Window, gains: PidGains) -> Residuals:
     """Run both twins over a window from its measured start (NaN if it has fewer than four samples)."""
     if len(window) < 4:
         return Residuals(float("nan"), float("nan"))
-    plate = float(window.output[2]) + KELVIN
-    driven = simulate_driven(parameters, window.input[2:], plate=plate, period=window.period)
+    disturbances = window.disturbances[SKIPPED:]
+    states = begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0])
+    driven = simulate_driven(
+        parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
+    )
     closed = simulate_window(parameters, window, gains=gains)
-    return Residuals(_rms(window.output[2:] - driven.output), _rms(window.input[2:] - closed.input))
+    return Residuals(
+        _rms(window.output[SKIPPED:] - driven.output), _rms(window.input[SKIPPED:] - closed.input)
+    )
 
 
-def closed_loop_fit(parameters: RigParameters, window: Window, gains: PidGains) -> tuple[float, float]:
-    """NRMSE fit of temperature and control of the closed-loop twin over a window; 1 is perfect."""
+def closed_loop_fit(parameters: Parameters, window: Window, gains: PidGains) -> tuple[float, float]:
+    """NRMSE fit of output and input of the closed-loop twin over a window; 1 is perfect."""
     closed = simulate_window(parameters, window, gains=gains)
-    return nrmse(window.output[2:], closed.output), nrmse(window.input[2:], closed.input)
+    return nrmse(window.output[SKIPPED:], closed.output), nrmse(window.input[SKIPPED:], closed.input)
 
 
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float:

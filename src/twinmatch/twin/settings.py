@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
+from twinmatch.dynamics import Parameters, PidGains, Plant, Sensor, gains_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
-from twinmatch.plant import Camera, PidGains, RigParameters
+from twinmatch.plants import Peltier
 from twinmatch.twin.schedule import ScheduleSettings
 
 __all__ = ["TrustLimits", "TwinError", "TwinSettings"]
+
+_DOUBTFUL: Final = (70.0, 55.0 / 7.0)
+"""Of output and input, in units of their noise."""
+_REGIME: Final = 100.0
+_STEP: Final = 20.0
+"""Width of a regime and smallest step that begins one, in units of the output's noise."""
 
 
 class TwinError(TwinmatchError):
@@ -19,63 +27,100 @@ class TwinError(TwinmatchError):
 
 @dataclass(frozen=True)
 class TrustLimits:
-    """Where the trust level changes: RMS of the nominal twin's residuals over the newest samples.
+    """Where the nominal twin becomes doubtful: RMS of its residuals over the newest samples.
 
     Over six healthy hours of the rig, minute by minute, the driven twin was off by at most 6 °C with
     parameters matched anywhere in the family and the closed-loop twin by at most 40 counts after the
-    first minute; a lost drive makes it 24 °C and 155 counts within the minute in which it shows.
+    first minute; a lost drive makes it 24 °C and 155 counts within the minute in which it shows. What is
+    wrong with the plant is for the health monitor to say: a residual cannot tell a fault from a bad twin.
     """
 
     doubtful_y: float = 7.0
-    """Measured minus driven-twin temperature, °C."""
-    fault_y: float = 12.0
+    """Measured minus driven-twin output, in its unit."""
     doubtful_u: float = 55.0
-    """Measured minus closed-loop-twin control, PWM counts."""
-    fault_u: float = 100.0
+    """Measured minus closed-loop-twin input, in its unit."""
 
     def __post_init__(self) -> None:
-        for name in ("y", "u"):
-            doubtful, fault = getattr(self, f"doubtful_{name}"), getattr(self, f"fault_{name}")
-            if not 0 < doubtful < fault:
-                msg = (
-                    f"trust limits: doubtful_{name} {doubtful} and fault_{name} {fault} "
-                    "must be positive and grow"
-                )
-                raise TwinError(msg)
+        for name in ("doubtful_y", "doubtful_u"):
+            if not getattr(self, name) > 0:
+                raise TwinError(f"trust limits: {name} is {getattr(self, name)}; it must be positive")
+
+    @classmethod
+    def of(cls, plant: type[Plant]) -> TrustLimits:
+        """Those for a plant, in proportion to the noise it declares."""
+        y, u = _DOUBTFUL
+        return cls(y * plant.output.noise, u * plant.drive.noise)
+
+
+def _start() -> Parameters:
+    return Peltier.model().parameters()
+
+
+def _gains() -> PidGains:
+    return gains_of(Peltier, 1.0)
 
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """How the twin is matched and judged."""
+    """How the twin is matched and judged; without arguments for the Peltier rig, `of` gives any plant's."""
 
+    plant: type[Plant] = Peltier
+    """What is judged."""
     period: float = 1.0
     """Sample time, s."""
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
-    free: tuple[str, ...] = ("seebeck", "conductance", "heat_capacity")
-    """Names of the rig parameters a match may change."""
-    start: RigParameters = field(default_factory=RigParameters)
-    """Start values, and the values of all that is not free."""
-    noise: Noise = field(default_factory=Noise)
-    gains: PidGains = field(default_factory=PidGains)
-    camera: Camera = field(default_factory=Camera)
-    """Noise of the camera the twin is seen through when its models are identified."""
+    free: tuple[str, ...] = next(iter(Peltier.structures.values())).free
+    """Names of the parameters a match may change."""
+    start: Parameters = field(default_factory=_start)
+    """Start values, and the values of all that is not free; the structure that is matched is theirs."""
+    noise: Noise = Noise.of(Peltier)  # noqa: RUF009 (immutable)
+    gains: PidGains = field(default_factory=_gains)
+    sensor: Sensor = Peltier.sensor
+    """The twin is seen through it when its models are identified."""
     seed: int = 2022
-    """Of that noise; the window's first sample is added, so that windows differ and replays do not."""
+    """Of its noise; the window's first sample is added, so that windows differ and replays do not."""
     decimals: int = 2
     """Decimal places of the information gain's tables."""
     most_candidates: int = 8
     regime_width: float = 10.0
-    """Operating points closer than half of this are one regime, °C."""
+    """Operating points closer than half of this, in the output's unit, are one regime."""
     limits: TrustLimits = field(default_factory=TrustLimits)
     health: HealthSettings = field(default_factory=HealthSettings)
     """Of the monitor of the plant's health; its period is `period`."""
 
+    @classmethod
+    def of(cls, plant: type[Plant], structure: str | None = None, period: float = 1.0) -> TwinSettings:
+        """Those for a plant in one of its structures (the first, if none is named).
+
+        Raises:
+            PlantError: there is no such structure, or the plant's controller is not known.
+        """
+        model = plant.model(structure)
+        noise = plant.output.noise
+        return cls(
+            plant=plant,
+            period=period,
+            schedule=ScheduleSettings(min_step=_STEP * noise),
+            free=model.structure.free,
+            start=model.parameters(),
+            noise=Noise.of(plant),
+            gains=gains_of(plant, period),
+            sensor=plant.sensor or Sensor(),
+            regime_width=_REGIME * noise,
+            limits=TrustLimits.of(plant),
+            health=HealthSettings.of(plant, period),
+        )
+
     def __post_init__(self) -> None:
+        for name, of in (("start", self.start), ("health.reference", self.health.reference)):
+            if of.model.plant is not self.plant:
+                msg = f"twin: {name} has parameters of {of.model.plant.title}; it takes {self.plant.title}'s"
+                raise TwinError(msg)
         if self.most_candidates < 1:
             msg = f"twin: most_candidates is {self.most_candidates}; a family needs at least one"
             raise TwinError(msg)
         if not self.regime_width > 0:
-            msg = f"twin: regime_width is {self.regime_width} °C; it must be positive"
+            msg = f"twin: regime_width is {self.regime_width}; it must be positive"
             raise TwinError(msg)
         if self.gains.period != self.period:
             msg = (

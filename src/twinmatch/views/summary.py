@@ -11,11 +11,13 @@ from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import TrustLimits, closed_loop_fit
-from twinmatch.twin.discriminator import UNEXPLAINED
 from twinmatch.views.quantities import number
 from twinmatch.views.trust_range import TrustRange, trust_range
 
-__all__ = ["Summary", "sentence", "summarise"]
+__all__ = ["UNEXPLAINED", "Summary", "sentence", "summarise"]
+
+UNEXPLAINED = "unexplained"
+"""What sessions recorded by earlier versions call a fault that only the residuals showed."""
 
 
 @dataclass(frozen=True)

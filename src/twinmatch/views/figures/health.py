@@ -36,9 +36,9 @@ def draw_health(
     first, period = samples[0].index, settings.period
     draw_levels(axes[0], verdicts, period, first)
     limits = settings.limits
-    _draw_residual(axes[1], verdicts, "residual_y", period, (limits.doubtful_y, limits.fault_y))
+    _draw_residual(axes[1], verdicts, "residual_y", period, limits.doubtful_y)
     axes[1].set_ylabel("temperature\nRMS / °C")
-    _draw_residual(axes[2], verdicts, "residual_u", period, (limits.doubtful_u, limits.fault_u))
+    _draw_residual(axes[2], verdicts, "residual_u", period, limits.doubtful_u)
     axes[2].set_ylabel("control\nRMS / counts")
     _draw_matches(axes[3], matches, admitted(verdicts), period)
     time_axis(axes[-1], period, first, samples[-1].index)
@@ -59,7 +59,7 @@ def draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: i
 
 
 def _draw_residual(
-    axes: Axes, verdicts: Sequence[Verdict], attribute: str, period: float, limits: tuple[float, float]
+    axes: Axes, verdicts: Sequence[Verdict], attribute: str, period: float, limit: float
 ) -> None:
     known = [v for v in verdicts if getattr(v, attribute) == getattr(v, attribute)]
     values = [float(getattr(v, attribute)) for v in known]
@@ -68,21 +68,20 @@ def _draw_residual(
         return
     axes.plot([v.sample * period for v in known], values, color=PLANT, marker=".", ms=4, lw=1)
     top = 1.15 * max(values)
-    for limit, level in zip(limits, (TrustLevel.DOUBTFUL, TrustLevel.FAULT), strict=True):
-        if limit <= _DRAWN * top:
-            axes.axhline(limit, color=LEVELS[level], lw=1.2, ls="--")
-            axes.annotate(
-                f"{level.value} from {limit:g}",
-                (0.0 if level is TrustLevel.FAULT else 0.14, limit),
-                (4, 2),
-                xycoords=axes.get_yaxis_transform(),
-                textcoords="offset points",
-                fontsize=8,
-            )
-            top = max(top, 1.2 * limit)
-    if limits[0] > top:
+    if limit <= _DRAWN * top:
+        axes.axhline(limit, color=LEVELS[TrustLevel.DOUBTFUL], lw=1.2, ls="--")
         axes.annotate(
-            f"(doubtful from {limits[0]:g}, above this picture)",
+            f"doubtful from {limit:g}",
+            (0.0, limit),
+            (4, 2),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords="offset points",
+            fontsize=8,
+        )
+        top = max(top, 1.2 * limit)
+    else:
+        axes.annotate(
+            f"(doubtful from {limit:g}, above this picture)",
             (1.0, 0.97),
             xycoords="axes fraction",
             ha="right",
