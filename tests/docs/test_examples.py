@@ -1,6 +1,7 @@
 """Every Python example of README and docs runs and prints what its comments say.
 
-Blocks fenced as `python hardware` need a rig and are left out.
+Blocks fenced as `python hardware` need a rig and are left out; one fenced as `python NAME.py` is a module that
+the examples of all pages may import.
 """
 
 from __future__ import annotations
@@ -24,6 +25,17 @@ def examples() -> list[tuple[str, str]]:
         name = str(page.relative_to(PROJECT))
         found += [(f"{name} #{k}", block) for k, block in enumerate(blocks, 1) if not NEEDS_ROS.search(block)]
     return found
+
+
+@pytest.fixture(autouse=True)
+def _modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for page in PAGES:
+        blocks = re.findall(
+            r"^```python (\w+\.py)\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        )
+        for name, code in blocks:
+            (tmp_path / name).write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
 
 
 def test_there_are_examples() -> None:
