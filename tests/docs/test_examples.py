@@ -1,7 +1,7 @@
 """Every Python example of README and docs runs and prints what its comments say.
 
-Blocks fenced as `python hardware` need a rig and are left out; one fenced as `python NAME.py` is a module that
-the examples of all pages may import.
+Blocks fenced as `python hardware` need a rig and are left out; one fenced as `python NAME.py` is a module
+that the examples of all pages may import.
 """
 
 from __future__ import annotations
