@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares, lsq_linear
-
 from twinmatch.matching.descent import Descended, box_step, descend
 
 

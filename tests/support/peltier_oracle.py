@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy.integrate
 
+solve_ivp: Any = scipy.integrate.solve_ivp
 Values = Mapping[str, float]
 
 
