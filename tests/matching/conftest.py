@@ -1,4 +1,4 @@
-"""Windows of rigs whose truth is known."""
+"""Windows of plants whose truth is known."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.dynamics import Parameters, Sensor, begin, simulate_closed_loop
 from twinmatch.signals import Window
 
 Recorder = Callable[..., Window]
@@ -18,19 +18,15 @@ def record() -> Recorder:
     """`record(rig, levels=(30, 55, 42), seed=None)`: a loop settled at the first level, then steps."""
 
     def run(
-        rig: RigParameters,
+        rig: Parameters,
         levels: Sequence[float] = (30.0, 55.0, 42.0),
         seed: int | None = None,
         noise: float = 0.1,
         samples: int = 100,
     ) -> Window:
         reference = np.concatenate([np.full(60, levels[0]), np.repeat(levels, samples)])
-        camera = None
-        if seed is not None:
-            camera = Camera(noise=noise, resolution=0.0, flat_field_period=None).realise(
-                reference.size, 1.0, seed
-            )
-        response = simulate_closed_loop(rig, reference, plate=levels[0] + 273.15, camera=camera)
+        sensor = None if seed is None else Sensor(noise=noise).realise(reference.size, 1.0, seed)
+        response = simulate_closed_loop(rig, reference, states=begin(rig, levels[0]), sensor=sensor)
         whole = Window(reference, response.output, response.input, first=1000)
         return whole.part(1060, whole.last)
 

@@ -11,26 +11,30 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from twinmatch.dynamics import Parameters
 from twinmatch.matching import Match, match
-from twinmatch.matching.bounds import BOUNDS, checked_free
 from twinmatch.matching.estimation import Estimate, on_bounds, solve, starts_for, uncertainty
-from twinmatch.matching.problem import Noise, Problem
-from twinmatch.plant import Driver, PidGains, RigParameters
+from twinmatch.matching.noise import Noise
+from twinmatch.matching.problem import Problem
+from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 
 Recorder = Callable[..., Window]
 
-TRUTH = RigParameters(seebeck=0.075, conductance=0.6, heat_capacity=30.0)
+RIG = Peltier.model()
+TRUTH = RIG.parameters(seebeck=0.075, conductance=0.6, heat_capacity=30.0)
+SINK = Peltier.model("sink with mass")
+WITH_SINK = SINK.parameters(**{**dict(TRUTH), "sink_heat_capacity": 250.0, "sink_convection": 2.0})
 FREE = ("seebeck", "conductance", "heat_capacity")
 
 
-def problem(window: Window, free: tuple[str, ...] = FREE, base: RigParameters = TRUTH) -> Problem:
-    return Problem(window, checked_free(free, base), base, Noise(), PidGains(), Driver(), BOUNDS)
+def problem(window: Window, free: tuple[str, ...] = FREE, base: Parameters = TRUTH) -> Problem:
+    return Problem(window, free, base, Noise.of(Peltier), Peltier.loop)
 
 
-def relative(result: Match, truth: RigParameters) -> list[float]:
-    names = [name for name in result.free if name != "sink_start"]
-    return [getattr(result.parameters, name) / getattr(truth, name) - 1.0 for name in names]
+def relative(result: Match, truth: Parameters) -> list[float]:
+    names = [name for name in result.free if name not in result.starts]
+    return [result.parameters[name] / truth[name] - 1.0 for name in names]
 
 
 @pytest.mark.parametrize(
@@ -40,24 +44,13 @@ def relative(result: Match, truth: RigParameters) -> list[float]:
         (("seebeck",), TRUTH),
         (("conductance", "heat_capacity", "ambient"), TRUTH.replace(ambient=291.0)),
         (("seebeck", "resistance", "heat_capacity"), TRUTH.replace(resistance=2.9)),
-        (FREE, TRUTH.replace(sink_heat_capacity=300.0, sink_convection=3.0)),
-        (
-            (*FREE, "sink_heat_capacity", "sink_convection"),
-            TRUTH.replace(sink_heat_capacity=250.0, sink_convection=2.0),
-        ),
+        (FREE, WITH_SINK),
+        ((*FREE, "sink_heat_capacity", "sink_convection"), WITH_SINK),
     ],
 )
-def test_without_noise_the_truth_is_found(
-    record: Recorder, free: tuple[str, ...], truth: RigParameters
-) -> None:
-    changes = {name: 1.15 * getattr(truth, name) for name in free if name != "ambient"}
-    result = match(
-        record(truth),
-        free=free,
-        start=truth.replace(**changes, ambient=truth.ambient + 1.0)
-        if "ambient" in free
-        else truth.replace(**changes),
-    )
+def test_without_noise_the_truth_is_found(record: Recorder, free: tuple[str, ...], truth: Parameters) -> None:
+    changes = {name: truth[name] + 1.0 if name == "ambient" else 1.15 * truth[name] for name in free}
+    result = match(record(truth), free=free, start=truth.replace(**changes))
     assert relative(result, truth) == pytest.approx([0.0] * len(free), abs=1e-6)
     assert result.fit == pytest.approx((1.0, 1.0), abs=1e-6)
 
@@ -72,10 +65,10 @@ def test_without_noise_the_truth_is_found(
 def test_any_rig_is_found_from_the_default_start(
     record: Recorder, seebeck: float, conductance: float, heat_capacity: float, step: float
 ) -> None:
-    truth = RigParameters(seebeck=seebeck, conductance=conductance, heat_capacity=heat_capacity)
+    truth = RIG.parameters(seebeck=seebeck, conductance=conductance, heat_capacity=heat_capacity)
     window = record(truth, levels=(30.0, 30.0 + step, 35.0))
     posed = problem(window)
-    found = solve(posed, starts_for(posed, RigParameters()))
+    found = solve(posed, starts_for(posed, RIG.parameters()))
     assert found.converged
     assert found.values == pytest.approx([seebeck, conductance, heat_capacity], rel=1e-5)
 
@@ -84,7 +77,7 @@ def test_an_independent_program_finds_the_same(record: Recorder) -> None:
     """The plant by a general integrator, the PID spelled out, derivatives by scipy: one short window."""
     window = record(TRUTH, levels=(40.0, 48.0), seed=3, samples=30)
     r, y, u = window.reference, window.output, window.input
-    noise = Noise()
+    noise = Noise.of(Peltier)
 
     def simulate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         a, k, c = values
@@ -112,7 +105,7 @@ def test_an_independent_program_finds_the_same(record: Recorder) -> None:
 
     theirs = least_squares(residuals, [0.07, 0.5, 28.0], x_scale=[0.1, 0.5, 30.0], diff_step=1e-6)
     posed = problem(window)
-    ours = solve(posed, [posed.values_of(RigParameters())])
+    ours = solve(posed, [posed.values_of(RIG.parameters())])
     # Both stop where the cost no longer changes by 1e-8; the valley is flat to about the root of that.
     assert ours.values == pytest.approx(theirs.x, rel=1e-3)
     assert ours.residuals.ravel() == pytest.approx(residuals(ours.values), abs=1e-5)
@@ -128,7 +121,7 @@ def test_the_covariance_is_honest(record: Recorder) -> None:
         estimates.append(found.values)
         errors.append(np.sqrt(np.diag(uncertainty(posed, found).covariance)))
     spread = np.std(estimates, axis=0, ddof=1)
-    truth = np.array([TRUTH.seebeck, TRUTH.conductance, TRUTH.heat_capacity])
+    truth = np.array([TRUTH[name] for name in FREE])
     # A standard deviation of 60 draws is known to a tenth; white-noise theory would give 0.6.
     assert np.median(errors, axis=0) / spread == pytest.approx(np.ones(3), abs=0.35)
     assert np.mean(errors, axis=0) / spread == pytest.approx(np.ones(3), abs=0.35)
@@ -143,7 +136,7 @@ def test_fisher_and_covariance_follow_the_noise(record: Recorder) -> None:
     posed = problem(window)
     found = solve(posed, [posed.values_of(TRUTH)])
     known = uncertainty(posed, found)
-    coarse = Problem(window, posed.free, TRUTH, Noise(0.2, 14.0), PidGains(), Driver(), BOUNDS)
+    coarse = Problem(window, posed.free, TRUTH, Noise(0.2, 14.0), Peltier.loop)
     again = solve(coarse, [found.values])
     other = uncertainty(coarse, again)
     np.testing.assert_allclose(other.fisher, known.fisher / 4.0, rtol=1e-3)
@@ -178,6 +171,8 @@ def test_starts_cover_the_valley_of_what_is_free(record: Recorder) -> None:
     window = record(TRUTH)
     assert len(starts_for(problem(window), TRUTH)) == 3
     assert len(starts_for(problem(window, ("ambient",)), TRUTH)) == 1
+    mass = Problem(window, SINK.structure.free, WITH_SINK, Noise.of(Peltier), Peltier.loop)
+    assert [s[-1] for s in starts_for(mass, WITH_SINK)] == [296.0] * 3
     posed = problem(window, ("conductance", "ambient"))
     assert [s.tolist() for s in starts_for(posed, TRUTH)] == [[0.6, 296.0], [0.6, 296.0], [0.5, 296.0]]
     with pytest.raises(ValueError, match="no start was given"):

@@ -8,13 +8,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from twinmatch.matching import SCALES, Match, match
-from twinmatch.plant import Camera, PidState, RigParameters, simulate_closed_loop
+from twinmatch.dynamics import PidState, Sensor, begin, simulate_closed_loop
+from twinmatch.matching import Match, match
+from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
 Recorder = Callable[..., Window]
 
-TRUTH = RigParameters(seebeck=0.075, conductance=0.6, heat_capacity=30.0)
+RIG = Peltier.model()
+TRUTH = RIG.parameters(seebeck=0.075, conductance=0.6, heat_capacity=30.0)
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +25,7 @@ def small_step(record: Recorder) -> Match:
 
 
 def test_directions_are_the_eigenvectors_of_the_scaled_information(small_step: Match) -> None:
-    scales = np.array([SCALES[name] for name in small_step.free])
+    scales = np.array([RIG.declared[name].scale for name in small_step.free])
     scaled = small_step.fisher * np.outer(scales, scales)
     np.testing.assert_allclose(
         scaled @ small_step.directions,
@@ -47,7 +49,7 @@ def test_the_ratio_is_known_where_its_parts_are_not(small_step: Match) -> None:
 
 
 def test_a_rich_window_determines_all(record: Recorder) -> None:
-    result = match(record(TRUTH, levels=(30.0, 80.0, 35.0), seed=4))
+    result = match(record(TRUTH, levels=(30.0, 80.0, 35.0), seed=4), start=RIG.parameters())
     assert result.believed == result.free
     assert result.suggestion == ""
     assert "left open" not in result.determined
@@ -70,9 +72,9 @@ def test_the_suggested_step_keeps_its_promise(small_step: Match) -> None:
     reference = np.concatenate([np.full(60, 36.0), np.full(240, level)])
     found = []
     for seed in range(12):
-        camera = Camera(resolution=0.0, flat_field_period=None).realise(reference.size, 1.0, seed)
+        sensor = Sensor(noise=0.1).realise(reference.size, 1.0, seed)
         response = simulate_closed_loop(
-            TRUTH, reference, plate=309.15, controller=PidState(integral=40.0), camera=camera
+            TRUTH, reference, states=begin(TRUTH, 36.0), controller=PidState(integral=40.0), sensor=sensor
         )
         after = match(Window(reference, response.output, response.input), start=TRUTH)
         found.append(before / after.standard_errors[place])
@@ -81,7 +83,7 @@ def test_the_suggested_step_keeps_its_promise(small_step: Match) -> None:
 
 
 def test_without_a_fit_nothing_is_said(record: Recorder) -> None:
-    result = match(record(TRUTH, levels=(30.0, 30.0), seed=1))
+    result = match(record(TRUTH, levels=(30.0, 30.0), seed=1), start=TRUTH)
     assert (result.believed, result.determined, result.suggestion) == ((), "", "")
     assert np.isnan(result.intervals).all()
     assert result.intervals.shape == (3, 2)
@@ -90,8 +92,8 @@ def test_without_a_fit_nothing_is_said(record: Recorder) -> None:
 
 def test_what_a_step_from_a_hot_start_shows_is_told_in_words(recorded_hour: Callable[[int], Window]) -> None:
     """A window of the real rig whose conductance the fit drives to zero: used, but not believed."""
-    result = match(recorded_hour(20).part(1500 - 440, 1500))
+    result = match(recorded_hour(20).part(1500 - 440, 1500), start=RIG.parameters())
     assert result.accepted
     assert "conductance" not in result.believed
-    assert result.parameters.conductance > 0.0
+    assert result.parameters["conductance"] > 0.0
     assert "not determined and kept: conductance at " in result.reason

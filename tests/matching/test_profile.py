@@ -8,21 +8,22 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from twinmatch.matching.bounds import checked_free
 from twinmatch.matching.estimation import Estimate, Uncertainty, solve, starts_for, uncertainty
-from twinmatch.matching.problem import Noise, Problem
+from twinmatch.matching.noise import Noise
+from twinmatch.matching.problem import Problem
 from twinmatch.matching.profile import QUANTILE, profile_intervals
-from twinmatch.plant import Driver, PidGains, RigParameters
+from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
 Recorder = Callable[..., Window]
 
-TRUTH = RigParameters(seebeck=0.075, conductance=0.6, heat_capacity=30.0)
+RIG = Peltier.model()
+TRUTH = RIG.parameters(seebeck=0.075, conductance=0.6, heat_capacity=30.0)
 FREE = ("seebeck", "conductance", "heat_capacity")
 
 
 def fitted(window: Window) -> tuple[Problem, Estimate, Uncertainty]:
-    posed = Problem(window, checked_free(FREE, TRUTH), TRUTH, Noise(), PidGains(), Driver())
+    posed = Problem(window, FREE, TRUTH, Noise.of(Peltier), Peltier.loop)
     found = solve(posed, starts_for(posed, TRUTH))
     return posed, found, uncertainty(posed, found)
 
@@ -65,7 +66,7 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
 
 def test_a_well_determined_interval_is_that_of_the_variance(record: Recorder) -> None:
     posed, _, known = fitted(record(TRUTH, seed=2))
-    alone = Problem(posed.window, ("heat_capacity",), TRUTH, Noise(), PidGains(), Driver())
+    alone = Problem(posed.window, ("heat_capacity",), TRUTH, Noise.of(Peltier), Peltier.loop)
     single = solve(alone, [alone.values_of(TRUTH)])
     of_one = uncertainty(alone, single)
     (low, high) = profile_intervals(alone, single.values, of_one.covariance)[0]
@@ -76,7 +77,7 @@ def test_a_well_determined_interval_is_that_of_the_variance(record: Recorder) ->
 
 def test_nineteen_of_twenty_intervals_hold_the_truth(record: Recorder) -> None:
     """Eighty noisy windows; 95 % of 80 is 76 ± 2, and the folded valley of conductance costs some."""
-    truth = np.array([TRUTH.seebeck, TRUTH.conductance, TRUTH.heat_capacity])
+    truth = np.array([TRUTH[name] for name in FREE])
     inside = []
     for seed in range(80):
         posed, found, known = fitted(record(TRUTH, levels=(30.0, 50.0), seed=seed))
@@ -95,15 +96,21 @@ def test_what_the_window_does_not_close_is_open(record: Recorder) -> None:
     assert infinite[:, 0].tolist() == [-np.inf, 0.0, -np.inf]
 
 
-def test_a_rig_without_derivatives_gets_intervals_of_the_variance(record: Recorder) -> None:
-    rig = TRUTH.replace(sink_heat_capacity=300.0, sink_convection=3.0)
-    posed = Problem(
-        record(rig, seed=1), checked_free(("conductance",), rig), rig, Noise(), PidGains(), Driver()
+def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Recorder) -> None:
+    """A sink with mass: its start follows when the conductance is moved, by brute force too."""
+    rig = Peltier.model("sink with mass").parameters(
+        **{**dict(TRUTH), "sink_heat_capacity": 300.0, "sink_convection": 3.0}
     )
+    posed = Problem(record(rig, seed=1), ("conductance",), rig, Noise.of(Peltier), Peltier.loop)
+    assert posed.names == ("conductance", "sink")
     found = solve(posed, [posed.values_of(rig)])
     known = uncertainty(posed, found)
-    intervals = profile_intervals(posed, found.values, known.covariance)
-    half = 1.96 * np.sqrt(np.diag(known.covariance))
-    np.testing.assert_allclose(
-        intervals, np.stack([found.values - half, found.values + half], axis=1), rtol=1e-3
-    )
+    low, high = profile_intervals(posed, found.values, known.covariance)[0]
+    rise = QUANTILE * known.covariance[0, 0] / np.linalg.inv(known.fisher)[0, 0]
+    least = found.chi2 * found.residuals.size
+    for end in (low, high):
+        fitted_start = least_squares(
+            lambda x, end=end: posed.residuals(np.array([end, x[0]])), [found.values[1]], diff_step=1e-6
+        )
+        assert (2 * fitted_start.cost - least) / rise == pytest.approx(1.0, abs=0.05)
+    assert low < found.values[0] < high

@@ -5,24 +5,34 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching.structures import STRUCTURES
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
 from twinmatch.twin import Schedule
-from twinmatch.twin.structure_watch import StructureSettings, StructureWatch
+from twinmatch.twin.structure_watch import StructureSettings, StructureWatch, watched
 
-PLAIN = RigParameters(seebeck=0.065, conductance=0.65, heat_capacity=31.0)
-SETTINGS = StructureSettings(least=300, every=300, longest=300, structures=STRUCTURES[:2])
+PLAIN = Peltier.model().parameters(seebeck=0.065, conductance=0.65, heat_capacity=31.0)
+TWO = tuple(map(Peltier.model, ("held sink", "held sink, free ambient")))
+SETTINGS = StructureSettings(TWO, least=300, every=300, longest=300)
 
 
 @pytest.fixture(scope="module")
 def hour() -> Window:
     reference = np.repeat([50.0, 30.0, 75.0, 45.0, 60.0], 200)
-    camera = Camera().realise(reference.size, 1.0, 8)
-    run = simulate_closed_loop(PLAIN, reference, plate=295.0, camera=camera)
+    sensor = Peltier.sensor.realise(reference.size, 1.0, 8)
+    run = simulate_closed_loop(PLAIN, reference, states=begin(PLAIN, 22.0), sensor=sensor)
     return Window(reference, run.output, run.input)
+
+
+def test_the_plant_file_says_what_is_watched() -> None:
+    assert [model.structure_name for model in watched(Peltier)] == [
+        "held sink",
+        "sink with mass",
+        "sink with mass, free ambient",
+        "sink with mass, free ambient, switched drive",
+    ]
 
 
 def test_it_looks_every_so_many_samples(hour: Window) -> None:
@@ -70,6 +80,6 @@ def test_a_gap_or_a_clock_set_back_begins_anew(hour: Window) -> None:
 
 def test_counts_that_do_not_go_together_are_refused() -> None:
     with pytest.raises(TwinmatchError, match="structure watch: least 400 samples must be 100 or more"):
-        StructureSettings(least=400, longest=300)
+        StructureSettings(TWO, least=400, longest=300)
     with pytest.raises(TwinmatchError, match="must be a structure to try"):
-        StructureSettings(structures=())
+        StructureSettings(())

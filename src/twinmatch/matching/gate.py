@@ -25,7 +25,7 @@ import numpy as np
 from twinmatch.matching.bounds import MatchingError, Unknown
 from twinmatch.signals import FloatArray
 
-__all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "undetermined", "worst_stretch"]
+__all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "undetermined"]
 
 
 class Status(Enum):
@@ -44,9 +44,8 @@ class Status(Enum):
 class Limits:
     """Where the gate closes.
 
-    The limits on the residuals come from hours of one rig: two-regime windows of a healthy plant leave
-    0.5 to 8, at the cold start of a session 12; their worst half minute leaves up to 45 and 60. A
-    window with a lost drive leaves 130 and more, its worst half minute 1000.
+    That on the residuals comes from hours of one rig: two-regime windows of a healthy plant leave 0.5 to 8,
+    at the cold start of a session 12; a window with a lost drive leaves 130 and more.
 
     Raises:
         MatchingError: a limit has no meaning.
@@ -54,12 +53,6 @@ class Limits:
 
     chi2: float = 40.0
     """Mean squared weighed residual above which the best fit does not explain the window."""
-    stretch_chi2: float = 200.0
-    """The same for its worst stretch: a fault that comes late in a window is diluted in the mean."""
-    stretch: int = 30
-    """Length of that stretch, samples."""
-    fit_y: float = 0.8
-    """Least NRMSE of the output."""
     relative_error: float = 0.5
     """Largest standard error of a free parameter in units of its value, a kept one being known."""
     condition: float = 1000.0
@@ -72,15 +65,7 @@ class Limits:
     """Samples wanted between the first excitation and the held-back part, and in that part."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "chi2",
-            "stretch_chi2",
-            "stretch",
-            "relative_error",
-            "condition",
-            "slack",
-            "least_samples",
-        ):
+        for name in ("chi2", "relative_error", "condition", "slack", "least_samples"):
             if not getattr(self, name) > 0:
                 msg = f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
                 raise MatchingError(msg)
@@ -101,8 +86,6 @@ class Evidence:
     bounds_hit: tuple[str, ...]
     converged: bool
     chi2: float
-    stretch_chi2: float
-    fit_y: float
     held_back_chi2: float
     """Mean squared weighed residual of the test fit on the held-back part."""
     incumbent_chi2: float
@@ -122,19 +105,14 @@ def first_excited(moved: FloatArray, least: float) -> int | None:
     return int(far[0]) + 1 if far.size else None
 
 
-def worst_stretch(residuals: FloatArray, length: int) -> float:
-    """Largest mean square of weighed residuals, shape (outputs, M), over `length` neighbouring samples."""
-    each = np.mean(np.square(residuals), axis=0)
-    length = min(length, each.size)
-    sums = np.concatenate([[0.0], np.cumsum(each)])
-    return float(np.max(sums[length:] - sums[:-length]) / length)
-
-
 def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
     """The status of a fit and one sentence why."""
-    fault = _unexplained(evidence, limits)
-    if fault:
-        return Status.NOT_EXPLAINED, fault
+    # Written so that residuals that are not numbers count as not explained.
+    if not evidence.chi2 <= limits.chi2:
+        return Status.NOT_EXPLAINED, (
+            f"even the best fit leaves {evidence.chi2:.3g} times the noise variance, more than "
+            f"{limits.chi2:g}: the plant did something the model cannot"
+        )
     if not evidence.converged:
         return Status.DID_NOT_CONVERGE, "least squares was still moving when its evaluations ran out"
     if evidence.bounds_hit:
@@ -152,23 +130,6 @@ def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
         f"held back ({evidence.held_back_chi2:.3g}, the parameters before: {evidence.incumbent_chi2:.3g})"
         + (f"; not determined and kept: {evidence.kept}" if evidence.kept else "")
     )
-
-
-def _unexplained(evidence: Evidence, limits: Limits) -> str | None:
-    # Written so that residuals that are not numbers count as unexplained.
-    if not evidence.chi2 <= limits.chi2:
-        return (
-            f"even the best fit leaves {evidence.chi2:.3g} times the noise variance, more than "
-            f"{limits.chi2:g}: the plant did something the model cannot"
-        )
-    if not evidence.stretch_chi2 <= limits.stretch_chi2:
-        return (
-            f"the worst {limits.stretch} samples leave {evidence.stretch_chi2:.3g} times the noise variance, "
-            f"more than {limits.stretch_chi2:g}: the plant did something there the model cannot"
-        )
-    if not evidence.fit_y >= limits.fit_y:
-        return f"the best fit of the output is {evidence.fit_y:.2f} NRMSE, less than {limits.fit_y:g}"
-    return None
 
 
 def _bounds_sentence(evidence: Evidence) -> str:

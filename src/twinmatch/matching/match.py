@@ -18,7 +18,6 @@ from twinmatch.matching.gate import (
     first_excited,
     judge,
     undetermined,
-    worst_stretch,
 )
 from twinmatch.matching.identifiability import Identified, identify, unidentified
 from twinmatch.matching.noise import Noise
@@ -127,8 +126,6 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: Limits) -
         bounds_hit=bounds_hit,
         converged=final.converged,
         chi2=final.chi2,
-        stretch_chi2=worst_stretch(final.residuals, limits.stretch),
-        fit_y=fit.y,
         held_back_chi2=float(np.mean(np.square(tested))),
         incumbent_chi2=float(np.mean(np.square(standing))),
         kept=_kept_words(problem, found),
