@@ -155,6 +155,7 @@ def test_every_structure_has_its_own_start_values(structure: str, tmp_path: Path
         ("noise.pwm: 7.0", "noise.pwm is now called noise.input; rename it"),
         ("camera.noise: 0.1", "camera.noise is now called sensor.noise; rename it"),
         ("pid.limit: 200.0", "pid.limit is now called pid.low and pid.high; rename it"),
+        ("limits.fault_y: 12.0", "limits.fault_y is no longer used"),
         ("pid.high: 256.0", "parameter pid.high is 256.0; allowed is PWM, -255 to 255"),
         ("pid.high: -255.0", "the limits -255.0 and -255.0 must grow"),
         ("pid.proportional: -3.0", "parameter pid.proportional is -3.0; allowed is PWM/°C, 0 to 10000"),
@@ -178,10 +179,14 @@ def test_a_file_that_left_parts_out_by_zeros_still_works(tmp_path: Path) -> None
 
 def test_recorded_values_are_understood_under_the_names_they_had() -> None:
     old = {"noise.temperature": 0.2, "noise.pwm": 5.0, "camera.noise": 0.3, "pid.limit": 200.0}
-    old |= {"start.sink_heat_capacity": 250.0, "start.sink_convection": 6.0, "start.sensor_lag": 0.0}
+    old |= {
+        "limits.fault_y": 12.0,
+        "start.sink_heat_capacity": 250.0,
+        "start.sink_convection": 6.0,
+        "start.sensor_lag": 0.0,
+    }
     settings = settings_from(recorded_values("session", old))
     assert (settings.noise.output, settings.noise.input, settings.sensor.noise) == (0.2, 5.0, 0.3)
-    assert settings.gains is not None
     assert (settings.gains.low, settings.gains.high) == (-200.0, 200.0)
     assert settings.start == Peltier.model("sink with mass").parameters(
         sink_heat_capacity=250.0, sink_convection=6.0

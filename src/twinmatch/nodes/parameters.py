@@ -49,7 +49,7 @@ class Parameter:
     def limits(self) -> str:
         """Unit and range as a user reads them, such as `°C, 0 to 100`; empty when there is neither."""
         if self.choices:
-            return "one of: " + ", ".join(self.choices)
+            return "one of: " + ("; " if any("," in c for c in self.choices) else ", ").join(self.choices)
         low, high = f"{self.low:g}", f"{self.high:g}"
         span = f"{low} to {high}"
         if math.isinf(self.high):

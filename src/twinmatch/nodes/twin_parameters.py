@@ -8,7 +8,7 @@ their units and ranges follow from the parameters `plant` and `structure`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ import yaml
 
 from twinmatch.dynamics import Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
-from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
 from twinmatch.nodes.loop_parameters import loop_parameters, pid_gains, unit_of
 from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
@@ -40,16 +39,17 @@ def twin_table(plant: type[Plant] = Peltier, structure: str | None = None) -> tu
     """Name, default, meaning, unit and range of everything in `TwinSettings`, and two that single nodes need.
 
     Raises:
-        PlantError: the plant has no such structure, or its equations cannot be used.
+        PlantError: the plant has no such structure, its equations cannot be used, or its controller is not
+            known.
     """
-    model = plant.model(structure)
+    has = TwinSettings.of(plant, structure)
     return (
-        *_plant(model),
+        *_plant(has.start.model),
         *loop_parameters(plant),
-        *_schedule(plant),
-        *_sensor(plant),
-        *_family(plant),
-        *_trust(plant),
+        *_schedule(has),
+        *_sensor(has),
+        *_family(has),
+        *_trust(has),
         Parameter(
             "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
         ),
@@ -104,15 +104,15 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     def group(prefix: str) -> dict[str, Any]:
         return {n.removeprefix(prefix): v for n, v in values.items() if n.startswith(prefix)}
 
-    plant = find_plant(values["plant"])
+    plant, period = find_plant(values["plant"]), values["period"]
+    usual = TwinSettings.of(plant, values["structure"], period)
     sensor = group("sensor.")
     sensor["pause_period"] = sensor["pause_period"] or None
-    return TwinSettings(
-        plant=plant,
-        period=values["period"],
+    return replace(
+        usual,
         schedule=ScheduleSettings(**group("schedule.")),
         free=tuple(values["free"]),
-        start=plant.model(values["structure"]).parameters(**group("start.")),
+        start=usual.start.replace(**group("start.")),
         noise=Noise(**group("noise.")),
         gains=pid_gains(values),
         sensor=Sensor(**sensor),
@@ -121,7 +121,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         most_candidates=values["most_candidates"],
         regime_width=values["regime_width"],
         limits=TrustLimits(**group("limits.")),
-        health=replace(HealthSettings.of(plant, values["period"]), **group("health.")),
+        health=replace(usual.health, **group("health.")),
     )
 
 
@@ -232,13 +232,13 @@ def _plant(model: Model) -> tuple[Parameter, ...]:
     )
 
 
-def _schedule(plant: type[Plant]) -> tuple[Parameter, ...]:
-    has = _defaults(TwinSettings.of(plant).schedule)
+def _schedule(has: TwinSettings) -> tuple[Parameter, ...]:
+    unit = has.plant.output.unit
     return tuple(
-        Parameter(f"schedule.{name}", has[name], text, unit, low, high)
+        Parameter(f"schedule.{name}", getattr(has.schedule, name), text, unit, low, high)
         for name, text, unit, low, high in (
             ("stride", "Samples between two looks while nothing moves.", "samples", 4, 10000),
-            ("min_step", "Smallest set-point change that starts a regime.", plant.output.unit, 1e-6, 1e6),
+            ("min_step", "Smallest set-point change that starts a regime.", unit, 1e-6, 1e6),
             ("min_span", "A shorter regime joins the next one.", "samples", 10, 10000),
             ("span", "A regime is judged this long after its step.", "samples", 20, 10000),
             ("lead", "Samples kept before the previous regime's step.", "samples", 1, 1000),
@@ -247,73 +247,61 @@ def _schedule(plant: type[Plant]) -> tuple[Parameter, ...]:
     )
 
 
-def _sensor(plant: type[Plant]) -> tuple[Parameter, ...]:
-    has, unit = plant.sensor or Sensor(), plant.output.unit
-    return (
-        Parameter(
-            "sensor.noise", has.noise, "Noise of the sensor the twin is seen through (1 σ).", unit, 0.0, 1e6
-        ),
-        Parameter("sensor.resolution", has.resolution, "Step of its readings; 0: none.", unit, 0.0, 1e6),
-        Parameter(
-            "sensor.pause_period", has.pause_period or 0.0, "It pauses so often; 0: never.", "s", 0.0, 1e6
-        ),
-        Parameter(
-            "sensor.pause_duration",
-            has.pause_duration,
-            "So long its reading stands still then.",
-            "s",
-            0.0,
-            1e6,
-        ),
+def _sensor(has: TwinSettings) -> tuple[Parameter, ...]:
+    unit = has.plant.output.unit
+    return tuple(
+        Parameter(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
+        for name, text, unit in (
+            ("noise", "Noise of the sensor the twin is seen through (1 σ).", unit),
+            ("resolution", "Step of its readings; 0: none.", unit),
+            ("pause_period", "Time between two pauses in which it stands still; 0: it never does.", "s"),
+            ("pause_duration", "How long a pause lasts.", "s"),
+        )
     )
 
 
-def _family(plant: type[Plant]) -> tuple[Parameter, ...]:
-    has = _defaults(TwinSettings.of(plant))
-    return (
-        Parameter("seed", has["seed"], "Seed of that sensor's noise.", "", 0, 2**31),
-        Parameter("decimals", has["decimals"], "Decimal places of the information gain's tables.", "", 0, 9),
-        Parameter("most_candidates", has["most_candidates"], "Candidates kept in the family.", "", 1, 64),
-        Parameter(
-            "regime_width",
-            has["regime_width"],
-            "Operating points closer than half of this are one regime.",
-            plant.output.unit,
-            1e-6,
-            1e6,
-        ),
+def _family(has: TwinSettings) -> tuple[Parameter, ...]:
+    return tuple(
+        Parameter(name, getattr(has, name), text, unit, low, high)
+        for name, text, unit, low, high in (
+            ("seed", "Seed of that sensor's noise.", "", 0, 2**31),
+            ("decimals", "Decimal places of the information gain's tables.", "", 0, 9),
+            ("most_candidates", "Candidates kept in the family.", "", 1, 64),
+            (
+                "regime_width",
+                "Operating points closer than half of this are one regime.",
+                has.plant.output.unit,
+                1e-6,
+                1e6,
+            ),
+        )
     )
 
 
-def _trust(plant: type[Plant]) -> tuple[Parameter, ...]:
+def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
     """Limits of the trust level and of the plant's health."""
-    limits, health = _defaults(TrustLimits.of(plant)), _defaults(HealthSettings.of(plant))
-    y, u = plant.output.unit, unit_of(plant.drive)
-    known = {
-        "doubtful_y": ("Residual RMS that makes the twin doubtful.", y),
-        "doubtful_u": ("The same for the control.", u),
-    }
+    y, u = has.plant.output.unit, unit_of(has.plant.drive)
+    limits = (
+        ("doubtful_y", "Residual RMS that makes the twin doubtful.", y),
+        ("doubtful_u", "The same for the control.", u),
+    )
+    health = (
+        ("lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
+        ("jump", "Step of a reading that no plant can make.", y, 1e-6, 1e6),
+        ("frozen", "How long one reading has to be repeated.", "s", 1.0, 1e4),
+        ("drift", "Unexplained slow movement, in its uncertainty.", "", 0.1, 1e3),
+        ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
+    )
     return (
         *(
-            Parameter(f"limits.{name}", limits[name], text, unit, 1e-6, 1e6)
-            for name, (text, unit) in known.items()
-            if name in limits
+            Parameter(f"limits.{n}", getattr(has.limits, n), text, unit, 1e-6, 1e6)
+            for n, text, unit in limits
         ),
         *(
-            Parameter(f"health.{name}", health[name], text, unit, low, high)
-            for name, text, unit, low, high in (
-                ("lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
-                ("jump", "Step of a reading that no plant can make.", y, 1e-6, 1e6),
-                ("frozen", "How long one reading has to be repeated.", "s", 1.0, 1e4),
-                ("drift", "Unexplained slow heating, in its uncertainty.", "", 0.1, 1e3),
-                ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
-            )
+            Parameter(f"health.{n}", getattr(has.health, n), text, unit, low, high)
+            for n, text, unit, low, high in health
         ),
     )
-
-
-def _defaults(settings: Any) -> dict[str, Any]:
-    return {field.name: getattr(settings, field.name) for field in fields(settings)}
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
