@@ -5,18 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinmatch.plant import RigParameters, simulate_closed_loop, simulate_driven
+from twinmatch.dynamics import begin, simulate_closed_loop, simulate_driven
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
-from twinmatch.signals import KELVIN, Window
+from twinmatch.signals import Window
 from twinmatch.twin import Mirror, closed_loop_fit, nrmse, residuals
 from twinmatch.twin.settings import TwinSettings
 
-RIG = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+HELD = Peltier.model().parameters
+RIG = HELD(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
 REFERENCE = np.repeat([40.0, 70.0, 30.0], 120)
 
 
 def plant_run() -> Window:
-    run = simulate_closed_loop(RIG, REFERENCE, plate=296.0)
+    run = simulate_closed_loop(RIG, REFERENCE, states=begin(RIG, 22.85))
     return Window(REFERENCE, run.output, run.input)
 
 
@@ -30,16 +32,16 @@ def test_with_the_plants_own_parameters_nothing_is_left() -> None:
 
 
 def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
-    window, other = plant_run(), RigParameters(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
+    window, other = plant_run(), HELD(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
     mirror = Mirror(other)
-    driven = [mirror.push(s).driven_temperature for s in samples_of(window)]
-    simulated = simulate_driven(other, window.input, plate=window.output[0] + KELVIN)
+    driven = [mirror.push(s).driven_output for s in samples_of(window)]
+    simulated = simulate_driven(other, window.input, states=begin(other, float(window.output[0])))
     np.testing.assert_array_equal(driven, simulated.output)
 
 
 def test_new_parameters_take_over_without_a_jump() -> None:
     window = plant_run()
-    mirror = Mirror(RigParameters(seebeck=0.05, conductance=0.5, heat_capacity=25.0))
+    mirror = Mirror(HELD(seebeck=0.05, conductance=0.5, heat_capacity=25.0))
     before = after = None
     for sample in samples_of(window):
         if sample.index == 200:
@@ -51,12 +53,12 @@ def test_new_parameters_take_over_without_a_jump() -> None:
             after = state
     assert before is not None
     assert after is not None
-    assert abs(after.closed_temperature - before.closed_temperature) < 2.0
+    assert abs(after.closed_output - before.closed_output) < 2.0
 
 
 def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
     samples = samples_of(plant_run())
-    mirror = Mirror(RigParameters(seebeck=0.02, conductance=1.0, heat_capacity=60.0))
+    mirror = Mirror(HELD(seebeck=0.02, conductance=1.0, heat_capacity=60.0))
     for sample in samples[:100]:
         mirror.push(sample)
     state = mirror.push(samples[150])
@@ -70,7 +72,7 @@ def test_residuals_of_a_window() -> None:
     exact = residuals(RIG, window, gains)
     assert exact.y < 1e-9
     assert exact.u < 1e-6
-    assert residuals(RigParameters(), window, gains).y > 1.0
+    assert residuals(HELD(), window, gains).y > 1.0
     assert np.isnan(residuals(RIG, window.part(0, 2), gains).y)
     assert closed_loop_fit(RIG, window, gains) == pytest.approx((1.0, 1.0), abs=1e-6)
 
@@ -80,3 +82,18 @@ def test_nrmse() -> None:
     assert nrmse(measured, measured) == 1.0
     assert nrmse(measured, np.full(3, 2.0)) == 0.0
     assert np.isnan(nrmse(np.ones(3), np.ones(3)))
+
+
+def test_states_that_another_structure_has_too_stay_as_they_are() -> None:
+    window = plant_run()
+    mirror = Mirror(RIG)
+    for sample in samples_of(window)[:150]:
+        before = mirror.push(sample)
+    with_mass = Peltier.model("sink with mass").parameters(**{n: RIG[n] for n in ("seebeck", "conductance")})
+    mirror.parameters = with_mass
+    after = mirror.push(samples_of(window)[150])
+    assert set(before.closed_states) == {"plate"}
+    assert set(after.closed_states) == {"plate", "sink"}
+    assert after.closed_states["sink"] == with_mass["ambient"]
+    assert after.closed_states["plate"] == pytest.approx(after.closed_output + 273.15)
+    assert abs(after.closed_output - before.closed_output) < 2.0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Match, Status, match
 from twinmatch.matching.result import without_fit
-from twinmatch.plant import RigParameters
 from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.threads import one_thread
@@ -21,11 +21,11 @@ class MatchRequest(NamedTuple):
     sample: int
     """Index of the sample that set it off."""
     operating_point: float
-    """Set-point at the window's end, °C."""
+    """Set-point at the window's end."""
     window: Window
-    start: RigParameters
+    start: Parameters
     """Where the search begins, and the values of all that is not free."""
-    incumbent: RigParameters | None
+    incumbent: Parameters | None
     """What stands for this regime, which the match has to beat; None: nothing does."""
 
 
@@ -35,7 +35,7 @@ class MatchReport(NamedTuple):
     sample: int
     """Index of the sample that set it off."""
     operating_point: float
-    """Set-point at the window's end, °C."""
+    """Set-point at the window's end."""
     match: Match
 
     def answers(self, request: MatchRequest) -> bool:
