@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["KELVIN", "PWM_LIMIT", "FloatArray", "Sample", "SignalError", "Window", "unbroken"]
+__all__ = ["KELVIN", "FloatArray", "Sample", "SignalError", "Window", "unbroken"]
 
 FloatArray = NDArray[np.float64]
 
 KELVIN = 273.15
 """Zero Celsius in kelvin."""
-
-PWM_LIMIT = 255.0
-"""Largest magnitude of a PWM command; its sign is the direction, positive heats the plate."""
 
 _NONE: FloatArray = np.empty((0, 0))
 """Stands for the disturbances of a window that was given none."""

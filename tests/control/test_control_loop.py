@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.control import ControlError, Loop
-from twinmatch.plant import Pid, PidGains, PidState
+from twinmatch.dynamics import Pid, PidState
+from twinmatch.plants import Peltier
 
+GAINS = Peltier.loop
 SECOND = 1_000_000_000
 
 
@@ -25,7 +28,7 @@ def tick(loop, at, reference=30.0, temperature=None):
 @pytest.mark.parametrize("number", [5, 14, 27])
 def test_recorded_control_is_reproduced(recorded_hour, number):
     window = recorded_hour(number)
-    loop = Loop(state=PidState())
+    loop = Loop(Peltier, state=PidState())
     for k in range(len(window)):
         sample = tick(loop, k, float(window.reference[k]), float(window.output[k]))
         assert sample.input == pytest.approx(window.input[k], abs=1e-9)
@@ -35,7 +38,7 @@ def test_recorded_control_is_reproduced(recorded_hour, number):
 
 @given(st.lists(st.tuples(st.floats(0, 100), st.floats(-20, 150)), min_size=1, max_size=50))
 def test_each_tick_is_one_step_of_the_pid(signals):
-    loop, pid = Loop(state=PidState()), Pid()
+    loop, pid = Loop(Peltier, state=PidState()), Pid(GAINS)
     for k, (reference, temperature) in enumerate(signals):
         sample = tick(loop, k, reference, temperature)
         assert sample.input == loop.input == pid.step(reference, temperature)
@@ -43,12 +46,12 @@ def test_each_tick_is_one_step_of_the_pid(signals):
 
 
 def test_the_first_output_is_zero_and_the_integral_carries_on():
-    loop = Loop()
+    loop = Loop(Peltier)
     assert tick(loop, 0, 40.0, 25.0).input == 0
     # From here on the state is the one the two first samples fix.
-    pid = Pid()
+    pid = Pid(GAINS)
     pid.follow(40.0, 25.0, 0.0)
-    pid.state = PidState(-PidGains().proportional * 15.0 + PidGains().integral * 15.0, 15.0)
+    pid.state = PidState(-GAINS.proportional * 15.0 + GAINS.integral * 15.0, 15.0)
     assert tick(loop, 1, 40.0, 25.5).input == pytest.approx(pid.step(40.0, 25.5), abs=1e-9)
 
 
@@ -59,7 +62,7 @@ def test_the_set_point_is_asked_for_at_times_of_the_grid():
         asked.append(time)
         return 30.0
 
-    loop = Loop(PidGains(period=0.5))
+    loop = Loop(Peltier, replace(GAINS, period=0.5))
     for at in (10.0, 10.7, 11.0, 13.1):
         loop.measure(25.0, round(at * SECOND))
         loop.tick(round(at * SECOND), profile)
@@ -67,7 +70,7 @@ def test_the_set_point_is_asked_for_at_times_of_the_grid():
 
 
 def test_nothing_is_made_before_temperature_and_set_point():
-    loop = Loop()
+    loop = Loop(Peltier)
     assert tick(loop, 0) is None
     assert "no temperature yet" in loop.trouble
     loop.measure(25.0, SECOND)
@@ -80,7 +83,7 @@ def test_nothing_is_made_before_temperature_and_set_point():
 
 
 def test_a_stale_temperature_switches_off_and_leaves_a_gap():
-    loop = Loop(max_age=2.0)
+    loop = Loop(Peltier, max_age=2.0)
     for k in range(5):
         tick(loop, k, 30.0, 29.0)
     assert tick(loop, 5).index == 5  # 1 s old
@@ -96,7 +99,7 @@ def test_a_stale_temperature_switches_off_and_leaves_a_gap():
 
 
 def test_temperatures_that_are_no_numbers_age():
-    loop = Loop(max_age=1.0)
+    loop = Loop(Peltier, max_age=1.0)
     tick(loop, 0, 30.0, 29.0)
     assert tick(loop, 1, 30.0, math.nan).output == 29.0
     assert tick(loop, 2, 30.0, math.inf) is None
@@ -104,7 +107,7 @@ def test_temperatures_that_are_no_numbers_age():
 
 
 def test_a_missed_tick_is_counted_and_the_output_continues():
-    loop = Loop()
+    loop = Loop(Peltier)
     for k in range(10):
         before = tick(loop, k, 30.0, 29.5).input
     late = tick(loop, 12.2, 30.0, 28.0)
@@ -116,20 +119,20 @@ def test_a_missed_tick_is_counted_and_the_output_continues():
 
 
 def test_a_late_tick_is_no_missed_one():
-    loop = Loop()
+    loop = Loop(Peltier)
     indices = [tick(loop, at, 30.0, 29.0).index for at in (0, 1.9, 2.0, 3.0)]
     assert indices == [0, 1, 2, 3]
     assert loop.missed == 0
 
 
 def test_a_late_first_tick_does_not_shift_the_grid():
-    loop = Loop()
+    loop = Loop(Peltier)
     assert [tick(loop, at, 30.0, 29.0).index for at in (0.4, 1, 2, 3.9)] == [0, 1, 2, 3]
     assert loop.jitter == pytest.approx(0.9)
 
 
 def test_a_clock_set_back_begins_anew_behind_a_gap():
-    loop = Loop()
+    loop = Loop(Peltier)
     for k in range(5):
         tick(loop, 100 + k, 30.0, 29.0)
     assert tick(loop, 50) is None, "the temperature is of a time that is to come"
@@ -144,7 +147,7 @@ def test_a_clock_set_back_begins_anew_behind_a_gap():
 )
 def test_an_index_is_a_place_on_the_grid(calls, late):
     """A timer calls at most once per period and never early; the grid is that of its least late call."""
-    loop = Loop(max_age=1.5)
+    loop = Loop(Peltier, max_age=1.5)
     tick(loop, late, 30.0, 29.0)
     due, last = 0, 0
     for skip, late_now, measured in calls:
@@ -160,13 +163,13 @@ def test_an_index_is_a_place_on_the_grid(calls, late):
 
 
 def test_the_grid_moves_to_the_least_late_tick():
-    loop = Loop()
+    loop = Loop(Peltier)
     assert [tick(loop, at, 30.0, 29.0).index for at in (0.4, 1.0, 2.1, 4.2)] == [0, 1, 2, 4]
     assert loop.missed == 1
 
 
 def test_a_second_call_at_once_is_no_tick():
-    loop = Loop()
+    loop = Loop(Peltier)
     tick(loop, 0, 30.0, 29.0)
     late = tick(loop, 2.1, 30.0, 28.0)
     assert (late.index, loop.missed) == (2, 1)
@@ -177,7 +180,7 @@ def test_a_second_call_at_once_is_no_tick():
 
 @given(st.floats(-255, 255), st.floats(0, 100), st.floats(0, 100))
 def test_the_controller_goes_on_from_the_output_that_stands(pwm, reference, temperature):
-    loop = Loop()
+    loop = Loop(Peltier)
     tick(loop, 0, reference, temperature)
     loop.input = pwm
     assert tick(loop, 3, reference, temperature).input == pytest.approx(pwm, abs=1e-9)
@@ -186,4 +189,4 @@ def test_the_controller_goes_on_from_the_output_that_stands(pwm, reference, temp
 @pytest.mark.parametrize("age", [0.0, -1.0, math.nan])
 def test_an_age_has_to_be_positive(age):
     with pytest.raises(ControlError, match=r"max_age is .*; it must be positive"):
-        Loop(max_age=age)
+        Loop(Peltier, max_age=age)

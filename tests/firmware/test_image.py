@@ -47,8 +47,7 @@ def config(name: str) -> int:
 
 def test_host_and_firmware_agree_on_what_both_spell_out() -> None:
     from twinmatch.emulation.arduino_model import DEADLINE_MS
-    from twinmatch.links.pwm_messages import PROTOCOL
-    from twinmatch.signals import PWM_LIMIT
+    from twinmatch.links.pwm_messages import PROTOCOL, PWM_LIMIT
 
     assert config("kProtocol") == PROTOCOL
     assert config("kDeadlineMs") == DEADLINE_MS

@@ -1,4 +1,4 @@
-"""One tick of the loop after the other: the newest temperature and the time in, a sample out."""
+"""One tick of the loop after the other: the newest output and the time in, a sample out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from twinmatch.control.errors import ControlError
-from twinmatch.plant import Pid, PidGains, PidState
+from twinmatch.dynamics import Pid, PidGains, PidState, Plant, gains_of
 from twinmatch.signals import Sample
 
 __all__ = ["Loop"]
@@ -17,8 +17,8 @@ NANOSECONDS = 1_000_000_000
 class Loop:
     """The PID on a grid of ticks, one period apart.
 
-    The first tick that has a temperature and a set-point begins the grid and is sample 0. A tick without
-    (none yet, or the newest temperature is too old) makes no sample and switches the output off; a tick
+    The first tick that has a reading and a set-point begins the grid and is sample 0. A tick without
+    (none yet, or the newest reading is too old) makes no sample and switches the output off; a tick
     that is late by a period or more means that others were missed. Neither is filled in: the next
     sample's index is the number of its tick on the grid, so a gap in the indices is a gap in time, and
     whoever works on windows of samples begins anew behind it. So does the controller: it goes on from
@@ -30,39 +30,48 @@ class Loop:
     """
 
     def __init__(
-        self, gains: PidGains | None = None, *, max_age: float = 2.0, state: PidState | None = None
+        self,
+        plant: type[Plant],
+        gains: PidGains | None = None,
+        *,
+        max_age: float = 2.0,
+        state: PidState | None = None,
     ) -> None:
         """Begin with the output off and nothing seen.
 
         Args:
-            gains: of the controller; its period is that of the ticks.
-            max_age: age from which a temperature is not used any more, s.
+            plant: what is controlled.
+            gains: of the controller; its period is that of the ticks. Those of the plant file, at 1 s, if not
+                given.
+            max_age: age from which a reading is not used any more, s.
             state: what the controller starts with at sample 0; without it, it starts so that its output
                 continues from zero.
 
         Raises:
             ControlError: the age is not positive.
+            PlantError: no gains are given and the plant file has none.
         """
         if not (math.isfinite(max_age) and max_age > 0):
             msg = f"loop: max_age is {max_age} s; it must be positive"
             raise ControlError(msg)
         self.input = 0.0
-        """The command to the plant that stands, in its unit (PWM on the rig)."""
+        """The command to the plant that stands, in its unit."""
         self.trouble = "no tick yet"
         """Why the output is off; empty while samples are made."""
         self.missed = 0
         """Ticks that were missed since sample 0."""
         self.idle = 0
-        """Ticks since sample 0 at which there was no usable temperature or set-point."""
+        """Ticks since sample 0 at which there was no usable reading or set-point."""
         self.refused = 0
-        """Temperatures that were not finite."""
+        """Readings that were not finite."""
         self.jitter = 0.0
         """How late the newest tick was, s."""
-        self._pid = Pid(gains, state)
+        self._plant = plant
+        self._pid = Pid(gains or gains_of(plant, 1.0), state)
         self._restart = state is None
         self._period = round(self._pid.gains.period * NANOSECONDS)
         self._max_age = round(max_age * NANOSECONDS)
-        self._temperature = math.nan
+        self._output = math.nan
         self._measured: int | None = None
         self._number: int | None = None  # of the newest tick on the grid
         self._newest = 0  # its time, ns
@@ -78,10 +87,10 @@ class Loop:
         """Whether the newest tick made a sample."""
         return not self.trouble
 
-    def measure(self, temperature: float, stamp: int) -> None:
-        """Take a temperature (°C) measured at `stamp` (ns); one that is not finite is only counted."""
-        if math.isfinite(temperature):
-            self._temperature, self._measured = temperature, stamp
+    def measure(self, output: float, stamp: int) -> None:
+        """Take a reading measured at `stamp` (ns); one that is not finite is only counted."""
+        if math.isfinite(output):
+            self._output, self._measured = output, stamp
         else:
             self.refused += 1
 
@@ -92,7 +101,7 @@ class Loop:
 
         Args:
             now: the time, ns.
-            profile: gives the set-point (°C), or None, at a time in seconds since sample 0, counted in
+            profile: gives the set-point, or None, at a time in seconds since sample 0, counted in
                 periods so that a late tick moves no step of the set-point.
         """
         number = self._place(now)
@@ -114,8 +123,8 @@ class Loop:
         self._number, self.trouble = number, ""
         if self._restart:
             self._continue(reference)
-        self.input = self._pid.step(reference, self._temperature)
-        return Sample(number, now, reference, self._temperature, self.input)
+        self.input = self._pid.step(reference, self._output)
+        return Sample(number, now, reference, self._output, self.input)
 
     def _place(self, now: int) -> int | None:
         """Number of this tick on the grid; None if it is none."""
@@ -141,11 +150,12 @@ class Loop:
 
     def _doubt(self, now: int, reference: float | None) -> str:
         """Why there can be no sample now; empty if there can."""
+        output = self._plant.output
         if self._measured is None:
-            return "no temperature yet; is the camera up?"
+            return f"no {output.name} yet; is the {output.sensor} up?"
         if now - self._measured > self._max_age:
             age = (now - self._measured) / NANOSECONDS
-            return f"the newest temperature is {age:.1f} s old; is the camera up?"
+            return f"the newest {output.name} is {age:.1f} s old; is the {output.sensor} up?"
         if reference is None:
             return "no set-point yet"
         if not math.isfinite(reference):
@@ -154,7 +164,7 @@ class Loop:
 
     def _continue(self, reference: float) -> None:
         """Give the controller the state in which its output is the one that stands."""
-        error = reference - self._temperature
-        integral = self.input - self._pid.gains.proportional * error
-        self._pid.state = PidState(integral, error)
+        gains, error = self._pid.gains, reference - self._output
+        integral = self.input - gains.proportional * error
+        self._pid.state = PidState(integral, -self._output if gains.on_measurement else error)
         self._restart = False

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 
 from twinmatch.control.errors import ControlError
 
-__all__ = ["HIGHEST", "LOWEST", "Profile"]
-
-LOWEST = 0.0
-"""Lowest set-point that is accepted unless told otherwise, °C: below it the plate ices."""
-HIGHEST = 100.0
-"""Highest one, °C: the Peltier element's solder softens at 138 °C, and the loop overshoots."""
+__all__ = ["Profile"]
 
 
 @dataclass(frozen=True)
@@ -30,21 +25,23 @@ class Profile:
     """
 
     levels: tuple[float, ...]
-    """Set-points, °C."""
+    """Set-points."""
     holds: tuple[float, ...]
     """How long each is asked for, s."""
     repeat: bool = False
     """Begin again at the end."""
     ramp: float = 0.0
-    """Rate of change, °C/s; 0: at once."""
-    lowest: float = LOWEST
-    """Lower end of the safe range, °C."""
-    highest: float = HIGHEST
-    """Upper end, °C."""
+    """Rate of change, per second; 0: at once."""
+    lowest: float = field(kw_only=True)
+    """Lower end of the safe range, such as the plant's `output.safe`."""
+    highest: float = field(kw_only=True)
+    """Upper end."""
+    unit: str = field(kw_only=True)
+    """Of the set-points, for messages."""
 
     def __post_init__(self) -> None:
         if not self.lowest < self.highest:
-            msg = f"profile: the range {self.lowest:g} to {self.highest:g} °C is empty"
+            msg = f"profile: the range {self.lowest:g} to {self.highest:g} {self.unit} is empty"
             raise ControlError(msg)
         if not self.levels or len(self.levels) != len(self.holds):
             msg = (
@@ -54,8 +51,8 @@ class Profile:
             raise ControlError(msg)
         for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True), 1):
             if not self.lowest <= level <= self.highest:
-                allowed = f"{self.lowest:g} to {self.highest:g} °C"
-                msg = f"profile: level {number} is {level:g} °C; the safe range is {allowed}"
+                allowed = f"{self.lowest:g} to {self.highest:g} {self.unit}"
+                msg = f"profile: level {number} is {level:g} {self.unit}; the safe range is {allowed}"
                 raise ControlError(msg)
             if not (math.isfinite(hold) and hold > 0):
                 msg = f"profile: level {number} is to be held for {hold:g} s; give a positive time"
@@ -64,7 +61,7 @@ class Profile:
 
     def _check_ramp(self) -> None:
         if not (math.isfinite(self.ramp) and self.ramp >= 0):
-            msg = f"profile: the ramp is {self.ramp:g} °C/s; give a positive rate, or 0 for steps"
+            msg = f"profile: the ramp is {self.ramp:g} {self.unit}/s; give a positive rate, or 0 for steps"
             raise ControlError(msg)
         if self.ramp == 0:
             return
@@ -89,7 +86,7 @@ class Profile:
         return time >= self.duration
 
     def reference(self, time: float) -> float:
-        """The set-point, °C, at a time (s since the start); after the end that of the last level.
+        """The set-point at a time (s since the start); after the end that of the last level.
 
         Raises:
             ControlError: the time is not finite.

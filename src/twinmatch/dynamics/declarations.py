@@ -79,6 +79,8 @@ class Output(Declaration):
     """Readings that a working sensor can give."""
     set_points: tuple[float, float] | None = None
     """Where set-points make sense, which is where a suggested step may lead; `span` if not given."""
+    safe: tuple[float, float] = (-math.inf, math.inf)
+    """Set-points that do the plant no harm; a controller takes no others."""
     absolute: float = 0.0
     """What to add to a reading to count it from where its quantity is zero: 273.15 for °C."""
     sensor: str = "sensor"

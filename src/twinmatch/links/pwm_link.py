@@ -28,6 +28,7 @@ from twinmatch.links.pwm_errors import (
 from twinmatch.links.pwm_exchange import Exchange
 from twinmatch.links.pwm_messages import (
     PROTOCOL,
+    PWM_LIMIT,
     Banner,
     Code,
     Flags,
@@ -37,7 +38,6 @@ from twinmatch.links.pwm_messages import (
     Verb,
 )
 from twinmatch.links.pwm_port import LinkSettings
-from twinmatch.signals import PWM_LIMIT
 
 __all__ = ["AMPERES_PER_COUNT", "Applied", "PwmLink"]
 

@@ -17,10 +17,9 @@ import re
 from dataclasses import dataclass
 from enum import Enum, IntFlag
 
-from twinmatch.signals import PWM_LIMIT
-
 __all__ = [
     "PROTOCOL",
+    "PWM_LIMIT",
     "SEQUENCES",
     "Banner",
     "Code",
@@ -37,6 +36,9 @@ __all__ = [
 
 PROTOCOL = 1
 """Version of the protocol; the board says its own in the banner."""
+
+PWM_LIMIT = 255.0
+"""Largest magnitude of a set-point; its sign is the direction, positive heats the plate."""
 
 SEQUENCES = 65536
 """Sequence numbers count 0 to 65535 and begin again."""

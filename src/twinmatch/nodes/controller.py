@@ -22,6 +22,7 @@ from twinmatch.nodes.loop_parameters import pid_gains
 from twinmatch.nodes.node import TwinmatchNode, missing_readers
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import LATCHED, RELIABLE
+from twinmatch.plants import Peltier
 from twinmatch_msgs.msg import LoopSample, PwmCommand
 
 __all__ = ["ControllerNode", "main"]
@@ -53,7 +54,7 @@ class ControllerNode(TwinmatchNode):
         values = self.values
         self._profile: Profile | None = profile_from(values)
         self._gains = pid_gains(values)
-        self._loop = Loop(self._gains, max_age=values["max_age"])
+        self._loop = Loop(Peltier, self._gains, max_age=values["max_age"])
         self._asked: float | None = None
         """Set-point published last, or heard last."""
         self._waiting_until: float | None = time.monotonic() + values["wait_timeout"]

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from twinmatch.control import ControlError, Profile
-from twinmatch.control.profile import HIGHEST, LOWEST
 from twinmatch.nodes.loop_parameters import loop_parameters
 from twinmatch.nodes.node import READERS
 from twinmatch.nodes.parameters import Parameter
@@ -30,13 +29,20 @@ CONTROLLER_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("profile.ramp", 0.0, "Rate at which the set-point moves; 0: at once.", "°C/s", 0.0, 100.0),
     Parameter(
         "profile.lowest",
-        LOWEST,
+        Peltier.output.safe[0],
         "Lowest set-point that is accepted, also from the topic.",
         "°C",
         -50.0,
         150.0,
     ),
-    Parameter("profile.highest", HIGHEST, "Highest set-point that is accepted.", "°C", -50.0, 150.0),
+    Parameter(
+        "profile.highest",
+        Peltier.output.safe[1],
+        "Highest set-point that is accepted.",
+        "°C",
+        -50.0,
+        150.0,
+    ),
     Parameter("exit_at_end", False, "End when the profile, not repeated, is over."),
     Parameter("max_age", 2.0, "A temperature older than this switches the output off.", "s", 0.05, 10.0),
     Parameter(
@@ -74,4 +80,4 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
         )
     group = {n.removeprefix("profile."): v for n, v in values.items() if n.startswith("profile.")}
     group["levels"], group["holds"] = tuple(group["levels"]), tuple(group["holds"])
-    return Profile(**group)
+    return Profile(**group, unit=Peltier.output.unit)

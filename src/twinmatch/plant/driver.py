@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass, fields
 
 from twinmatch.plant.parameters import PlantError
-from twinmatch.signals import PWM_LIMIT
 
 __all__ = ["Driver"]
+
+PWM_LIMIT = 255.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 from twinmatch.plant import kernels
 from twinmatch.plant.parameters import PlantError
-from twinmatch.signals import PWM_LIMIT, Window
+from twinmatch.signals import Window
 
 __all__ = ["Pid", "PidGains", "PidState", "controller_state"]
+
+PWM_LIMIT = 255.0
 
 _MOST_AMPLIFICATION = 1e3
 

@@ -81,9 +81,10 @@ class Peltier(Plant, name="peltier"):
     parts = (_MASS, _LAG, _SLOPE)
 
     temperature = Output(
-        unit="°C", noise=0.1, span=(-60.0, 250.0), set_points=(20.0, 90.0), absolute=KELVIN,
-        text="plate temperature", symbol="y", sensor="camera",
+        unit="°C", noise=0.1, span=(-60.0, 250.0), set_points=(20.0, 90.0), safe=(0.0, 100.0),
+        absolute=KELVIN, text="plate temperature", symbol="y", sensor="camera",
     )  # fmt: skip
+    # Below 0 °C the plate ices; the module's solder softens at 138 °C, and the loop overshoots.
     pwm = Drive(unit="PWM", limits=(-COUNTS, COUNTS), noise=7.0, text="PWM, positive heats", symbol="u")
 
     plate = State(unit="K", span=(250.0, 400.0), text="plate (side A)", symbol="T_A")

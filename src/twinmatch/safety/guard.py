@@ -17,7 +17,6 @@ from enum import Enum
 
 from twinmatch.safety.errors import SafetyError
 from twinmatch.safety.runaway import Runaway, RunawayLimits
-from twinmatch.signals import PWM_LIMIT
 
 __all__ = ["Fault", "FaultKind", "GuardLimits", "OutputGuard"]
 
@@ -61,6 +60,8 @@ class GuardLimits:
     """Longest time between two commands, s."""
     temperature_timeout: float = 3.0
     """Greatest age of the newest temperature that was news, s; flat-field corrections take about 1 s."""
+    commands: tuple[float, float] = (-255.0, 255.0)
+    """Least and greatest command there can be."""
     highest: float = 110.0
     """Over-temperature, °C."""
     lowest: float = -10.0
@@ -101,8 +102,10 @@ class OutputGuard:
         """Take a command that was given `age` seconds ago."""
         if self.fault is not None:
             return
-        if not math.isfinite(pwm) or abs(pwm) > PWM_LIMIT:
-            self.trip(FaultKind.COMMAND_INVALID, f"the command is {pwm}; −255 to 255 is possible", now)
+        low, high = self.limits.commands
+        if not low <= pwm <= high:  # nor is what is not a number
+            message = f"the command is {pwm}; {low:g} to {high:g} is possible"
+            self.trip(FaultKind.COMMAND_INVALID, message, now)
             return
         self._command.take(pwm, now - max(0.0, age))
 

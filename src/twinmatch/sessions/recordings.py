@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twinmatch.plants import Peltier
 from twinmatch.sessions.checks import rounded_period
 from twinmatch.sessions.errors import RecordingError
-from twinmatch.signals import KELVIN, PWM_LIMIT, FloatArray, Window
+from twinmatch.signals import KELVIN, FloatArray, Window
 
 __all__ = ["Columns", "gather"]
 
@@ -48,7 +49,7 @@ def gather(columns: Columns, name: str, row: Callable[[int], str]) -> Window:
     for label, values in columns._asdict().items():
         _refuse(~np.isfinite(values), values, f"recording {name}: {label}", row, "is not a finite number")
     period = _period(columns.time, name, row)
-    beyond = np.abs(columns.pwm) > PWM_LIMIT
+    beyond = np.abs(columns.pwm) > Peltier.drive.limits[1]
     _refuse(beyond, columns.pwm, f"recording {name}: pwm", row, "is beyond ±255; is it in another unit?")
     for label in ("reference", "temperature"):
         values = getattr(columns, label)
