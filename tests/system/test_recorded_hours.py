@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from twinmatch.discrimination import TrustLevel
-from twinmatch.replay import Judgement, judge_session
+from twinmatch.judging.judgement import Judgement, judge_session
 
 HEALTHY = (1, 2, 5, 9, 14, 20)
 LOST_DRIVE = 27

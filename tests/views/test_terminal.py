@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from twinmatch.judging.judgement import Judgement, judge_samples
 from twinmatch.plant import Pid, PlantState, RigParameters, advance
-from twinmatch.replay import Judgement, judge_samples
 from twinmatch.signals import KELVIN, Sample
 from twinmatch.twin import TwinSettings
 from twinmatch.views import nominal_score, number, quantity
