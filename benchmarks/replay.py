@@ -14,8 +14,8 @@ from pathlib import Path
 from benchmarks.common import Row, Timing, measure_side_by_side, print_rows, rows_of
 from benchmarks.rig import recorded
 from twinmatch.discrimination import Candidate, Verdict
+from twinmatch.judging.judgement import Judgement, judge_samples
 from twinmatch.plant import RigParameters
-from twinmatch.replay import Judgement, judge_samples
 from twinmatch.sessions import open_any
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, TwinSettings, answer

@@ -21,9 +21,12 @@ import scipy.io
 
 from tests.support.steps import drive_lost
 from twinmatch.cli import main
-from twinmatch.cli_interrupt import held_interrupts
-from twinmatch.sessions import samples_of, write_session
+from twinmatch.judging.interrupt import held_interrupts
+from twinmatch.judging.judgement import judge
+from twinmatch.judging.terms import terms_from_files
+from twinmatch.sessions import open_any, samples_of, write_session
 from twinmatch.signals import Window
+from twinmatch.twin import Outcome
 
 PROJECT = Path(__file__).resolve().parents[1]
 TERMINAL_VARIABLES = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
@@ -352,6 +355,20 @@ def test_ctrl_c_ends_a_replay_with_one_line_and_its_code() -> None:
         _, complaint = process.communicate(timeout=120)
     assert process.returncode == 130
     assert complaint == "twinmatch: interrupted\n"
+
+
+def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Path) -> None:
+    """In every command that judges: they all do it here."""
+    session = open_any(small_session)
+    seen: list[int] = []
+
+    def told(done: int, _: Outcome) -> None:
+        signal.raise_signal(signal.SIGINT)
+        seen.append(done)
+
+    with pytest.raises(KeyboardInterrupt):
+        judge(session, terms_from_files(session), told=told)
+    assert seen == [1]
 
 
 def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end() -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 from twinmatch import __version__
 from twinmatch.archive import program as archive_program
-from twinmatch.cli_progress import Progress
 from twinmatch.dashboard import command as dashboard_command
 from twinmatch.emulation import virtual_rig_program
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.foxglove import command as foxglove_command
+from twinmatch.judging.progress import Progress
 from twinmatch.reporting import command as report_command
 
 __all__ = ["main"]
@@ -143,7 +143,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 def _verify(options: argparse.Namespace) -> int:
     """0 identical, 1 different; what cannot be verified is an error (2)."""
-    from twinmatch.verify import verify_session  # noqa: PLC0415
+    from twinmatch.judging.verification import verify_session  # noqa: PLC0415
 
     with Progress() as progress:
         found = verify_session(

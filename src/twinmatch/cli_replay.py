@@ -8,19 +8,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twinmatch.cli_interrupt import held_interrupts
-from twinmatch.cli_progress import Progress
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.twin_parameters import at_period, read_settings
-from twinmatch.replay import Judgement, judge_samples
+from twinmatch.judging.interrupt import held_interrupts
+from twinmatch.judging.judgement import Judgement, judge
+from twinmatch.judging.progress import Progress
+from twinmatch.judging.terms import terms_from_files
 from twinmatch.sessions import Session, open_any
-from twinmatch.sessions.candidates import read_candidates
-from twinmatch.twin import MatchReport, Outcome
+from twinmatch.twin import Outcome
 from twinmatch.views import document
 from twinmatch.views.line import Lines, closing_lines, redraws
 
 if TYPE_CHECKING:
-    from twinmatch.discrimination import Verdict
     from twinmatch.views.terminal import Screen
 
 __all__ = ["replay"]
@@ -32,6 +30,11 @@ def replay(path: Path, options: argparse.Namespace) -> Judgement:
     Raises:
         TwinmatchError: the session or a file that the options name cannot be used.
     """
+    with held_interrupts():
+        return _replay(path, options)
+
+
+def _replay(path: Path, options: argparse.Namespace) -> Judgement:
     judgement = _judge(path, options)
     if options.json is not None:
         entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
@@ -45,20 +48,10 @@ def replay(path: Path, options: argparse.Namespace) -> Judgement:
 
 def _judge(path: Path, options: argparse.Namespace) -> Judgement:
     """As `judge_session` does, and tell of every match and verdict when it comes."""
-    given = read_candidates(options.candidates) if options.candidates else []
-    settings = read_settings(options.config)
     session = open_any(path)
-    settings = at_period(settings, session.period, options.config)
-    shown = _Told(session)
-    with held_interrupts() as check_interrupt, shown:
-
-        def told(done: int, outcome: Outcome) -> None:
-            shown.advance(done, outcome.match, outcome.verdicts)
-            check_interrupt()
-
-        judgement = judge_samples(
-            session.name, session.samples, settings, given=given, notes=session.notes, told=told
-        )
+    terms = terms_from_files(session, options.config, options.candidates)
+    with _Told(session) as shown:
+        judgement = judge(session, terms, told=shown.advance)
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
         shown.say(line)
@@ -87,10 +80,10 @@ class _Told:
     def say(self, line: str) -> None:
         self._view.say(line)
 
-    def advance(self, done: int, match: MatchReport | None, verdicts: tuple[Verdict, ...]) -> None:
-        if match is not None:
-            self._view.take_match(match)
-        for verdict in verdicts:
+    def advance(self, done: int, outcome: Outcome) -> None:
+        if outcome.match is not None:
+            self._view.take_match(outcome.match)
+        for verdict in outcome.verdicts:
             self._view.take_verdict(verdict)
         self._view.advance(done)
         if done % 50 == 0:

@@ -18,7 +18,7 @@ from twinmatch.archive import judge_archive
 from twinmatch.archive.fingerprint import content_of
 from twinmatch.archive.job import Job, Terms, judge
 from twinmatch.archive.processes import judge_in_processes
-from twinmatch.replay import judge_session
+from twinmatch.judging.judgement import judge_session
 from twinmatch.twin import TwinSettings
 from twinmatch.views import document
 

@@ -123,7 +123,8 @@ def test_without_distributed_the_extra_is_named(archive_folder: Path) -> None:
 
 def test_nothing_of_dask_is_loaded_unasked() -> None:
     code = (
-        "import sys, twinmatch.cli, twinmatch.archive, twinmatch.replay; print('distributed' in sys.modules)"
+        "import sys, twinmatch.cli, twinmatch.archive, twinmatch.judging.judgement\n"
+        "print('distributed' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "False", done.stderr

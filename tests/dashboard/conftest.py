@@ -12,7 +12,7 @@ import pytest
 from tests.support.processes import Process, Processes
 from tests.support.steps import quarter_of_an_hour
 from tests.support.waiting import wait_for
-from twinmatch.replay import Judgement, judge_samples
+from twinmatch.judging.judgement import Judgement, judge_samples
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 

@@ -18,7 +18,7 @@ from twinmatch.dashboard import DashboardState, TwinRow
 from twinmatch.dashboard.feed import POINTS, Feed, stride_for
 from twinmatch.dashboard.history import History
 from twinmatch.dashboard.page import Page
-from twinmatch.replay import Judgement
+from twinmatch.judging.judgement import Judgement
 from twinmatch.signals import Sample
 
 

@@ -24,9 +24,9 @@ from sensor_msgs.msg import Image, Temperature
 
 from tests.support.processes import Process, Processes
 from twinmatch.discrimination import ADMITTED
+from twinmatch.judging.judgement import Judgement
 from twinmatch.nodes.conversions import match_message, sample_message, score_message, state_message
 from twinmatch.nodes.samples import RELIABLE
-from twinmatch.replay import Judgement
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, TwinSettings

@@ -13,7 +13,7 @@ pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 
 from twinmatch.dashboard import DashboardState, Event, Lane, Mark, panels
 from twinmatch.dashboard.state import Drive
 from twinmatch.discrimination import TrustLevel
-from twinmatch.replay import Judgement
+from twinmatch.judging.judgement import Judgement
 from twinmatch.signals import Sample
 from twinmatch.views import COLUMNS, row
 from twinmatch.views.criteria import computed, criterion_rows

@@ -6,7 +6,7 @@ import pytest
 
 from twinmatch.dashboard import DashboardState
 from twinmatch.dashboard.sentence import say
-from twinmatch.replay import Judgement
+from twinmatch.judging.judgement import Judgement
 from twinmatch.twin import TwinSettings
 from twinmatch.views import sentence
 

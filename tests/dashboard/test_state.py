@@ -12,7 +12,7 @@ import pytest
 from twinmatch.dashboard import DashboardState, Lane, Mark, TwinRow
 from twinmatch.dashboard.state import CAPACITY, EVENTS, STRETCHES, Drive
 from twinmatch.discrimination import ADMITTED, TrustLevel
-from twinmatch.replay import Judgement
+from twinmatch.judging.judgement import Judgement
 from twinmatch.signals import Sample
 from twinmatch.views.events import events, level_stretches
 

@@ -22,6 +22,7 @@ from std_msgs.msg import Float64, String
 from tests.support.processes import Process
 from tests.support.ros import Listener
 from tests.support.waiting import wait_for
+from twinmatch.judging.verification import verify_session
 from twinmatch.nodes.conversions import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.sessions import Session, read_session
@@ -29,7 +30,6 @@ from twinmatch.sessions.repair import repair_session
 from twinmatch.sessions.settings import CANDIDATES, parameters_of
 from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample
-from twinmatch.verify import verify_session
 from twinmatch_msgs.msg import LoopSample, ModelScore
 
 pytestmark = pytest.mark.ros

@@ -24,7 +24,8 @@ from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.installed import schema_of
 from twinmatch.sessions.settings import parameters_record
 from twinmatch.sessions.topics import SAMPLE
-from twinmatch.twin import Twin
+from twinmatch.signals import Sample
+from twinmatch.twin import Outcome, Twin
 
 pytestmark = pytest.mark.ros
 
@@ -75,6 +76,23 @@ def test_the_recorded_parameters_are_used_and_the_verdicts_agree(record: Callabl
     text = report.html()
     assert "the same, bit for bit" in text
     assert "those that were recorded with the session" in text
+
+
+def test_a_session_with_verdicts_is_judged_once(
+    record: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pushed: list[int] = []
+    push = Twin.push
+
+    def counted(twin: Twin, sample: Sample) -> Outcome:
+        pushed.append(sample.index)
+        return push(twin, sample)
+
+    folder = record()
+    monkeypatch.setattr(Twin, "push", counted)
+    found = judge(folder)
+    assert found.identical
+    assert pushed == [sample.index for sample in found.session.samples]
 
 
 def test_verdicts_that_differ_are_told_with_the_first_difference(record: Callable[..., Path]) -> None:

@@ -21,9 +21,9 @@ from tests.support.places import PROJECT
 from tests.support.processes import Process
 from tests.support.waiting import PATIENCE
 from twinmatch.emulation.virtual_rig_control import tell
+from twinmatch.judging.verification import verify_session
 from twinmatch.sessions import read_session
 from twinmatch.sessions.repair import repair_session
-from twinmatch.verify import verify_session
 
 SPEED = 4.0
 """Slow enough for a busy machine: a second of the plant is a quarter of one here."""

@@ -44,6 +44,16 @@ def test_a_rich_plant_pays_for_its_sink(seed: int) -> None:
     assert choice.sentence.startswith(f"4 of 4 criteria choose: {FULL} (7 parameters")
 
 
+@pytest.mark.parametrize("zeros", [0, 13, 40, 60, 100])
+def test_stretches_without_any_error_are_no_trouble(zeros: int) -> None:
+    """As a saturated output leaves them, or a sensor that stands still: exact zeros, thirteen and more."""
+    errors = 50.0 * np.random.default_rng(1).normal(size=100)
+    errors[:zeros] = 0.0
+    found = prediction_errors([errors])
+    assert np.isfinite(found).all()
+    assert not found[: max(zeros - 12, 0)].any()
+
+
 def test_evidence_adds_over_samples_that_follow() -> None:
     window = recorded(PLAIN, 3)
     first = choose_structure(window.part(0, 599), SOME, thorough=False)

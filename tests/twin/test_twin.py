@@ -145,17 +145,21 @@ def test_without_an_answer_everything_waits(simulated_session: list[Sample]) -> 
 
 
 def test_given_candidates_are_judged_on_the_first_window_that_moves(simulated_session: list[Sample]) -> None:
-    given = [
-        Candidate(
-            "paper 50 °C", 50.0, RigParameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93), None
-        )
-    ]
-    twin = Twin(given=given)
+    """One for a regime that the session never visits: no match takes its place."""
+    rig = RigParameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
+    twin = Twin(given=[Candidate("paper 90 °C", 90.0, rig, None)])
     verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
     first = next(v for v in verdicts if not v.stands)
-    names = {c.name for c in first.candidates}
-    # The match of the same regime takes the given one's place; until then the given one stands.
-    assert names == {"50 °C"} or "paper 50 °C" in names
+    given = next(c for c in first.candidates if c.name == "paper 90 °C")
+    assert given.parameters == rig
+    assert len(given.orders) == 4
+
+
+def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_session: list[Sample]) -> None:
+    rig = RigParameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
+    twin = Twin(given=[Candidate("paper 50 °C", 50.0, rig, None)])
+    verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
+    assert {c.name for c in verdicts[-1].candidates} == {"50 °C"}
 
 
 def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:

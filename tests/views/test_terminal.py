@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from tests.support.steps import drive_lost
-from twinmatch.replay import Judgement, judge_samples
+from twinmatch.judging.judgement import Judgement, judge_samples
 from twinmatch.twin import TwinSettings
 from twinmatch.views import nominal_score, number, quantity
 from twinmatch.views.line import Lines

@@ -5,7 +5,7 @@ processes of this machine or on a Dask cluster, and passes over those that canno
 keep results in it goes on where an earlier run ended.
 
 Sessions are judged in other processes, one thread of linear algebra each; their results are those of
-`twinmatch.replay`, to the last bit. Nothing here imports numpy before such a process has been set up.
+`twinmatch.judging`, to the last bit. Nothing here imports numpy before such a process has been set up.
 """
 
 from __future__ import annotations

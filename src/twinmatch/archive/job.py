@@ -18,7 +18,7 @@ from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
     from twinmatch.discrimination import Candidate
-    from twinmatch.replay import Judgement
+    from twinmatch.judging.judgement import Judgement
     from twinmatch.twin import TwinSettings
 
 __all__ = ["Failure", "Job", "Outcome", "Terms", "judge", "prepare"]
@@ -96,11 +96,14 @@ def judge(job: Job, place: str = "") -> Outcome:
 
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as JSON has it, with one row per candidate."""
-    from twinmatch.replay import judge_on  # noqa: PLC0415 — imports numpy, so not before `prepare`
+    from twinmatch.judging.judgement import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
+    from twinmatch.nodes.twin_parameters import at_period  # noqa: PLC0415
+    from twinmatch.sessions import open_any  # noqa: PLC0415
     from twinmatch.views import document  # noqa: PLC0415
 
-    terms = job.terms
-    judgement = judge_on(job.path, terms.settings, terms.given, config=terms.config)
+    terms, session = job.terms, open_any(job.path)
+    settings = at_period(terms.settings, session.period, terms.config)
+    judgement = judge_samples(session.name, session.samples, settings, given=terms.given, notes=session.notes)
     entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
     return entry | {"candidates": _rows(judgement, entry)}
 

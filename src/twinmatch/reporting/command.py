@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.judging.interrupt import held_interrupts
+from twinmatch.judging.progress import Progress
 
 if TYPE_CHECKING:
     from twinmatch.reporting.report import Report
@@ -40,7 +42,8 @@ def run(options: argparse.Namespace) -> int:
     """
     output: Path = options.output or Path(f"{_stem(options.session)}.html")
     _check(output)
-    report = _make(options)
+    with held_interrupts():
+        report = _make(options)
     report.write(output)
     print(report.sentence)
     print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB, opens in any browser, offline)")
@@ -53,19 +56,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make(options: argparse.Namespace) -> Report:
-    from rich.console import Console  # noqa: PLC0415 — keeps --help fast
-    from rich.progress import Progress  # noqa: PLC0415
+    from twinmatch.reporting.report import make_report  # noqa: PLC0415 — keeps --help fast
 
-    from twinmatch.reporting.report import make_report  # noqa: PLC0415
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("judging", total=None)
+    with Progress() as progress:
         return make_report(
             options.session,
             config=options.config,
             candidates=options.candidates,
-            watch=lambda done, total: bar.update(task, completed=done, total=total),
+            watch=progress.advance,
             command=shlex.join(["twinmatch", *sys.argv[1:]]),
         )
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from twinmatch.discrimination import REFUSED
 from twinmatch.errors import TwinmatchError
-from twinmatch.replay import Judgement
+from twinmatch.judging.judgement import Judgement
 from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.family import Member
 from twinmatch.views.figures import (

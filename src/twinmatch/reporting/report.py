@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.judging.judgement import Watch
 from twinmatch.reporting.judging import Judged, judge
 from twinmatch.reporting.match_tables import (
     event_table,
@@ -126,7 +126,7 @@ def make_report(
     *,
     config: Path | None = None,
     candidates: Path | None = None,
-    watch: Callable[[int, int], None] | None = None,
+    watch: Watch | None = None,
     command: str = "from Python",
 ) -> Report:
     """Judge a session, an `.mcap` file or a recording and gather a report on it.
@@ -135,7 +135,7 @@ def make_report(
         path: what to judge.
         config: file of parameters; without one those recorded with the session, or the defaults.
         candidates: file of candidates to begin with.
-        watch: called with (samples done, samples in all) now and then.
+        watch: called now and then.
         command: what the report says it was made by.
 
     Raises:

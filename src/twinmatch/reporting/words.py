@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
-from twinmatch.replay import Judgement
+from twinmatch.judging.judgement import Judgement
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 from twinmatch.views.comparison import compare, root_mean_square

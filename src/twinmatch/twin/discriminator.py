@@ -269,7 +269,7 @@ class Discriminator:
         match, window = report.match, trigger.window
         if match.status is not Status.ACCEPTED:
             return _Fate(REFUSED, f"match refused: {match.reason}")
-        name = f"{report.operating_point:g} °C"
+        name = f"{report.operating_point:g} {self.settings.plant.output.unit}"
         candidate = Candidate(name, report.operating_point, match.parameters, window)
         with one_thread():
             return self._take_in(candidate, window)

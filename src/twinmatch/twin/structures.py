@@ -227,14 +227,19 @@ def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER)
             now.append(window[order:])
     rows, target = np.concatenate(past), np.concatenate(now)
     reach = 2.0 * CUT * _NORMAL * float(np.median(np.abs(target)))
-    calm = np.minimum(1.0, reach / np.maximum(np.max(np.abs(rows), axis=1), _TINY))
+    calm = _calmed(reach, np.max(np.abs(rows), axis=1))
     weights = np.ones(target.size)
     for _ in range(_ROUNDS + 1):
         weighed = rows * weights[:, None]
         errors = target - rows @ np.linalg.lstsq(weighed.T @ rows, weighed.T @ target, rcond=None)[0]
         limit = CUT * _NORMAL * float(np.median(np.abs(errors)))
-        weights = calm * np.minimum(1.0, limit / np.maximum(np.abs(errors), _TINY))
+        weights = calm * _calmed(limit, np.abs(errors))
     return np.clip(errors, -limit, limit)
+
+
+def _calmed(reach: float, sizes: FloatArray) -> FloatArray:
+    """Weights that bring what is larger than the reach down to it."""
+    return np.asarray(reach / np.maximum(sizes, max(reach, _TINY)))
 
 
 def _votes(scores: Sequence[StructureScore]) -> dict[str, str]:

@@ -21,6 +21,9 @@ from rclpy.serialization import serialize_message
 
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
+from twinmatch.judging.judgement import Judgement
+from twinmatch.judging.terms import TermsError
+from twinmatch.judging.verification import VerifyError, verify_session
 from twinmatch.nodes.conversions import match_message, score_message
 from twinmatch.nodes.twin_parameters import twin_values
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic
@@ -31,8 +34,8 @@ from twinmatch.sessions.settings import CANDIDATES, parameters_of, parameters_re
 from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
-from twinmatch.verify import VerifyError, verify_session
 from twinmatch.verify_trees import differences, match_tree, verdict_tree
+from twinmatch.views import summarise
 
 pytestmark = pytest.mark.ros
 
@@ -140,10 +143,16 @@ def test_a_recorded_session_is_identical(record: Callable[..., Path], capsys: An
 @pytest.fixture
 def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch) -> None:
     """Saves the judging where only the comparison is of interest."""
-    stamps = {sample.index: sample.stamp for sample in samples}
-    matches = [match_tree(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
-    scores = [verdict_tree(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
-    monkeypatch.setattr("twinmatch.verify._judge", lambda *_: (matches, scores))
+    verdicts = tuple(v for o in outcomes for v in o.verdicts)
+    found = Judgement(
+        name="run",
+        samples=samples,
+        settings=TwinSettings(),
+        matches=tuple(o.match for o in outcomes if o.match is not None),
+        verdicts=verdicts,
+        summary=summarise(samples, verdicts, TwinSettings().gains),
+    )
+    monkeypatch.setattr("twinmatch.judging.verification.judge", lambda *_, **__: found)
 
 
 def nudge(value: float) -> float:
@@ -203,6 +212,14 @@ def test_a_last_verdict_may_have_come_too_late_for_the_recorder(record: Callable
     assert found.notes == ("1 verdicts at the very end were not recorded any more",)
 
 
+@pytest.mark.usefixtures("judged")
+def test_a_match_that_was_published_twice_is_compared_once(record: Callable[..., Path]) -> None:
+    """The discriminator may have asked again just when the answer came."""
+    found = verify_session(record(lambda matches, _: matches.insert(1, matches[0])))
+    assert found.identical
+    assert found.matches == 3
+
+
 def test_other_parameters_give_other_verdicts(record: Callable[..., Path]) -> None:
     found = verify_session(record(parameters={"decimals": 1}))
     assert found.difference is not None
@@ -225,7 +242,7 @@ def test_what_cannot_be_verified_is_said(
     record: Callable[..., Path], capsys: Any, arguments: dict[str, Any], message: str
 ) -> None:
     folder = record(**arguments)
-    with pytest.raises(VerifyError, match=message):
+    with pytest.raises((VerifyError, TermsError), match=message):
         verify_session(folder)
     assert main(["verify", str(folder)]) == 2
     assert message in capsys.readouterr().err
@@ -233,7 +250,7 @@ def test_what_cannot_be_verified_is_said(
 
 def test_parameters_of_another_version_are_said(record: Callable[..., Path]) -> None:
     folder = record(unknown={"schedule.hurry": 3})
-    with pytest.raises(VerifyError, match=r"are of another version: .*there is no parameter schedule.hurry"):
+    with pytest.raises(TermsError, match=r"are of another version: .*there is no parameter schedule.hurry"):
         verify_session(folder)
 
 

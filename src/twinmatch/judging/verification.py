@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twinmatch.discrimination import Candidate
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.twin_parameters import read_settings, recorded_values, settings_from
+from twinmatch.judging.judgement import Judgement, Watch, judge
+from twinmatch.judging.terms import prefix_of, recorded_terms
 from twinmatch.sessions import Session, Topic, read_session
-from twinmatch.sessions.candidates import parse_candidates, read_candidates
-from twinmatch.sessions.settings import CANDIDATES, parameters_of
-from twinmatch.twin import Twin, TwinSettings
 from twinmatch.verify_trees import Tree, differences, match_tree, message_tree, verdict_tree
 
-__all__ = ["Difference", "Verification", "VerifyError", "verify_session"]
+__all__ = ["Difference", "Verification", "VerifyError", "compare", "holds_verdicts", "verify_session"]
 
-SAMPLE = "plant/sample"
 SCORES = "twin/model_score"
 MATCHES = "twin/match"
 AT_THE_END = 60
@@ -78,32 +74,47 @@ def verify_session(
     topic: str | None = None,
     config: Path | None = None,
     candidates: Path | None = None,
-    watch: Callable[[int, int], None] | None = None,
+    watch: Watch | None = None,
 ) -> Verification:
-    """Recompute matches and verdicts from the recorded samples and compare them with the recorded ones.
+    """Judge a session again and compare matches and verdicts with the recorded ones.
 
     Args:
         path: session folder or `.mcap` file.
         topic: topic of the samples, if the session has several rigs.
         config: parameters to use instead of the recorded ones.
         candidates: candidates to begin with instead of the recorded ones.
-        watch: called with (samples done, samples in all) now and then.
+        watch: called now and then.
 
     Raises:
-        VerifyError: no verdicts, or not the parameters they were made with.
+        VerifyError: no verdicts.
+        TermsError: not the parameters they were made with.
         TwinmatchError: one of the files cannot be used.
     """
     session = read_session(path, topic)
-    place = f"session {session.name}"
-    prefix = session.topic.removesuffix(SAMPLE)
-    scores, matches = _recorded(session, prefix + SCORES), _once(_recorded(session, prefix + MATCHES))
-    if not scores:
+    if not holds_verdicts(session):
         msg = (
-            f"{place}: holds no verdicts on {prefix}{SCORES}; nothing to verify, twinmatch replay makes some"
+            f"session {session.name}: holds no verdicts on {prefix_of(session)}{SCORES}; "
+            "nothing to verify, twinmatch replay makes some"
         )
         raise VerifyError(msg)
-    twin = _twin(session, prefix, config, candidates)
-    computed_matches, computed_scores = _judge(session, twin, watch)
+    return compare(session, judge(session, recorded_terms(session, config, candidates), watch=watch))
+
+
+def holds_verdicts(session: Session) -> int:
+    """How many verdicts were recorded with the session's samples."""
+    return session.counts.get(prefix_of(session) + SCORES, 0)
+
+
+def compare(session: Session, judgement: Judgement) -> Verification:
+    """Compare what a session holds with a judgement of its samples, bit for bit.
+
+    Raises:
+        VerifyError: a recorded message cannot be read.
+    """
+    prefix, stamps = prefix_of(session), {sample.index: sample.stamp for sample in session.samples}
+    matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
+    computed_matches = [match_tree(m, stamps[m.sample]) for m in judgement.matches]
+    computed_scores = [verdict_tree(v, stamps[v.sample]) for v in judgement.verdicts]
     last = session.samples[-1].index
     difference = _compare("match", matches, computed_matches, last) or _compare(
         "verdict", scores, computed_scores, last
@@ -152,66 +163,6 @@ def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
         raise VerifyError(msg)
     result: Callable[[bytes], Any] = decode
     return result
-
-
-def _twin(session: Session, prefix: str, config: Path | None, candidates: Path | None) -> Twin:
-    """The twin as it was when the session was recorded."""
-    if config is not None:
-        matching = judging = read_settings(config)
-        begun_with = ""
-    else:
-        matching, _ = _settings(session, prefix + "matcher")
-        judging, begun_with = _settings(session, prefix + "discriminator")
-    given = read_candidates(candidates) if candidates is not None else _given(session, begun_with)
-    return Twin(judging, given, matching=matching)
-
-
-def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
-    """Settings of a node, and the file of candidates it was given."""
-    place = f"session {session.name}"
-    recorded = parameters_of(session.records, node)
-    if recorded is None:
-        msg = (
-            f"{place}: the parameters of {node} were not recorded; give them with --config, "
-            "or record with the recorder running beside the twin"
-        )
-        raise VerifyError(msg)
-    try:
-        values = recorded_values(f"{place}: {node}", recorded)
-        return settings_from(values), str(values["candidates"])
-    except TwinmatchError as error:
-        msg = f"{place}: the recorded parameters of {node} are of another version: {error}"
-        raise VerifyError(msg) from error
-
-
-def _given(session: Session, path: str) -> Sequence[Candidate]:
-    if not path:
-        return []
-    text = session.records.get(CANDIDATES, {}).get("text", "")
-    if not text:
-        msg = (
-            f"session {session.name}: began with the candidates of {path}, which were not recorded; "
-            "give them with --candidates"
-        )
-        raise VerifyError(msg)
-    return parse_candidates(text, f"session {session.name}: candidates")
-
-
-def _judge(
-    session: Session, twin: Twin, watch: Callable[[int, int], None] | None
-) -> tuple[list[Tree], list[Tree]]:
-    stamps: dict[int, int] = {}
-    matches: list[Tree] = []
-    scores: list[Tree] = []
-    for done, sample in enumerate(session.samples):
-        stamps[sample.index] = sample.stamp
-        outcome = twin.push(sample)
-        if outcome.match is not None:
-            matches.append(match_tree(outcome.match, sample.stamp))
-        scores += [verdict_tree(verdict, stamps[verdict.sample]) for verdict in outcome.verdicts]
-        if watch is not None and done % 50 == 0:
-            watch(done, len(session.samples))
-    return matches, scores
 
 
 def _compare(what: str, recorded: list[Tree], computed: list[Tree], last: int) -> Difference | None:

@@ -1,0 +1,107 @@
+"""Samples through the twin, one by one, and everything that came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from twinmatch.discrimination import Candidate, Verdict
+from twinmatch.judging.interrupt import held_interrupts
+from twinmatch.judging.terms import Terms, terms_from_files
+from twinmatch.sessions import Session, open_any
+from twinmatch.signals import Sample
+from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
+from twinmatch.views import Summary, summarise
+
+__all__ = ["Judgement", "Watch", "judge", "judge_samples", "judge_session"]
+
+Watch = Callable[[int, int], None]
+"""Called with (samples done, samples in all) now and then."""
+
+EVERY = 50
+"""Samples between two calls of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Everything that came out of a session."""
+
+    name: str
+    samples: Sequence[Sample]
+    settings: TwinSettings
+    matches: tuple[MatchReport, ...]
+    verdicts: tuple[Verdict, ...]
+    summary: Summary
+
+
+def judge_session(
+    path: Path, *, candidates: Path | None = None, config: Path | None = None, watch: Watch | None = None
+) -> Judgement:
+    """Judge a session, an .mcap file or a recording.
+
+    Args:
+        path: what to judge.
+        candidates: file of candidates to begin with.
+        config: file of parameters; without it the defaults.
+        watch: called now and then.
+
+    Raises:
+        TwinmatchError: one of the files cannot be used.
+    """
+    session = open_any(path)
+    return judge(session, terms_from_files(session, config, candidates), watch=watch)
+
+
+def judge(
+    session: Session,
+    terms: Terms,
+    *,
+    watch: Watch | None = None,
+    told: Callable[[int, Outcome], None] | None = None,
+) -> Judgement:
+    """Judge a session on these terms; see `judge_samples`."""
+    return judge_samples(
+        session.name,
+        session.samples,
+        terms.settings,
+        given=terms.given,
+        matching=terms.matching,
+        notes=session.notes,
+        watch=watch,
+        told=told,
+    )
+
+
+def judge_samples(
+    name: str,
+    samples: Sequence[Sample],
+    settings: TwinSettings,
+    *,
+    given: Sequence[Candidate] = (),
+    matching: TwinSettings | None = None,
+    notes: Sequence[str] = (),
+    watch: Watch | None = None,
+    told: Callable[[int, Outcome], None] | None = None,
+) -> Judgement:
+    """Push samples through a twin, one by one, as the live nodes do; Ctrl-C takes effect between two of them.
+
+    `matching` are the settings of matches, if they have their own. `watch` is called now and then, `told`
+    after every sample with its number, from 1, and what came of it.
+    """
+    twin = Twin(settings, given, matching=matching)
+    matches: list[MatchReport] = []
+    verdicts: list[Verdict] = []
+    with held_interrupts() as check_interrupt:
+        for done, sample in enumerate(samples):
+            outcome = twin.push(sample)
+            if outcome.match is not None:
+                matches.append(outcome.match)
+            verdicts += outcome.verdicts
+            if told is not None:
+                told(done + 1, outcome)
+            if watch is not None and done % EVERY == 0:
+                watch(done, len(samples))
+            check_interrupt()
+        summary = summarise(samples, verdicts, settings.gains, notes, limits=settings.limits)
+    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)

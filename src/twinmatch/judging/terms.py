@@ -1,0 +1,97 @@
+"""With which parameters and candidates a session is judged: those recorded with it, or those of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from twinmatch.discrimination import Candidate
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.twin_parameters import at_period, read_settings, recorded_values, settings_from
+from twinmatch.sessions import Session
+from twinmatch.sessions.candidates import parse_candidates, read_candidates
+from twinmatch.sessions.settings import CANDIDATES, parameters_of
+from twinmatch.twin import TwinSettings
+
+__all__ = ["SAMPLE", "Terms", "TermsError", "prefix_of", "recorded_terms", "terms_from_files"]
+
+SAMPLE = "plant/sample"
+
+
+class TermsError(TwinmatchError):
+    """A session that does not say on what terms it was judged."""
+
+
+class Terms(NamedTuple):
+    """On what terms a session is judged."""
+
+    settings: TwinSettings
+    given: tuple[Candidate, ...] = ()
+    """Candidates to begin with."""
+    matching: TwinSettings | None = None
+    """Settings of matches, if they have their own."""
+    source: str = ""
+    """Where the parameters came from, in words."""
+
+
+def prefix_of(session: Session) -> str:
+    """How the names of the rig's nodes and topics begin."""
+    return session.topic.removesuffix(SAMPLE)
+
+
+def terms_from_files(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
+    """Parameters and candidates of files; without them the defaults and none.
+
+    Raises:
+        TwinmatchError: a file cannot be used, or has another sample time than the session.
+    """
+    source = f"the file {config.name}" if config else "the defaults of this version"
+    settings = at_period(read_settings(config), session.period, config)
+    return Terms(settings, tuple(read_candidates(candidates)) if candidates else (), source=source)
+
+
+def recorded_terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
+    """Parameters and candidates as they were when the session was recorded; files stand in for them.
+
+    Raises:
+        TermsError: they were not recorded, or this version does not understand them.
+        TwinmatchError: a file cannot be used.
+    """
+    if config is not None:
+        return terms_from_files(session, config, candidates)
+    prefix = prefix_of(session)
+    matching, _ = _settings(session, f"{prefix}matcher")
+    settings, begun_with = _settings(session, f"{prefix}discriminator")
+    given = tuple(read_candidates(candidates)) if candidates else _given(session, begun_with)
+    return Terms(settings, given, matching, "those that were recorded with the session")
+
+
+def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
+    """Settings of a node, and the file of candidates it was given."""
+    place = f"session {session.name}"
+    recorded = parameters_of(session.records, node)
+    if recorded is None:
+        msg = (
+            f"{place}: the parameters of {node} were not recorded; give them with --config, "
+            "or record with the recorder running beside the twin"
+        )
+        raise TermsError(msg)
+    try:
+        values = recorded_values(f"{place}: {node}", recorded)
+        return settings_from(values), str(values["candidates"])
+    except TwinmatchError as error:
+        msg = f"{place}: the recorded parameters of {node} are of another version: {error}"
+        raise TermsError(msg) from error
+
+
+def _given(session: Session, path: str) -> tuple[Candidate, ...]:
+    if not path:
+        return ()
+    text = session.records.get(CANDIDATES, {}).get("text", "")
+    if not text:
+        msg = (
+            f"session {session.name}: began with the candidates of {path}, which were not recorded; "
+            "give them with --candidates"
+        )
+        raise TermsError(msg)
+    return tuple(parse_candidates(text, f"session {session.name}: candidates"))
