@@ -15,13 +15,14 @@ import pytest
 
 from tests.support.processes import Process, Processes
 from tests.support.waiting import PATIENCE, wait_for
+from twinmatch.dynamics import Pid
 from twinmatch.emulation.lepton import PLATE
 from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
 from twinmatch.emulation.virtual_rig_control import tell
 from twinmatch.links.pwm import PwmLatchedError, PwmLink, PwmLinkError
 from twinmatch.links.thermal_client import ThermalClient
 from twinmatch.links.thermal_region import region
-from twinmatch.plant import Pid
+from twinmatch.plants import Peltier
 
 
 class RigProcess:
@@ -91,7 +92,7 @@ class Controller:
         self.link = PwmLink(rig.address("serial"))
         self.errors: list[PwmLinkError] = []
         self.current = 0.0
-        self._pid = Pid()
+        self._pid = Pid(Peltier.loop)
         self._now = 0
         self._moved = threading.Condition()
         self._clock = ClockClient(parse_address(rig.address("clock")), self._on_time)

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.waiting import wait_for
+from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.emulation import virtual_rig_board, virtual_rig_camera
 from twinmatch.emulation.arduino_pins import ArduinoError, Drive
 from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig
@@ -37,10 +38,11 @@ from twinmatch.emulation.virtual_rig_faults import (
 )
 from twinmatch.emulation.virtual_rig_pace import RigPace
 from twinmatch.emulation.virtual_rig_plant import RICH_RIG, VirtualPlant
-from twinmatch.plant import PlantState, simulate_driven
-from twinmatch.signals import KELVIN
+from twinmatch.plants import Peltier
 
 INFINITE = float("inf")
+KELVIN = 273.15
+HOT = begin(RICH_RIG, 340.0 - KELVIN, starts={"sink": 300.0})
 
 
 def test_faults_are_read() -> None:
@@ -100,19 +102,21 @@ def test_the_plant_is_that_of_the_plant_room() -> None:
     plant = VirtualPlant()
     for _ in range(500):
         plant.advance(Drive(0.0, 100.0, enabled=True), 0.02)
-    exact = simulate_driven(RICH_RIG, [100.0, 0.0], plate=RICH_RIG.ambient, period=10.0).output[1]
+    exact = simulate_driven(
+        RICH_RIG, [100.0, 0.0], states=begin(RICH_RIG, RICH_RIG["ambient"] - KELVIN), period=10.0
+    ).output[1]
     assert plant.plate == pytest.approx(exact, abs=1e-5)
 
 
 @pytest.mark.parametrize("broken", [False, True])
 def test_an_open_circuit_carries_no_current(broken: bool) -> None:
     plant = VirtualPlant()
-    plant.state = PlantState(340.0, 300.0)
+    plant.states = HOT.copy()
     plant.wire_broken = broken
     drive = Drive(0.0, 200.0 if broken else 0.0, enabled=broken)
     plant.advance(drive, 1.0)
     # Conduction alone, K·ΔT/C for a second; a shorted module would cool the plate by another degree and more.
-    lost = RICH_RIG.conductance * 40.0 / RICH_RIG.heat_capacity
+    lost = RICH_RIG["conductance"] * 40.0 / RICH_RIG["heat_capacity"]
     assert 340.0 - KELVIN - plant.plate == pytest.approx(lost, rel=0.05)
     assert plant.feedback(drive) == 0
 
@@ -121,15 +125,15 @@ def test_feedback_shows_the_supply_side() -> None:
     plant = VirtualPlant()
     assert plant.feedback(Drive(0.0, 255.0, enabled=True)) == pytest.approx(12 / 3.4)
     assert plant.feedback(Drive(0.0, -127.5, enabled=True)) == pytest.approx(12 / 3.4 / 4)
-    plant.state = PlantState(340.0, 300.0)
+    plant.states = HOT.copy()
     assert plant.feedback(Drive(0.0, 0.0, enabled=True)) == 0  # braking does not pass the supply
 
 
 def test_faults_of_the_surroundings_change_the_rig() -> None:
     plant = VirtualPlant()
     plant.fan_failed = plant.warm_room = True
-    assert plant.parameters.sink_convection == pytest.approx(0.1 * RICH_RIG.sink_convection)
-    assert plant.parameters.ambient == RICH_RIG.ambient + 10
+    assert plant.parameters["sink_convection"] == pytest.approx(0.1 * RICH_RIG["sink_convection"])
+    assert plant.parameters["ambient"] == RICH_RIG["ambient"] + 10
     plant.fan_failed = plant.warm_room = False
     assert plant.parameters == RICH_RIG
 
@@ -292,11 +296,11 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
             states = []
             while rig.elapsed < 4.0:
                 rig.step()
-                states.append((rig.plant.state, rig.drive, rig.state()["faults"]))
+                states.append((rig.plant.states.tolist(), rig.drive, rig.state()["faults"]))
             assert not Path(rig.addresses["serial"]).exists()
         seen.append(states)
     assert seen[0] == seen[1]
-    assert seen[0][-1][0].sink > RICH_RIG.ambient
+    assert seen[0][-1][0][1] > RICH_RIG["ambient"]
     assert seen[0][-1][2] == ["ambient-step", "cable-pulled", "camera-gone"]
     assert list(tmp_path.iterdir()) == []
 
@@ -361,3 +365,18 @@ def test_a_camera_program_that_says_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("twinmatch.emulation.virtual_rig_camera.subprocess.Popen", slow)
     with pytest.raises(VirtualCameraError, match=r"says nothing within 0.05 s"):
         VirtualCamera(ambient=22.0)
+
+
+def test_any_structure_of_the_rig_can_be_the_truth() -> None:
+    richest = list(Peltier.structures)[-1]
+    plant = VirtualPlant(
+        Peltier.model(richest).parameters(drive_ripple=1.0, sensor_lag=2.0, seebeck_slope=1e-4)
+    )
+    for _ in range(100):
+        plant.advance(Drive(0.0, 200.0, enabled=True), 0.02)
+    assert plant.plate - plant.seen > 2.0  # the camera lags behind
+    held = VirtualPlant(Peltier.model().parameters(ambient=290.0))
+    held.fan_failed = True
+    held.advance(Drive(0.0, 200.0, enabled=True), 10.0)
+    assert held.sink == pytest.approx(290.0 - KELVIN)
+    assert held.plate > 30.0

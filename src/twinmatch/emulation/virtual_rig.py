@@ -25,7 +25,6 @@ from twinmatch.emulation.virtual_rig_folder import private_folder
 from twinmatch.emulation.virtual_rig_pace import RigPace
 from twinmatch.emulation.virtual_rig_plant import VirtualPlant
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import KELVIN
 
 __all__ = ["RigSettings", "VirtualRig", "VirtualRigError"]
 
@@ -95,9 +94,7 @@ class VirtualRig:
             made = make_board(self.settings.board, self._folder / "ttyACM0")
             self._board, self.board_kind, self.board_remark = made
             stack.callback(self._board.close)
-            self._camera = VirtualCamera(
-                ambient=self.plant.parameters.ambient - KELVIN, seed=1000 * self.settings.seed
-            )
+            self._camera = VirtualCamera(ambient=self.plant.plate, seed=1000 * self.settings.seed)
             stack.callback(self._camera.close)
             self._clock = ClockServer()
             stack.callback(self._clock.close)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from twinmatch.dynamics import Parameters, advance, begin, quantities, read
 from twinmatch.emulation.arduino_pins import Drive
-from twinmatch.plant import Driver, PlantState, RigParameters, advance, heat_flows
-from twinmatch.signals import KELVIN, PWM_LIMIT
+from twinmatch.plants import Peltier
 
 __all__ = ["RICH_RIG", "VirtualPlant"]
 
-RICH_RIG = RigParameters(
+RICH_RIG = Peltier.model("sink with mass").parameters(
     seebeck=0.06,
     resistance=3.3,
     conductance=0.5,
@@ -25,53 +25,48 @@ _STILL_AIR = 0.1
 """Share of the convection that is left without the fan."""
 _AMBIENT_STEP = 10.0
 """K."""
-_OPEN = Driver(current_limit=1e-9)
-"""A circuit that is open: no current flows, not even that of the Seebeck voltage."""
+_OPEN = 1e-9
+"""Current limit of a circuit that is open: none flows, not even that of the Seebeck voltage, A."""
 
 
 class VirtualPlant:
-    """The plant between the driver's pins and the camera's eye."""
+    """The plant between the driver's pins and the camera's eye, in any structure of the Peltier rig."""
 
-    def __init__(self, parameters: RigParameters = RICH_RIG) -> None:
-        self.state = PlantState(parameters.ambient, parameters.ambient)
+    def __init__(self, parameters: Parameters = RICH_RIG) -> None:
+        self.states = begin(parameters, parameters["ambient"] - Peltier.output.absolute)
         self.wire_broken = False
         self.fan_failed = False
         self.warm_room = False
         self._parameters = parameters
-        self._driver = Driver()
-        # The first tick compiles the plant's arithmetic, which must not hold up the board's time later.
-        advance(parameters, self.state, 0.0, 1e-3, _OPEN)
-        heat_flows(parameters, self.state, 0.0, self._driver)
+        self._made: dict[tuple[bool, ...], Parameters] = {}
+        # The first tick loads the plant's arithmetic, which must not hold up the board's time later.
+        advance(self._under(enabled=False), self.states, 0.0, 1e-3)
+        quantities(parameters, self.states, 0.0)
 
     @property
-    def parameters(self) -> RigParameters:
-        """The rig's parameters as of now, faults included."""
-        found = self._parameters
-        if self.fan_failed:
-            found = found.replace(sink_convection=_STILL_AIR * found.sink_convection)
-        if self.warm_room:
-            found = found.replace(ambient=found.ambient + _AMBIENT_STEP)
-        return found
+    def parameters(self) -> Parameters:
+        """The rig's parameters as of now, faults of the surroundings included."""
+        return self._under(enabled=True)
 
     @property
     def plate(self) -> float:
         """Temperature of the plate, °C."""
-        return self.state.plate - KELVIN
+        return self._celsius("plate")
 
     @property
     def seen(self) -> float:
         """Temperature that the camera sees, °C: the plate's, with the sensor's lag if it has one."""
-        return self.state.sensor - KELVIN
+        return read(self.parameters, self.states)
 
     @property
     def sink(self) -> float:
         """Temperature of the heat sink, °C."""
-        return self.state.sink - KELVIN
+        return self._celsius("sink")
 
     def advance(self, drive: Drive, seconds: float) -> None:
         """Let time pass under a drive. A driver that is off, or a broken wire, leaves the circuit open."""
-        driver = self._driver if drive.enabled and not self.wire_broken else _OPEN
-        self.state = advance(self.parameters, self.state, drive.pwm, seconds, driver)
+        found = self._under(enabled=drive.enabled and not self.wire_broken)
+        self.states = advance(found, self.states, drive.pwm, seconds)
 
     def feedback(self, drive: Drive) -> float:
         """Mean current at the driver's feedback pin, A.
@@ -81,5 +76,22 @@ class VirtualPlant:
         """
         if self.wire_broken or not drive.enabled:
             return 0.0
-        current = heat_flows(self.parameters, self.state, drive.pwm, self._driver).current
-        return math.fabs(current * drive.pwm) / PWM_LIMIT
+        current = quantities(self.parameters, self.states, drive.pwm)["current"]
+        return math.fabs(current * drive.pwm) / Peltier.drive.limits[1]
+
+    def _celsius(self, name: str) -> float:
+        """A state; a sink without mass is as warm as the room."""
+        known = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
+        return float(known.get(name, self.parameters["ambient"])) - Peltier.output.absolute
+
+    def _under(self, *, enabled: bool) -> Parameters:
+        """Parameters under the faults of now, with a closed circuit or an open one; made once each."""
+        case = (self.fan_failed, self.warm_room, enabled)
+        if case not in self._made:
+            found = self._parameters
+            if self.fan_failed and "sink_convection" in found:
+                found = found.replace(sink_convection=_STILL_AIR * found["sink_convection"])
+            if self.warm_room:
+                found = found.replace(ambient=found["ambient"] + _AMBIENT_STEP)
+            self._made[case] = found if enabled else found.replace(current_limit=_OPEN)
+        return self._made[case]
