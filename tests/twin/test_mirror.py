@@ -24,15 +24,15 @@ def test_with_the_plants_own_parameters_nothing_is_left() -> None:
     mirror = Mirror(RIG)
     states = [mirror.push(s) for s in samples_of(plant_run())]
     # Celsius and back cost a rounding each tick; the loop forgets them.
-    assert max(abs(s.residual_y) for s in states) < 1e-9
-    assert max(abs(s.residual_u) for s in states) < 1e-6
-    assert max(abs(s.residual_driven) for s in states) < 1e-9
+    assert max(abs(s.closed_residual_y) for s in states) < 1e-9
+    assert max(abs(s.closed_residual_u) for s in states) < 1e-6
+    assert max(abs(s.driven_residual_y) for s in states) < 1e-9
 
 
 def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
     window, other = plant_run(), RigParameters(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
     mirror = Mirror(other)
-    driven = [mirror.push(s).driven_temperature for s in samples_of(window)]
+    driven = [mirror.push(s).driven_output for s in samples_of(window)]
     simulated = simulate_driven(other, window.input, plate=window.output[0] + KELVIN)
     np.testing.assert_array_equal(driven, simulated.output)
 
@@ -51,7 +51,7 @@ def test_new_parameters_take_over_without_a_jump() -> None:
             after = state
     assert before is not None
     assert after is not None
-    assert abs(after.closed_temperature - before.closed_temperature) < 2.0
+    assert abs(after.closed_output - before.closed_output) < 2.0
 
 
 def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
@@ -60,9 +60,9 @@ def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
     for sample in samples[:100]:
         mirror.push(sample)
     state = mirror.push(samples[150])
-    assert state.residual_y == 0.0
-    assert state.residual_driven == 0.0
-    assert state.rms_y == 0.0
+    assert state.closed_residual_y == 0.0
+    assert state.driven_residual_y == 0.0
+    assert state.closed_rms_y == 0.0
 
 
 def test_residuals_of_a_window() -> None:

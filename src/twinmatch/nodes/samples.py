@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from twinmatch.nodes.conversions import sample_from
 from twinmatch.nodes.diagnostics import Health, Level, Report
 from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.twin_parameters import TWIN_PARAMETERS, settings_from
 from twinmatch.nodes.worker import Worker
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, SignalError
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 
@@ -136,7 +136,13 @@ class SampleNode(TwinNode):
         return super().report()
 
     def _on_sample(self, message: LoopSample) -> None:
-        sample: Sample = sample_from(message)
+        try:
+            sample: Sample = sample_from(message)
+        except SignalError as error:
+            self.health.count("refused")
+            self.health.complain("sample", Level.ERROR, f"plant/sample: {error}")
+            return
+        self.health.withdraw("sample")
         self._watch.push(sample.index, time.monotonic())
         self.put(sample)
 

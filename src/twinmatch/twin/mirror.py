@@ -18,25 +18,25 @@ class MirrorState:
     """Both twins at one tick, before the tick's control acts on them."""
 
     sample: Sample
-    closed_temperature: float
-    """What the camera sees of the twin that is given the set-point and has a controller of its own, °C."""
-    closed_pwm: float
-    """Control of that twin."""
-    driven_temperature: float
-    """What the camera sees of the twin that is given the plant's control, °C."""
-    closed_sink: float
-    """Heat sink of the closed-loop twin, °C."""
-    driven_sink: float
-    residual_y: float
-    """Measured minus closed-loop temperature, °C."""
-    residual_u: float
-    """Measured minus closed-loop control, PWM counts."""
-    residual_driven: float
-    """Measured minus driven temperature, °C."""
-    rms_y: float
+    closed_output: float
+    """What is measured of the twin that is given the set-point and has a controller of its own."""
+    closed_input: float
+    """What that controller computes."""
+    closed_states: tuple[float, ...]
+    """Inner states of that twin, in the order and units of the plant's description."""
+    driven_output: float
+    """What is measured of the twin that is given the plant's input."""
+    driven_states: tuple[float, ...]
+    closed_residual_y: float
+    """Measured minus closed-loop output."""
+    closed_residual_u: float
+    """Measured minus closed-loop input."""
+    driven_residual_y: float
+    """Measured minus driven output."""
+    closed_rms_y: float
     """RMS of the residuals above over the newest samples, same units."""
-    rms_u: float
-    rms_driven: float
+    closed_rms_u: float
+    driven_rms_y: float
 
 
 class Mirror:
@@ -73,7 +73,7 @@ class Mirror:
             closed = self._closed.sensor - KELVIN
             state = self._observe(sample, self._pid.step(sample.reference, closed))
         period = self._gains.period
-        self._closed = advance(self.parameters, self._closed, state.closed_pwm, period)
+        self._closed = advance(self.parameters, self._closed, state.closed_input, period)
         self._driven = advance(self.parameters, self._driven, sample.input, period)
         self._previous = sample
         return state
@@ -85,22 +85,26 @@ class Mirror:
         self._recent.clear()
         self._started = 0
 
-    def _observe(self, sample: Sample, closed_pwm: float) -> MirrorState:
+    def _observe(self, sample: Sample, closed_input: float) -> MirrorState:
         closed, driven = self._closed.sensor - KELVIN, self._driven.sensor - KELVIN
-        residual = (sample.output - closed, sample.input - closed_pwm, sample.output - driven)
+        residual = (sample.output - closed, sample.input - closed_input, sample.output - driven)
         self._recent.append(residual)
-        rms_y, rms_u, rms_driven = np.sqrt(np.mean(np.square(self._recent), axis=0))
+        closed_rms_y, closed_rms_u, driven_rms_y = np.sqrt(np.mean(np.square(self._recent), axis=0))
         return MirrorState(
             sample=sample,
-            closed_temperature=closed,
-            closed_pwm=closed_pwm,
-            driven_temperature=driven,
-            closed_sink=self._closed.sink - KELVIN,
-            driven_sink=self._driven.sink - KELVIN,
-            residual_y=residual[0],
-            residual_u=residual[1],
-            residual_driven=residual[2],
-            rms_y=float(rms_y),
-            rms_u=float(rms_u),
-            rms_driven=float(rms_driven),
+            closed_output=closed,
+            closed_input=closed_input,
+            closed_states=_states(self._closed),
+            driven_output=driven,
+            driven_states=_states(self._driven),
+            closed_residual_y=residual[0],
+            closed_residual_u=residual[1],
+            driven_residual_y=residual[2],
+            closed_rms_y=float(closed_rms_y),
+            closed_rms_u=float(closed_rms_u),
+            driven_rms_y=float(driven_rms_y),
         )
+
+
+def _states(state: PlantState) -> tuple[float, ...]:
+    return state.plate, state.sink, state.sensor

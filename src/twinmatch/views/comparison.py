@@ -32,17 +32,17 @@ class Comparison:
         return self.window.time[_SKIPPED:]
 
     @property
-    def residual_y(self) -> FloatArray:
+    def closed_residual_y(self) -> FloatArray:
         """Measured minus closed-loop-twin temperature, °C."""
         return np.asarray(self.window.output[_SKIPPED:] - self.closed.output)
 
     @property
-    def residual_u(self) -> FloatArray:
+    def closed_residual_u(self) -> FloatArray:
         """Measured minus closed-loop-twin control, counts."""
         return np.asarray(self.window.input[_SKIPPED:] - self.closed.input)
 
     @property
-    def residual_driven(self) -> FloatArray:
+    def driven_residual_y(self) -> FloatArray:
         """Measured minus driven-twin temperature, °C."""
         return np.asarray(self.window.output[_SKIPPED:] - self.driven)
 
