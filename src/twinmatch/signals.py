@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["KELVIN", "FloatArray", "Sample", "SignalError", "Window", "unbroken"]
+__all__ = ["KELVIN", "FloatArray", "Sample", "SignalError", "Window", "not_one_loop", "unbroken"]
 
 FloatArray = NDArray[np.float64]
 
@@ -168,6 +168,14 @@ class Window:
             period=self.period,
             disturbances=self.disturbances[span],
         )
+
+
+def not_one_loop(index: int, lengths: Sequence[int]) -> str:
+    """What is wrong with a sample that has so many references, outputs and inputs."""
+    return (
+        f"sample {index} has {lengths[0]} references, {lengths[1]} outputs and {lengths[2]} inputs; "
+        "a twin runs one loop, with one of each (further measured inputs are disturbances)"
+    )
 
 
 def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:

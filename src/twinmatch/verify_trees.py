@@ -1,27 +1,34 @@
 """Verdicts and matches as trees of plain values, from a recorded message and from the core.
 
-A tree has the fields of the message; its header is the one value `stamp` (ns), and the numbers beside
-`level_name` and `status_name` are left out. This is what the nodes' messages say, written down a second time
-for machines without ROS 2; a test compares it with them.
+A tree has the fields of the message; its header is the one value `stamp` (ns), parameters and starts have one
+value under each name, and the numbers beside `level_name` and `status_name` are left out. Fields that
+recordings of an older form have under another name get today's. This is what the nodes' messages say,
+written down a second time for machines without ROS 2; a test compares it with them.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from twinmatch.discrimination import Criteria, Verdict
-from twinmatch.plant import PARAMETER_NAMES, RigParameters
+from twinmatch.plant import RigParameters
+from twinmatch.plant.named import named
 from twinmatch.twin import MatchReport
 
 __all__ = ["Tree", "differences", "match_tree", "message_tree", "verdict_tree"]
 
 Tree = dict[str, Any]
 
+_NUMBER = re.compile(r"\[\d+\]")
+
 NANOSECONDS = 1_000_000_000
 NAMED = ("level", "status")
+RENAMED = {"residual_y": "driven_rms_y", "residual_u": "closed_rms_u"}
+"""Fields that were called otherwise before."""
 CRITERIA = ("trivial_length", "model_length", "gain", "explanation", "naic", "bic", "mdl", "two_part_length")
 
 
@@ -33,7 +40,20 @@ def message_tree(message: Any) -> Tree:
         if name == "header":
             tree["stamp"] = value.stamp.sec * NANOSECONDS + value.stamp.nanosec
         elif name not in NAMED:
-            tree[name] = _plain(value)
+            tree[RENAMED.get(name, name)] = _plain(value)
+    return _by_name(tree)
+
+
+def _by_name(tree: Tree) -> Tree:
+    """Lists of names and values as one value under each name."""
+    if {"plant", "names", "values"} <= tree.keys():
+        held = dict(zip(tree["names"], tree["values"], strict=True))
+        return {"plant": tree["plant"], "structure": tree["structure"], **held}
+    if "start_values" in tree:
+        tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
+    if "sink_start" in tree:
+        sink = tree.pop("sink_start")
+        tree["starts"] = {} if math.isnan(sink) else {"sink": sink}
     return tree
 
 
@@ -60,8 +80,8 @@ def verdict_tree(verdict: Verdict, stamp: int) -> Tree:
         "candidates": [_candidate_tree(verdict, row) for row in range(len(verdict.candidates))],
         "order": verdict.order or "",
         "nu_gap": [value for row in verdict.nu_gap for value in row],
-        "residual_y": verdict.residual_y,
-        "residual_u": verdict.residual_u,
+        "driven_rms_y": verdict.driven_rms_y,
+        "closed_rms_u": verdict.closed_rms_u,
     }
 
 
@@ -77,7 +97,7 @@ def match_tree(report: MatchReport, stamp: int) -> Tree:
         "status_name": match.status.value,
         "reason": match.reason,
         "parameters": _parameters_tree(match.parameters),
-        "sink_start": _or_nan(match.sink_start),
+        "starts": {} if match.sink_start is None else {"sink": match.sink_start},
         "free": list(match.free),
         "covariance": match.covariance.ravel().tolist(),
         "standard_errors": match.standard_errors.tolist(),
@@ -98,15 +118,23 @@ def match_tree(report: MatchReport, stamp: int) -> Tree:
     }
 
 
-def differences(recorded: Any, computed: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Where two trees differ in a single bit: path of the field, value in the one, value in the other."""
+def differences(
+    recorded: Any, computed: Any, place: str = "", apart: set[str] | None = None
+) -> Iterator[tuple[str, Any, Any]]:
+    """Where two trees differ in a single bit: path of the field, value in the one, value in the other.
+
+    A field that only one of them has is a difference too, unless there is a set `apart` to note it in.
+    """
     if isinstance(recorded, Mapping) and isinstance(computed, Mapping):
         for name in (*recorded, *(name for name in computed if name not in recorded)):
             inside = f"{place}.{name}" if place else name
-            yield from differences(recorded.get(name), computed.get(name), inside)
+            if apart is not None and (name in recorded) != (name in computed):
+                apart.add(_NUMBER.sub("", inside))
+                continue
+            yield from differences(recorded.get(name), computed.get(name), inside, apart)
     elif isinstance(recorded, list) and isinstance(computed, list) and len(recorded) == len(computed):
         for number, (one, other) in enumerate(zip(recorded, computed, strict=True)):
-            yield from differences(one, other, f"{place}[{number}]")
+            yield from differences(one, other, f"{place}[{number}]", apart)
     elif not _same(recorded, computed):
         yield place, recorded, computed
 
@@ -153,9 +181,12 @@ def _candidate_tree(verdict: Verdict, row: int) -> Tree:
 
 
 def _parameters_tree(parameters: RigParameters | None) -> Tree:
-    if parameters is None:
-        return dict.fromkeys(PARAMETER_NAMES, math.nan)
-    return {name: float(getattr(parameters, name)) for name in PARAMETER_NAMES}
+    held = named(parameters)
+    return {
+        "plant": held.plant,
+        "structure": held.structure,
+        **dict(zip(held.names, held.values, strict=True)),
+    }
 
 
 def _criteria_tree(criteria: Criteria | None) -> Tree:

@@ -125,7 +125,7 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         early.update()
     _, second = opened(state)
     for chart, renderer in (
-        ("temperature", 0),
+        ("output", 0),
         ("matrix", 0),
         ("matrix", 1),
         ("happened", 0),

@@ -25,7 +25,8 @@ from sensor_msgs.msg import Image, Temperature
 from tests.support.processes import Process, Processes
 from twinmatch.discrimination import ADMITTED
 from twinmatch.judging.judgement import Judgement
-from twinmatch.nodes.conversions import match_message, sample_message, score_message, state_message
+from twinmatch.nodes.conversions import match_message, score_message, state_message
+from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import RELIABLE
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
@@ -143,21 +144,21 @@ def test_data_move_as_they_come(page: Any, graph: Graph, browser: Any) -> None: 
     publishing = threading.Thread(target=publish)
     publishing.start()
     try:
-        browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) > 20, "the first samples")
-        picture = browser.picture("temperature")
-        before = len(browser.column("temperature", 0, "t"))
-        browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) >= before + 50, "more samples")
-        assert browser.picture("temperature") != picture
+        browser.wait_for(lambda: len(browser.column("output", 0, "t")) > 20, "the first samples")
+        picture = browser.picture("output")
+        before = len(browser.column("output", 0, "t"))
+        browser.wait_for(lambda: len(browser.column("output", 0, "t")) >= before + 50, "more samples")
+        assert browser.picture("output") != picture
     finally:
         enough.set()
         publishing.join()
     browser.wait_for(lambda: f"sample {sent[-1]}, {sent[-1]} s" in browser.text, "the last sample")
-    browser.wait_for(lambda: browser.column("temperature", 0, "t")[-1] == sent[-1], "the last point")
+    browser.wait_for(lambda: browser.column("output", 0, "t")[-1] == sent[-1], "the last point")
     shown = sent[-1200:]  # twenty minutes
-    assert browser.column("temperature", 0, "t") == shown
-    drawn = browser.column("temperature", 0, "temperature")
+    assert browser.column("output", 0, "t") == shown
+    drawn = browser.column("output", 0, "output")
     assert drawn == [40.0 + np.sin(k / 9) for k in shown]
-    browser.wait_for(lambda: browser.column("temperature", 1, "t")[-1] == sent[-1], "the twin's last")
+    browser.wait_for(lambda: browser.column("output", 1, "t")[-1] == sent[-1], "the twin's last")
     assert browser.complaints() == []
 
 
@@ -229,8 +230,8 @@ def test_it_survives_that_the_graph_is_started_again(page: Any, graph: Graph, br
     graph.session(counted(20, period=0.1))
     browser.wait_for(lambda: "sample 19, 1.9 s" in browser.text, "the second session's last sample")
     # Twenty minutes at 10 Hz: ten samples are drawn as two points, their least and greatest.
-    browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) == 4, "its samples alone")
-    assert browser.column("temperature", 0, "t") == pytest.approx([0.0, 0.9, 1.0, 1.9])
+    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 4, "its samples alone")
+    assert browser.column("output", 0, "t") == pytest.approx([0.0, 0.9, 1.0, 1.9])
     browser.wait_for(lambda: "a new session began" in browser.text, "a word of it")
     assert browser.complaints() == []
 
@@ -241,11 +242,11 @@ def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser
     browser.open(page.url)
     graph.session(counted(400))
     browser.click("5 min")
-    browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) == 300, "five minutes")
-    assert browser.column("temperature", 0, "t")[-1] == 399.0
+    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 300, "five minutes")
+    assert browser.column("output", 0, "t")[-1] == 399.0
     browser.driver.close()
     browser.driver.switch_to.window(first)
-    browser.wait_for(lambda: len(browser.column("temperature", 0, "t")) == 400, "twenty minutes")
+    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 400, "twenty minutes")
     assert browser.complaints() == []
 
 
@@ -292,13 +293,11 @@ def test_control_asks_the_controller_and_the_bridge(
             return answer in browser.text
 
         browser.wait_for(lambda: asked("42.5", "asked for 42.5 °C"), "the answer")
-        browser.wait_for(
-            lambda: browser.column("temperature", 2, "reference")[-1:] == [42.5], "the set-point"
-        )
+        browser.wait_for(lambda: browser.column("output", 2, "reference")[-1:] == [42.5], "the set-point")
         browser.wait_for(
             lambda: asked("180", "180 °C was not asked for: allowed is 0 to 100 °C"), "the refusal"
         )
-        assert browser.column("temperature", 2, "reference")[-1] == 42.5
+        assert browser.column("output", 2, "reference")[-1] == 42.5
         browser.click("Output off")
         browser.wait_for(lambda: "stopped as asked; clear_fault lets it go on" in browser.text, "the fault")
         browser.click("Clear fault")
@@ -341,13 +340,13 @@ def test_a_replay_is_paused_and_hurried(
     browser.wait_for(lambda: "playing: " in browser.text, "the player")
     browser.click("Pause")
     browser.wait_for(lambda: "paused: " in browser.text, "the pause")
-    stands = browser.column("temperature", 0, "t")[-1]
+    stands = browser.column("output", 0, "t")[-1]
     time.sleep(1.0)
-    assert browser.column("temperature", 0, "t")[-1] - stands <= 1.0
+    assert browser.column("output", 0, "t")[-1] - stands <= 1.0
     browser.click("200 ×")
     browser.wait_for(lambda: "200 × recorded speed" in browser.text, "the speed")
     browser.click("Continue")
-    browser.wait_for(lambda: browser.column("temperature", 0, "t")[-1] > stands + 300, "five minutes more")
+    browser.wait_for(lambda: browser.column("output", 0, "t")[-1] > stands + 300, "five minutes more")
     browser.click("max")
     assert player.wait() == 0
     browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")

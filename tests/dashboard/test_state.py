@@ -68,7 +68,7 @@ def test_the_twins_rows_may_come_before_the_sample_of_a_new_session() -> None:
         state.push_twin(k, twin_row(1.0))
     state.push_twin(0, twin_row(2.0))
     state.push_sample(sample(0), 0.0)
-    assert state.twin.since(0)[0]["closed_pwm"].tolist() == [2.0]
+    assert state.twin.since(0)[0]["closed_input"].tolist() == [2.0]
 
 
 def test_a_late_row_of_the_session_before_does_no_harm() -> None:
@@ -79,7 +79,7 @@ def test_a_late_row_of_the_session_before_does_no_harm() -> None:
     state.push_twin(9, twin_row(1.0))
     state.push_twin(0, twin_row(2.0))
     assert state.plant.count == 1
-    assert state.twin.since(0)[0]["closed_pwm"].tolist() == [2.0]
+    assert state.twin.since(0)[0]["closed_input"].tolist() == [2.0]
 
 
 def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None:

@@ -27,10 +27,13 @@ def field_type(path: str) -> str:
     topic = path.split(".", maxsplit=1)[0]
     kind = KINDS[topic].replace("/msg/", "/")
     for name in path.removeprefix(topic).strip(".").split("."):
+        name, _, element = name.partition("[")  # noqa: PLW2901 (the index is no part of the name)
         if name:
             package, short = re.sub(r"^sequence<|>$|\[\d*\]$", "", kind).split("/")
             message = getattr(importlib.import_module(f"{package}.msg"), short)
             kind = message.get_fields_and_field_types()[name]
+        if element:
+            kind = kind.removeprefix("sequence<").removesuffix(">")
     return kind
 
 
@@ -69,12 +72,12 @@ def test_what_is_plotted_is_a_number_with_a_stamp_and_a_colour_of_its_own() -> N
 def test_the_plots_show_plant_twin_set_point_control_and_residuals() -> None:
     shown = {path["value"] for panel in panels("Plot") for path in panel["paths"]}
     assert {
-        "/plant/sample.temperature",
-        "/plant/sample.reference",
-        "/plant/sample.pwm",
-        "/twin/state.closed_loop_temperature",
-        "/twin/state.driven_temperature_residual",
-        "/twin/state.closed_loop_pwm_residual",
+        "/plant/sample.output[0]",
+        "/plant/sample.reference[0]",
+        "/plant/sample.input[0]",
+        "/twin/state.closed_output[0]",
+        "/twin/state.driven_residual_y[0]",
+        "/twin/state.closed_residual_u[0]",
     } <= shown
 
 

@@ -53,7 +53,7 @@ class Graph:
         self.clocks: Any = None
 
     def sample(self, index: int) -> LoopSample:
-        message = LoopSample(index=index, reference=60.0, temperature=25.5 + index, pwm=-255.0 / 3)
+        message = LoopSample(index=index, reference=[60.0], output=[25.5 + index], input=[-255.0 / 3])
         message.header.stamp.sec = 100 + index
         self.samples.publish(message)
         return message
@@ -133,7 +133,7 @@ def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_w
     first = deserialize_message(viewer.heard("/plant/sample")[0].data, LoopSample)
     assert first == sent[first.index]
     seen = decode(viewer.channels["/plant/sample"], viewer.heard("/plant/sample")[0].data)
-    assert (seen.temperature, seen.pwm) == (25.5 + seen.index, -85.0)
+    assert (list(seen.output), list(seen.input)) == ([25.5 + seen.index], [-85.0])
     seen = decode(viewer.channels["/twin/model_score"], viewer.heard("/twin/model_score")[-1].data)
     assert (seen.nominal, seen.decided, list(seen.candidates[0].nu_gap)) == ("60 °C", True, [0.0, 0.25])
     assert seen.candidates[0].orders[0].y.gain == 12.5

@@ -123,6 +123,12 @@ def normal(message: Any) -> Any:
     tree = {name: normal(getattr(message, name)) for name in message.get_fields_and_field_types()}
     for name in ("level", "status"):
         tree.pop(name, None)
+    if "units" in tree:
+        names, values = tree.pop("names"), tree.pop("values")
+        del tree["units"]
+        tree |= dict(zip(names, values, strict=True))
+    if "start_values" in tree:
+        tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
     if "header" in tree:
         stamp = tree.pop("header")["stamp"]
         tree["stamp"] = stamp["sec"] * 10**9 + stamp["nanosec"]
@@ -166,7 +172,7 @@ def spoil_score(_matches: list[Any], scores: list[Any]) -> None:
 
 
 def spoil_match(matches: list[Any], _scores: list[Any]) -> None:
-    matches[0].parameters.seebeck = nudge(matches[0].parameters.seebeck)
+    matches[0].parameters.values[0] = nudge(matches[0].parameters.values[0])
 
 
 def spoil_stamp(_matches: list[Any], scores: list[Any]) -> None:

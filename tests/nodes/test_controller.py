@@ -23,7 +23,7 @@ from tests.support.processes import Process
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
 from twinmatch.dynamics import Pid
-from twinmatch.nodes.conversions import sample_from
+from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch_msgs.msg import LoopSample, PwmCommand
 
@@ -128,7 +128,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
     bench.feed(lambda: len(bench.samples) > many + 5, "samples again")
     again = bench.samples[many]
     assert again.index > ended + 1  # a gap: nothing was made up for the time without temperatures
-    assert again.pwm == pytest.approx(0.0, abs=1e-9)
+    assert again.input == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Process], bench: Bench) -> None:

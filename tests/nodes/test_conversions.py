@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from twinmatch.description import Quantity
 from twinmatch.discrimination import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.matching import Fit, Match, Status
@@ -25,17 +27,19 @@ from twinmatch.nodes.conversions import (
     match_from,
     match_message,
     parameters_from,
-    request_from,
-    request_message,
-    sample_from,
-    sample_message,
+    parameters_message,
     score_message,
     state_message,
     verdict_from,
 )
-from twinmatch.plant import RigParameters
-from twinmatch.signals import Sample, Window
+from twinmatch.nodes.descriptions import description_from, description_message
+from twinmatch.nodes.request_messages import request_from, request_message
+from twinmatch.nodes.sample_messages import one_of, sample_from, sample_message
+from twinmatch.plant import PlantError, RigParameters
+from twinmatch.plant.named import RIG
+from twinmatch.signals import Sample, SignalError, Window
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
+from twinmatch_msgs import msg as messages
 
 # NaN stands for "absent" in two fields, so it is left out of those alone.
 NUMBERS = st.floats(allow_nan=False)
@@ -46,7 +50,7 @@ TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=
 COUNTS = st.integers(-(2**53), 2**53)
 POSITIVE = st.floats(1e-6, 1e6)
 
-SAMPLES = st.builds(Sample, INDICES, STAMPS, ANY, ANY, ANY)
+SAMPLES = st.builds(Sample, INDICES, STAMPS, ANY, ANY, ANY, st.lists(ANY, max_size=3).map(tuple))
 PARAMETERS = st.builds(
     RigParameters,
     seebeck=POSITIVE,
@@ -192,8 +196,8 @@ def verdicts(draw: st.DrawFn) -> Verdict:
         candidates=tuple(candidates),
         order=draw(st.none() | TEXTS.filter(bool)),
         nu_gap=tuple(draw(row) for _ in candidates),
-        residual_y=draw(ANY),
-        residual_u=draw(ANY),
+        driven_rms_y=draw(ANY),
+        closed_rms_u=draw(ANY),
         match=draw(st.sampled_from(["", ADMITTED, REFUSED])),
         dismissed=tuple(draw(st.lists(TEXTS, max_size=2))),
         decided=draw(st.booleans()),
@@ -222,23 +226,82 @@ def test_candidate_carries_its_row(verdict: Verdict) -> None:
         assert parameters_from(message.parameters) == candidate.parameters
 
 
+STATES = st.lists(ANY, min_size=3, max_size=3).map(tuple)
+
+
 @given(
     st.builds(
         MirrorState,
-        sample=SAMPLES,
-        **dict.fromkeys(
-            (field.name for field in dataclasses.fields(MirrorState) if field.name != "sample"), ANY
-        ),
+        **dict.fromkeys((field.name for field in dataclasses.fields(MirrorState)), ANY)
+        | {"sample": SAMPLES, "closed_states": STATES, "driven_states": STATES},
     )
 )
 def test_state(state: MirrorState) -> None:
-    """Every figure of the mirror is in the message, each once."""
+    """Every figure of the mirror is in the message under its own name."""
     message = there_and_back(state_message(state, "50 °C"))
     assert (message.index, message.nominal) == (state.sample.index, "50 °C")
-    figures = [getattr(state, field.name) for field in dataclasses.fields(state) if field.name != "sample"]
-    names = [n for n, kind in message.get_fields_and_field_types().items() if kind == "double"]
-    carried = [getattr(message, name) for name in names if name != "reference"]
-    assert sorted(map(repr, carried)) == sorted(map(repr, figures))
+    assert repr(list(message.reference)) == repr([state.sample.reference])
+    for field in dataclasses.fields(state):
+        value = getattr(state, field.name)
+        if isinstance(value, tuple):
+            assert repr(tuple(getattr(message, field.name))) == repr(value)
+        elif field.name != "sample":
+            assert repr(one_of(message, field.name)) == repr(value)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"output": [1.0, 2.0]}, "sample 7 has 1 references, 2 outputs and 1 inputs; a twin runs one loop"),
+        ({"input": []}, "sample 7 has 1 references, 1 outputs and 0 inputs; a twin runs one loop"),
+    ],
+)
+def test_a_sample_of_another_number_of_loops_is_refused(arrays: dict[str, list[float]], said: str) -> None:
+    message = messages.LoopSample(
+        **({"index": 7, "reference": [1.0], "output": [2.0], "input": [3.0]} | arrays)
+    )
+    with pytest.raises(SignalError, match=said):
+        sample_from(there_and_back(message))
+
+
+def test_a_state_of_another_number_of_loops_is_refused() -> None:
+    with pytest.raises(SignalError, match="closed_output of sample 3 has 2 values; one loop has one"):
+        one_of(messages.TwinState(index=3, closed_output=[1.0, 2.0]), "closed_output")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        ({"plant": "tclab"}, "are of the plant 'tclab'; this twin knows 'peltier'"),
+        ({"names": ["seebeck", "mass"], "values": [0.1, 1.0]}, "peltier has no 'mass'; it has seebeck, "),
+        ({"values": [0.1]}, "10 names came with 1 values"),
+        ({"plant": "", "names": [], "values": []}, "the message holds none"),
+    ],
+)
+def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], said: str) -> None:
+    message = parameters_message(RigParameters())
+    for name, value in spoil.items():
+        setattr(message, name, value)
+    with pytest.raises(PlantError, match=said):
+        parameters_from(message)
+
+
+def test_parameters_come_with_their_units() -> None:
+    message = parameters_message(RigParameters())
+    assert dict(zip(message.names, message.units, strict=True))["sink_convection"] == "W/K"
+    assert (message.plant, message.structure) == ("peltier", "")
+
+
+def test_a_description_is_carried_whole() -> None:
+    whole = replace(
+        RIG, structures=("held sink", "sink with mass"), disturbances=(Quantity("room", "air", "°C"),)
+    )
+    message = there_and_back(description_message(whole, 0.5))
+    assert message.period == 0.5
+    assert description_from(message) == whole
+    message.input = []
+    with pytest.raises(SignalError, match="description of peltier: has 1, 1, 0 references, outputs and"):
+        description_from(message)
 
 
 def test_every_status_and_level_has_a_number_of_its_own() -> None:

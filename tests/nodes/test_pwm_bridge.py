@@ -139,7 +139,7 @@ class Rig:
                 temperature.header.stamp = stamp(now - round(self.age * 1e9))
                 self._temperatures.publish(temperature)
             if self.reference is not None and self.celsius is not None and self.pwm is not None:
-                sample = LoopSample(reference=self.reference, temperature=self.celsius, pwm=self.pwm)
+                sample = LoopSample(reference=[self.reference], output=[self.celsius], input=[self.pwm])
                 self._samples.publish(sample)
 
 

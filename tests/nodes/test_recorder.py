@@ -23,7 +23,7 @@ from tests.support.processes import Process
 from tests.support.ros import Listener
 from tests.support.waiting import wait_for
 from twinmatch.judging.verification import verify_session
-from twinmatch.nodes.conversions import sample_message
+from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.sessions import Session, read_session
 from twinmatch.sessions.repair import repair_session

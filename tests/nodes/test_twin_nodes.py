@@ -18,15 +18,26 @@ from tests.support.ros import Listener
 from twinmatch.nodes.conversions import (
     match_from,
     match_message,
-    sample_message,
+    parameters_message,
     score_message,
     state_message,
     verdict_from,
 )
+from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.plant import RigParameters
+from twinmatch.plant.named import RIG
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
-from twinmatch_msgs.msg import Candidate, LoopSample, Match, MatchRequest, ModelScore, TwinState
+from twinmatch_msgs.msg import (
+    Candidate,
+    LoopSample,
+    Match,
+    MatchRequest,
+    ModelScore,
+    PlantDescription,
+    TwinState,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -106,10 +117,8 @@ def test_late_simulator_is_given_the_nominal(
     start: Callable[..., Process], listener: Listener, steps: list[Sample]
 ) -> None:
     """And its state is that of a mirror with those parameters."""
-    candidate = Candidate(name="60 °C")
-    candidate.parameters.seebeck, candidate.parameters.resistance = 0.08, 3.3
-    candidate.parameters.conductance, candidate.parameters.heat_capacity = 0.4, 30.0
-    candidate.parameters.ambient, candidate.parameters.sink_heat_capacity = 296.0, float("inf")
+    parameters = RigParameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
+    candidate = Candidate(name="60 °C", parameters=parameters_message(parameters))
     listener.node.create_publisher(Candidate, "twin/nominal", LATCHED).publish(candidate)
     samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     states = listener.hear(TwinState, "twin/state", EVERYTHING)
@@ -122,8 +131,34 @@ def test_late_simulator_is_given_the_nominal(
         samples.publish(sample_message(sample))
     listener.spin_until(lambda: len(states) == 50, "the states")
     mirror = Mirror(TwinSettings().start)
-    mirror.parameters = mirror.parameters.__class__(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
+    mirror.parameters = parameters
     assert states == [state_message(mirror.push(sample), "60 °C") for sample in steps[:50]]
+
+
+def test_simulator_says_once_what_plant_it_is(start: Callable[..., Any], listener: Any) -> None:
+    start("twin_simulator", "-p", "period:=0.5")
+    heard = listener.hear(PlantDescription, "plant/description", LATCHED)
+    listener.spin_until(lambda: heard, "the description")
+    assert (heard[0].plant, heard[0].period) == ("peltier", 0.5)
+    assert [signal.unit for signal in heard[0].output] == ["°C"]
+    assert [state.name for state in heard[0].states] == [state.name for state in RIG.states]
+    assert "sink with mass" in heard[0].structures
+
+
+def test_sample_of_another_plant_is_an_error_on_diagnostics(
+    start: Callable[..., Any], listener: Any, steps: list[Sample]
+) -> None:
+    """It is passed over, and one line says why; what comes after is taken."""
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    states = listener.hear(TwinState, "twin/state", EVERYTHING)
+    start("twin_simulator")
+    listener.spin_until(samples.get_subscription_count, "the simulator")
+    samples.publish(LoopSample(index=5, reference=[1.0], output=[1.0, 2.0], input=[3.0]))
+    said = "plant/sample: sample 5 has 1 references, 2 outputs and 1 inputs; a twin runs one loop"
+    listener.spin_until(lambda: any(said in m.status[0].message for m in health), "the complaint")
+    samples.publish(sample_message(steps[0]))
+    listener.spin_until(lambda: [state.index for state in states] == [0], "the next state")
 
 
 def test_gap_is_an_error_on_diagnostics(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,7 +25,8 @@ Temperature = STORE.types["sensor_msgs/msg/Temperature"]
 
 doubles = st.floats(allow_nan=False)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
-samples = st.builds(Sample, st.integers(0, 2**64 - 1), stamps, doubles, doubles, doubles)
+several = st.lists(doubles, max_size=3).map(tuple)
+samples = st.builds(Sample, st.integers(0, 2**64 - 1), stamps, doubles, doubles, doubles, several)
 frames = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=20)
 
 
@@ -32,10 +34,15 @@ def header(stamp: int, frame: str):
     return Header(stamp=Time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id=frame)
 
 
+def loop_sample(sample: Sample, frame: str):
+    arrays = [sample.reference], [sample.output], [sample.input], sample.disturbances
+    return LoopSample(header(sample.stamp, frame), sample.index, *map(np.array, arrays))
+
+
 @given(samples, frames)
 def test_samples_are_encoded_as_rosbags_does(sample, frame):
     theirs = STORE.serialize_cdr(
-        LoopSample(header(sample.stamp, frame), sample.index, sample.reference, sample.output, sample.input),
+        loop_sample(sample, frame),
         LOOP_SAMPLE.name,
     )
     assert encode_sample(sample, frame) == bytes(theirs)
@@ -44,7 +51,7 @@ def test_samples_are_encoded_as_rosbags_does(sample, frame):
 @given(samples, frames, st.booleans())
 def test_samples_are_decoded_from_what_rosbags_encodes(sample, frame, little):
     theirs = STORE.serialize_cdr(
-        LoopSample(header(sample.stamp, frame), sample.index, sample.reference, sample.output, sample.input),
+        loop_sample(sample, frame),
         LOOP_SAMPLE.name,
         little_endian=little,
     )
@@ -86,12 +93,23 @@ def test_stamps_outside_ros_time_are_refused(stamp):
         encode_temperature(stamp, 20.0)
 
 
+def test_arrays_of_another_length_are_refused():
+    """A message of a plant with two loops, or none."""
+    for arrays, said in (
+        (([1.0, 2.0], [3.0, 4.0], [5.0]), "sample 9 has 2 references, 2 outputs and 1 inputs"),
+        (([], [3.0], []), "sample 9 has 0 references, 1 outputs and 0 inputs"),
+    ):
+        message = LoopSample(header(0, "plate"), 9, *map(np.array, arrays), np.array([]))
+        with pytest.raises(SessionError, match=f"session: {said}; a twin runs one loop"):
+            decode_sample(bytes(STORE.serialize_cdr(message, LOOP_SAMPLE.name)))
+
+
 def test_another_encoding_is_refused():
     with pytest.raises(SessionError, match="'00 07 00 00'; only plain CDR"):
         decode_sample(b"\x00\x07\x00\x00" + bytes(60))
 
 
-@pytest.mark.parametrize("length", [2, 4, 15, 16, 30, 59])
+@pytest.mark.parametrize("length", [2, 4, 15, 16, 30, 59, 80])
 def test_short_messages_are_refused(length):
     whole = encode_sample(Sample(1, 2, 3.0, 4.0, 5.0))
     with pytest.raises(SessionError, match=f"{length} bytes is too short"):

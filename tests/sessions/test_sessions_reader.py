@@ -93,13 +93,13 @@ def test_a_session_of_something_else_lists_what_it_has(tmp_path):
 
 
 def test_another_definition_of_the_sample_is_refused(tmp_path):
-    older = SAMPLE._replace(schema=SAMPLE.schema.replace("float64 pwm", "float32 pwm"))
+    older = SAMPLE._replace(schema=SAMPLE.schema.replace("float64[] input", "float32[] input"))
     with pytest.raises(SessionError, match="another definition of LoopSample"):
         read_session(record(tmp_path / "run", (older, run())))
 
 
 def test_other_comments_are_the_same_definition(tmp_path):
-    bare = SAMPLE._replace(schema=SAMPLE.schema.replace("# set-point r, degC", ""))
+    bare = SAMPLE._replace(schema=SAMPLE.schema.replace("# measured outputs y", ""))
     assert read_session(record(tmp_path / "run", (bare, run()))).samples == run()
 
 

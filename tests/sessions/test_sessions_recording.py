@@ -33,7 +33,7 @@ def indices(folder: Path) -> list[int]:
 
 @pytest.mark.parametrize(
     ("limits", "files"),
-    [(RecordingLimits(0.0), 1), (RecordingLimits(0.0, 0.01), 5), (RecordingLimits(0.0, 0.0, 49.0), 8)],
+    [(RecordingLimits(0.0), 1), (RecordingLimits(0.0, 0.0125), 5), (RecordingLimits(0.0, 0.0, 49.0), 8)],
 )
 def test_a_split_session_is_one_session(tmp_path, limits, files):
     recording = Recording(tmp_path / "run", limits, ros_distro="kilted")

@@ -92,7 +92,7 @@ def test_rosbags_reads_folder_metadata_and_messages(tmp_path):
     stored = [m for topic, *_, m in theirs if topic == "/plant/sample"]
     assert [
         Sample(
-            m.index, m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, m.reference, m.temperature, m.pwm
+            m.index, m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, *m.reference, *m.output, *m.input
         )
         for m in stored
     ] == samples

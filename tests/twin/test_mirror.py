@@ -26,9 +26,9 @@ def test_with_the_plants_own_parameters_nothing_is_left() -> None:
     mirror = Mirror(RIG)
     states = [mirror.push(s) for s in samples_of(plant_run())]
     # Celsius and back cost a rounding each tick; the loop forgets them.
-    assert max(abs(s.residual_y) for s in states) < 1e-9
-    assert max(abs(s.residual_u) for s in states) < 1e-6
-    assert max(abs(s.residual_driven) for s in states) < 1e-9
+    assert max(abs(s.closed_residual_y) for s in states) < 1e-9
+    assert max(abs(s.closed_residual_u) for s in states) < 1e-6
+    assert max(abs(s.driven_residual_y) for s in states) < 1e-9
 
 
 def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
@@ -62,9 +62,9 @@ def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
     for sample in samples[:100]:
         mirror.push(sample)
     state = mirror.push(samples[150])
-    assert state.residual_y == 0.0
-    assert state.residual_driven == 0.0
-    assert state.rms_y == 0.0
+    assert state.closed_residual_y == 0.0
+    assert state.driven_residual_y == 0.0
+    assert state.closed_rms_y == 0.0
 
 
 def test_residuals_of_a_window() -> None:

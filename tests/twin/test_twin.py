@@ -250,7 +250,7 @@ def test_before_anything_moves_nothing_is_known() -> None:
     twin = Twin()
     verdicts = [v for s in samples_of(still) for v in twin.push(s).verdicts]
     assert [v.level for v in verdicts] == [TrustLevel.UNKNOWN] * 3
-    assert all(v.stands and v.nominal is None and math.isnan(v.residual_y) for v in verdicts)
+    assert all(v.stands and v.nominal is None and math.isnan(v.driven_rms_y) for v in verdicts)
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,8 @@ def verdict(sample: int, level: TrustLevel, *, nominal: str | None = "50 °C", f
         candidates=candidates,
         order="22221",
         nu_gap=((0.0,),),
-        residual_y=8.0,
-        residual_u=60.0,
+        driven_rms_y=8.0,
+        closed_rms_u=60.0,
         fault=fault,
         fault_since=sample - 5 if fault else None,
     )

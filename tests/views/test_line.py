@@ -39,8 +39,8 @@ VERDICT = Verdict(
     candidates=(CANDIDATE,),
     order="22221",
     nu_gap=((0.0,),),
-    residual_y=0.5,
-    residual_u=7.0,
+    driven_rms_y=0.5,
+    closed_rms_u=7.0,
     decided=True,
     certainty="50 °C is the only candidate",
     structure="sink with mass",
@@ -52,8 +52,8 @@ NONE_YET = replace(
     stands=True,
     nominal=None,
     candidates=(),
-    residual_y=math.nan,
-    residual_u=math.nan,
+    driven_rms_y=math.nan,
+    closed_rms_u=math.nan,
     decided=False,
 )
 

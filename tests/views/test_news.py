@@ -19,8 +19,8 @@ STANDS = Verdict(
     candidates=(),
     order=None,
     nu_gap=(),
-    residual_y=0.5,
-    residual_u=7.0,
+    driven_rms_y=0.5,
+    closed_rms_u=7.0,
     decided=True,
     fault="unexplained",
 )

@@ -96,9 +96,9 @@ def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
     parts = compare(samples[:100] + samples[101:103] + samples[110:], plant, GAINS)
     assert [len(p.window) for p in parts] == [100, 190]
     for part in parts:
-        np.testing.assert_allclose(part.residual_y, 0, atol=1e-6)
-        np.testing.assert_allclose(part.residual_u, 0, atol=1e-3)
-        np.testing.assert_allclose(part.residual_driven, 0, atol=1e-6)
+        np.testing.assert_allclose(part.closed_residual_y, 0, atol=1e-6)
+        np.testing.assert_allclose(part.closed_residual_u, 0, atol=1e-3)
+        np.testing.assert_allclose(part.driven_residual_y, 0, atol=1e-6)
 
 
 # Machado et al. (2009), severity 1: how linear RGB looks to somebody without one kind of cone

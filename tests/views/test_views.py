@@ -46,8 +46,8 @@ def verdict(level: TrustLevel, *, stands: bool, nominal: str | None = "50 °C", 
         candidates=(CANDIDATE,) if nominal else (),
         order="22221" if nominal else None,
         nu_gap=((0.0,),) if nominal else (),
-        residual_y=0.5 if nominal else math.nan,
-        residual_u=7.0 if nominal else math.nan,
+        driven_rms_y=0.5 if nominal else math.nan,
+        closed_rms_u=7.0 if nominal else math.nan,
     )
 
 
@@ -106,7 +106,7 @@ def test_the_document_is_strict_json() -> None:
     ]
     entry = document("s", verdicts, summarise(samples(), verdicts, TwinSettings().gains))
     back = json.loads(json.dumps(entry, allow_nan=False))
-    assert back["verdicts"][0]["residual"] == {"y": None, "u": None}
+    assert (back["verdicts"][0]["driven_rms_y"], back["verdicts"][0]["closed_rms_u"]) == (None, None)
     assert back["verdicts"][1]["candidates"][0]["parameters"]["sink_heat_capacity"] is None
     assert back["verdicts"][1]["candidates"][0]["orders"][0]["information_gain"]["total"] == 1200
 

@@ -1,4 +1,4 @@
-"""The charts that share the time axis: temperature, control, residuals, and what happened."""
+"""The charts that share the time axis: output, control, residuals, and what happened."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from bokeh.plotting import figure
 
 from twinmatch.dashboard.events import Event, Lane
 from twinmatch.dashboard.look import MARKS, SHAPES
+from twinmatch.plants import Peltier
+from twinmatch.plants.named import description_of
 from twinmatch.signals import FloatArray
 from twinmatch.views.events import Stretch
 from twinmatch.views.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
 
 __all__ = ["TimeCharts", "bands"]
+
+RIG = description_of(Peltier)
 
 BAND = 2.0
 """Width of the residual band on both sides, in RMS of the newest samples."""
@@ -25,9 +29,9 @@ LANES = {Lane.TRUST: "trust", Lane.MATCH: "matches", Lane.FAULT: "faults", Lane.
 def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """The edges of the residual bands, from the RMS columns."""
     edges = {}
-    for name in ("driven", "pwm"):
-        edges[f"{name}_high"] = BAND * columns[f"rms_{name}"]
-        edges[f"{name}_low"] = -BAND * columns[f"rms_{name}"]
+    for name in ("driven_rms_y", "closed_rms_u"):
+        edges[f"{name}_high"] = BAND * columns[name]
+        edges[f"{name}_low"] = -BAND * columns[name]
     return edges
 
 
@@ -38,7 +42,7 @@ class TimeCharts:
         """Draw these two sources."""
         self._plant, self._twin = plant, twin
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
-        self.temperature = self._temperature()
+        self.output = self._output()
         self.control = self._control()
         self.residual = self._residual()
         self.control_residual = self._control_residual()
@@ -50,11 +54,11 @@ class TimeCharts:
     @property
     def figures(self) -> list[Any]:
         """All of them, top to bottom."""
-        return [self.temperature, self.control, self.residual, self.control_residual, self.happened]
+        return [self.output, self.control, self.residual, self.control_residual, self.happened]
 
     def show(self, *, measured: bool, mirrored: bool) -> None:
         """Show the charts that have something to draw; Bokeh finds no range for nothing."""
-        for chart in (self.temperature, self.control, self.happened):
+        for chart in (self.output, self.control, self.happened):
             if chart.visible != measured:
                 chart.visible = measured
         for chart in (self.residual, self.control_residual):
@@ -102,45 +106,65 @@ class TimeCharts:
         chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has them
         return chart
 
-    def _temperature(self) -> Any:
-        chart = self._figure("temperature", 320, "temperature / °C")
-        plant = chart.line("t", "temperature", source=self._plant, color=PLANT, line_width=2)
-        closed = chart.line("t", "closed_temperature", source=self._twin, color=CLOSED, line_width=1.6)
+    def _output(self) -> Any:
+        chart = self._figure("output", 320, RIG.output.label)
+        plant = chart.line("t", "output", source=self._plant, color=PLANT, line_width=2)
+        closed = chart.line("t", "closed_output", source=self._twin, color=CLOSED, line_width=1.6)
         asked = chart.step(
             "t", "reference", source=self._plant, mode="after", color=SET_POINT, line_width=1.4
         )
         asked.glyph.line_dash = [6, 4]
         self.time.renderers = [plant]
         _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", "@temperature{0.00} °C")])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@output{{0.00}} {RIG.output.unit}")])
         return chart
 
     def _control(self) -> Any:
-        chart = self._figure("control", 210, "control / PWM")
-        plant = chart.step("t", "pwm", source=self._plant, mode="after", color=PLANT, line_width=1.6)
-        closed = chart.step("t", "closed_pwm", source=self._twin, mode="after", color=CLOSED, line_width=1.2)
+        chart = self._figure("control", 210, RIG.input.label)
+        plant = chart.step("t", "input", source=self._plant, mode="after", color=PLANT, line_width=1.6)
+        closed = chart.step(
+            "t", "closed_input", source=self._twin, mode="after", color=CLOSED, line_width=1.2
+        )
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", "@pwm{0.0} PWM")])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@input{{0.0}} {RIG.input.unit}")])
         return chart
 
     def _residual(self) -> Any:
-        chart = self._figure("residual", 180, "plant − twin / K")
+        chart = self._figure("residual", 180, f"plant − twin / {RIG.output.unit}")
         band = chart.varea(
-            "t", "driven_low", "driven_high", source=self._twin, fill_color=DRIVEN, fill_alpha=0.18
+            "t",
+            "driven_rms_y_low",
+            "driven_rms_y_high",
+            source=self._twin,
+            fill_color=DRIVEN,
+            fill_alpha=0.18,
         )
-        driven = chart.line("t", "residual_driven", source=self._twin, color=DRIVEN, line_width=1.4)
-        closed = chart.line("t", "residual_closed", source=self._twin, color=CLOSED, line_width=1.1)
+        driven = chart.line("t", "driven_residual_y", source=self._twin, color=DRIVEN, line_width=1.4)
+        closed = chart.line("t", "closed_residual_y", source=self._twin, color=CLOSED, line_width=1.1)
         names = {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed}
         _legend(chart, names)
-        _hover(chart, driven, [("time", "@t{0.0} s"), ("plant − driven twin", "@residual_driven{0.00} K")])
+        _hover(
+            chart,
+            driven,
+            [("time", "@t{0.0} s"), ("plant − driven twin", f"@driven_residual_y{{0.00}} {RIG.output.unit}")],
+        )
         return chart
 
     def _control_residual(self) -> Any:
-        chart = self._figure("control_residual", 180, "plant − twin / PWM")
-        band = chart.varea("t", "pwm_low", "pwm_high", source=self._twin, fill_color=CLOSED, fill_alpha=0.15)
-        line = chart.line("t", "residual_pwm", source=self._twin, color=CLOSED, line_width=1.2)
+        chart = self._figure("control_residual", 180, f"plant − twin / {RIG.input.unit}")
+        band = chart.varea(
+            "t",
+            "closed_rms_u_low",
+            "closed_rms_u_high",
+            source=self._twin,
+            fill_color=CLOSED,
+            fill_alpha=0.15,
+        )
+        line = chart.line("t", "closed_residual_u", source=self._twin, color=CLOSED, line_width=1.2)
         _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
-        _hover(chart, line, [("time", "@t{0.0} s"), ("residual", "@residual_pwm{0.0} PWM")])
+        _hover(
+            chart, line, [("time", "@t{0.0} s"), ("residual", f"@closed_residual_u{{0.0}} {RIG.input.unit}")]
+        )
         return chart
 
     def _happened(self) -> Any:

@@ -20,10 +20,11 @@ from twinmatch.dashboard.sentence import say
 from twinmatch.dashboard.server import PageServer
 from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.conversions import sample_from, verdict_from
+from twinmatch.nodes.conversions import verdict_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.sample_messages import one_of, sample_from
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, TwinState
@@ -126,17 +127,7 @@ class Dashboard(TwinmatchNode):
         self.state.push_sample(sample_from(message), time.monotonic())
 
     def _on_twin(self, message: TwinState) -> None:
-        row = TwinRow(
-            closed_temperature=message.closed_loop_temperature,
-            closed_pwm=message.closed_loop_pwm,
-            driven_temperature=message.driven_temperature,
-            residual_closed=message.closed_loop_temperature_residual,
-            residual_pwm=message.closed_loop_pwm_residual,
-            residual_driven=message.driven_temperature_residual,
-            rms_closed=message.closed_loop_temperature_rms,
-            rms_pwm=message.closed_loop_pwm_rms,
-            rms_driven=message.driven_temperature_rms,
-        )
+        row = TwinRow(**{name: one_of(message, name) for name in TwinRow._fields})
         self.state.push_twin(message.index, row)
 
     def _on_score(self, message: ModelScore) -> None:

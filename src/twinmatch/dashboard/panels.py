@@ -10,6 +10,8 @@ from twinmatch.dashboard.look import MARKS, SIGNS, text
 from twinmatch.dashboard.roster import Roster
 from twinmatch.dashboard.state import DashboardState
 from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.plants import Peltier
+from twinmatch.plants.named import description_of
 from twinmatch.views import COLUMNS, row
 from twinmatch.views.criteria import computed, criterion_rows
 from twinmatch.views.quantities import number, quantity
@@ -28,6 +30,8 @@ __all__ = [
     "status",
     "tiles",
 ]
+
+RIG = description_of(Peltier)
 
 RECENT = 80
 """Events in the table."""
@@ -75,12 +79,12 @@ def tiles(state: DashboardState) -> str:
     now = state.plant.newest() or {}
     twin = state.twin.newest() or {}
     entries = [
-        ("set-point / °C", number(now.get("reference"), 1)),
-        ("plant / °C", number(now.get("temperature"), 2)),
-        ("closed-loop twin / °C", number(twin.get("closed_temperature"), 2)),
-        ("driven twin / °C", number(twin.get("driven_temperature"), 2)),
-        ("plant's control / PWM", number(now.get("pwm"), 1)),
-        ("twin's control / PWM", number(twin.get("closed_pwm"), 1)),
+        (RIG.reference.label, number(now.get("reference"), 1)),
+        (f"plant / {RIG.output.unit}", number(now.get("output"), 2)),
+        (f"closed-loop twin / {RIG.output.unit}", number(twin.get("closed_output"), 2)),
+        (f"driven twin / {RIG.output.unit}", number(twin.get("driven_output"), 2)),
+        (f"plant's {RIG.input.label}", number(now.get("input"), 1)),
+        (f"twin's {RIG.input.label}", number(twin.get("closed_input"), 1)),
     ]
     if state.drive is not None:
         entries.append(("applied / PWM", number(state.drive.pwm, 0)))

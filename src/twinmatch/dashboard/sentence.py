@@ -34,5 +34,5 @@ def say(state: DashboardState, gains: PidGains, limits: TrustLimits) -> None:
 
 
 def _samples(columns: dict[str, FloatArray]) -> list[Sample]:
-    rows = zip(*(columns[n].tolist() for n in ("index", "reference", "temperature", "pwm")), strict=True)
+    rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
     return [Sample(int(k), 0, r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # else a gap

@@ -33,19 +33,17 @@ INTERVALS = 31
 class TwinRow(NamedTuple):
     """Both twins at one sample; residuals are measured minus twin, RMS over the newest samples."""
 
-    closed_temperature: float
-    """Twin that is given the set-point, °C."""
-    closed_pwm: float
-    driven_temperature: float
-    """Twin that is given the plant's control, °C."""
-    residual_closed: float
-    """K"""
-    residual_pwm: float
-    residual_driven: float
-    """K"""
-    rms_closed: float
-    rms_pwm: float
-    rms_driven: float
+    closed_output: float
+    """Twin that is given the set-point."""
+    closed_input: float
+    driven_output: float
+    """Twin that is given the plant's control."""
+    closed_residual_y: float
+    closed_residual_u: float
+    driven_residual_y: float
+    closed_rms_y: float
+    closed_rms_u: float
+    driven_rms_y: float
 
 
 class Drive(NamedTuple):
@@ -75,7 +73,7 @@ class DashboardState:
     def __init__(self, capacity: int = CAPACITY) -> None:
         """Begin with nothing heard; `capacity` samples are kept."""
         self.lock = threading.RLock()
-        self.plant = History(("reference", "temperature", "pwm"), capacity)
+        self.plant = History(("reference", "output", "input"), capacity)
         self.twin = History(TwinRow._fields, capacity)
         self.session = 1
         """Counted from 1."""

@@ -89,9 +89,9 @@ class Verdict:
     """The order most candidates chose; the ν-gap compares their models of this order."""
     nu_gap: tuple[tuple[float, ...], ...]
     """ν-gap between the candidates, in the order of `candidates`."""
-    residual_y: float
+    driven_rms_y: float
     """RMS over the newest samples of measured minus driven-twin output; NaN without a nominal."""
-    residual_u: float
+    closed_rms_u: float
     """RMS over the same samples of measured minus closed-loop-twin input; NaN without a nominal."""
     match: str = ""
     """What became of the window's match: `ADMITTED`, `REFUSED`, or nothing where none was to be made."""

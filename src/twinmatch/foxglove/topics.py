@@ -5,6 +5,7 @@ from __future__ import annotations
 __all__ = ["ELSEWHERE", "TOPICS"]
 
 TOPICS = {
+    "plant/description": "twinmatch_msgs/msg/PlantDescription",
     "plant/sample": "twinmatch_msgs/msg/LoopSample",
     "plant/temperature": "sensor_msgs/msg/Temperature",
     "plant/reference": "std_msgs/msg/Float64",
@@ -13,6 +14,7 @@ TOPICS = {
     "plant/pwm_applied": "twinmatch_msgs/msg/PwmApplied",
     "thermal/image_raw": "sensor_msgs/msg/Image",
     "thermal/image": "sensor_msgs/msg/Image",
+    "twin/match_request": "twinmatch_msgs/msg/MatchRequest",
     "twin/match": "twinmatch_msgs/msg/Match",
     "twin/model_score": "twinmatch_msgs/msg/ModelScore",
     "twin/nominal": "twinmatch_msgs/msg/Candidate",

@@ -16,11 +16,11 @@ from std_msgs.msg import Float64
 from twinmatch.control import Loop, Profile
 from twinmatch.dynamics import Pid
 from twinmatch.nodes.controller_parameters import CONTROLLER_PARAMETERS, profile_from
-from twinmatch.nodes.conversions import sample_message
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.loop_parameters import pid_gains
 from twinmatch.nodes.node import TwinmatchNode, missing_readers
 from twinmatch.nodes.runner import run
+from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import LATCHED, RELIABLE
 from twinmatch.plants import Peltier
 from twinmatch_msgs.msg import LoopSample, PwmCommand

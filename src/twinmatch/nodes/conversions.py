@@ -10,14 +10,15 @@ import math
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 
 from twinmatch.discrimination import Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.matching import Fit, Match, Status
-from twinmatch.plant import PARAMETER_NAMES, RigParameters
-from twinmatch.signals import FloatArray, Sample, Window
-from twinmatch.twin import MatchReport, MatchRequest, MirrorState
+from twinmatch.nodes.sample_messages import stamp_header
+from twinmatch.plant import PlantError, RigParameters
+from twinmatch.plant.named import named, parameters_of
+from twinmatch.signals import FloatArray
+from twinmatch.twin import MatchReport, MirrorState
 from twinmatch_msgs import msg as messages
 
 __all__ = [
@@ -25,44 +26,31 @@ __all__ = [
     "match_from",
     "match_message",
     "parameters_from",
-    "request_from",
-    "request_message",
-    "sample_from",
-    "sample_message",
+    "parameters_if_any",
+    "parameters_message",
     "score_message",
     "state_message",
     "verdict_from",
 ]
 
-NANOSECONDS = 1_000_000_000
 NAN = float("nan")
 
 STATUSES = {status: getattr(messages.Match, status.name) for status in Status}
 LEVELS = {level: getattr(messages.ModelScore, level.name) for level in TrustLevel}
+SINK = "sink"
+STATE_FIGURES = (
+    "closed_output",
+    "closed_input",
+    "driven_output",
+    "closed_residual_y",
+    "closed_residual_u",
+    "driven_residual_y",
+    "closed_rms_y",
+    "closed_rms_u",
+    "driven_rms_y",
+)
 COUNTS = ("trivial_length", "model_length", "gain")
 FRACTIONS = ("explanation", "naic", "bic", "mdl", "two_part_length")
-
-
-def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
-    """A sample as `LoopSample`."""
-    message = messages.LoopSample(
-        index=sample.index, reference=sample.reference, temperature=sample.output, pwm=sample.input
-    )
-    _stamp(message.header, sample.stamp)
-    message.header.frame_id = frame
-    return message
-
-
-def sample_from(message: messages.LoopSample) -> Sample:
-    """A sample from `LoopSample`."""
-    stamp = message.header.stamp
-    return Sample(
-        message.index,
-        stamp.sec * NANOSECONDS + stamp.nanosec,
-        message.reference,
-        message.temperature,
-        message.pwm,
-    )
 
 
 def state_message(state: MirrorState, nominal: str) -> messages.TwinState:
@@ -70,58 +58,13 @@ def state_message(state: MirrorState, nominal: str) -> messages.TwinState:
     message = messages.TwinState(
         index=state.sample.index,
         nominal=nominal,
-        reference=state.sample.reference,
-        closed_loop_temperature=state.closed_temperature,
-        closed_loop_pwm=state.closed_pwm,
-        closed_loop_sink_temperature=state.closed_sink,
-        driven_temperature=state.driven_temperature,
-        driven_sink_temperature=state.driven_sink,
-        closed_loop_temperature_residual=state.residual_y,
-        closed_loop_pwm_residual=state.residual_u,
-        driven_temperature_residual=state.residual_driven,
-        closed_loop_temperature_rms=state.rms_y,
-        closed_loop_pwm_rms=state.rms_u,
-        driven_temperature_rms=state.rms_driven,
+        reference=[state.sample.reference],
+        closed_states=list(state.closed_states),
+        driven_states=list(state.driven_states),
+        **{name: [getattr(state, name)] for name in STATE_FIGURES},
     )
-    _stamp(message.header, state.sample.stamp)
+    stamp_header(message.header, state.sample.stamp)
     return message
-
-
-def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
-    """A request as `MatchRequest`; `stamp` (ns) is that of the sample that set it off."""
-    window = request.window
-    message = messages.MatchRequest(
-        sample=request.sample,
-        operating_point=request.operating_point,
-        first=window.first,
-        period=window.period,
-        reference=window.reference.tolist(),
-        output=window.output.tolist(),
-        input=window.input.tolist(),
-        disturbances=window.disturbances.ravel().tolist(),
-        start=_parameters_message(request.start),
-        incumbent=_parameters_message(request.incumbent),
-    )
-    _stamp(message.header, stamp)
-    return message
-
-
-def request_from(message: messages.MatchRequest) -> MatchRequest:
-    """A request from `MatchRequest`.
-
-    Raises:
-        TwinmatchError: what it holds is no window, or parameters no rig has.
-    """
-    window = Window(
-        reference=np.array(message.reference),
-        output=np.array(message.output),
-        input=np.array(message.input),
-        first=message.first,
-        period=message.period,
-        disturbances=np.array(message.disturbances).reshape(len(message.reference), -1),
-    )
-    start, incumbent = parameters_from(message.start), _parameters_unless_nan(message.incumbent)
-    return MatchRequest(message.sample, message.operating_point, window, start, incumbent)
 
 
 def match_message(report: MatchReport, stamp: int) -> messages.Match:
@@ -135,8 +78,9 @@ def match_message(report: MatchReport, stamp: int) -> messages.Match:
         status=STATUSES[match.status],
         status_name=match.status.value,
         reason=match.reason,
-        parameters=_parameters_message(match.parameters),
-        sink_start=_or_nan(match.sink_start),
+        parameters=parameters_message(match.parameters),
+        starts=[] if match.sink_start is None else [SINK],
+        start_values=[] if match.sink_start is None else [match.sink_start],
         free=list(match.free),
         covariance=match.covariance.ravel().tolist(),
         standard_errors=match.standard_errors.tolist(),
@@ -155,7 +99,7 @@ def match_message(report: MatchReport, stamp: int) -> messages.Match:
         held_back_fit_u=match.held_back.u,
         chi2=match.chi2,
     )
-    _stamp(message.header, stamp)
+    stamp_header(message.header, stamp)
     return message
 
 
@@ -164,7 +108,7 @@ def match_from(message: messages.Match) -> MatchReport:
     match = Match(
         parameters=parameters_from(message.parameters),
         free=tuple(message.free),
-        sink_start=_unless_nan(message.sink_start),
+        sink_start=_starts_from(message).get(SINK),
         covariance=_square(message.covariance),
         fisher=_square(message.fisher),
         eigenvalues=np.array(message.eigenvalues, dtype=np.float64),
@@ -185,6 +129,10 @@ def match_from(message: messages.Match) -> MatchReport:
     return MatchReport(message.sample, message.operating_point, match)
 
 
+def _starts_from(message: messages.Match) -> dict[str, float]:
+    return dict(zip(message.starts, message.start_values, strict=False))
+
+
 def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
     """A verdict as `ModelScore`; `stamp` (ns) is that of the sample that set it off."""
     message = messages.ModelScore(
@@ -203,15 +151,15 @@ def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
         fault=verdict.fault,
         fault_since=-1 if verdict.fault_since is None else verdict.fault_since,
         structure=verdict.structure,
-        structure_parameters=_parameters_message(verdict.structure_parameters),
+        structure_parameters=parameters_message(verdict.structure_parameters),
         decimals=verdict.decimals,
         candidates=[candidate_message(verdict, row) for row in range(len(verdict.candidates))],
         order=verdict.order or "",
         nu_gap=[value for row in verdict.nu_gap for value in row],
-        residual_y=verdict.residual_y,
-        residual_u=verdict.residual_u,
+        driven_rms_y=verdict.driven_rms_y,
+        closed_rms_u=verdict.closed_rms_u,
     )
-    _stamp(message.header, stamp)
+    stamp_header(message.header, stamp)
     return message
 
 
@@ -229,8 +177,8 @@ def verdict_from(message: messages.ModelScore) -> Verdict:
         candidates=tuple(_candidate_from(candidate) for candidate in message.candidates),
         order=message.order or None,
         nu_gap=tuple(tuple(row) for row in _square(message.nu_gap).tolist()),
-        residual_y=message.residual_y,
-        residual_u=message.residual_u,
+        driven_rms_y=message.driven_rms_y,
+        closed_rms_u=message.closed_rms_u,
         match=message.match,
         dismissed=tuple(message.dismissed),
         decided=message.decided,
@@ -238,7 +186,7 @@ def verdict_from(message: messages.ModelScore) -> Verdict:
         fault=message.fault,
         fault_since=None if message.fault_since < 0 else message.fault_since,
         structure=message.structure,
-        structure_parameters=_parameters_unless_nan(message.structure_parameters),
+        structure_parameters=parameters_if_any(message.structure_parameters),
     )
 
 
@@ -248,7 +196,7 @@ def candidate_message(verdict: Verdict, row: int) -> messages.Candidate:
     return messages.Candidate(
         name=candidate.name,
         operating_point=candidate.operating_point,
-        parameters=_parameters_message(candidate.parameters),
+        parameters=parameters_message(candidate.parameters),
         first=candidate.first,
         last=candidate.last,
         orders=[
@@ -310,23 +258,33 @@ def _candidate_from(message: messages.Candidate) -> CandidateScore:
     )
 
 
-def parameters_from(message: messages.RigParameters) -> RigParameters:
-    """Rig parameters from `RigParameters`.
+def parameters_from(message: messages.Parameters) -> RigParameters:
+    """The parameters in a `Parameters`.
 
     Raises:
-        PlantError: values no rig has.
+        PlantError: there are none, or those of another plant, or values no rig has.
     """
-    return RigParameters(**{name: getattr(message, name) for name in PARAMETER_NAMES})
-
-
-def _parameters_unless_nan(message: messages.RigParameters) -> RigParameters | None:
-    return None if math.isnan(message.seebeck) else parameters_from(message)
-
-
-def _parameters_message(parameters: RigParameters | None) -> messages.RigParameters:
+    parameters = parameters_of(message.plant, message.names, message.values)
     if parameters is None:
-        return messages.RigParameters(**dict.fromkeys(PARAMETER_NAMES, NAN))
-    return messages.RigParameters(**{name: float(getattr(parameters, name)) for name in PARAMETER_NAMES})
+        raise PlantError("parameters: the message holds none")
+    return parameters
+
+
+def parameters_if_any(message: messages.Parameters) -> RigParameters | None:
+    """The parameters in a `Parameters`, or None where there are none."""
+    return parameters_of(message.plant, message.names, message.values)
+
+
+def parameters_message(parameters: RigParameters | None) -> messages.Parameters:
+    """Parameters as `Parameters`; of None one without names."""
+    held = named(parameters)
+    return messages.Parameters(
+        plant=held.plant,
+        structure=held.structure,
+        names=list(held.names),
+        values=list(held.values),
+        units=list(held.units),
+    )
 
 
 def _criteria_message(criteria: Criteria | None) -> messages.Criteria:
@@ -357,8 +315,3 @@ def _unless_nan(value: float) -> float | None:
 
 def _key(table: dict[Any, int], value: int) -> Any:
     return next(key for key, number in table.items() if number == value)
-
-
-def _stamp(header: Any, stamp: int) -> None:
-    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-    header.stamp = Time(sec=seconds, nanosec=nanoseconds)

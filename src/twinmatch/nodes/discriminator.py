@@ -9,8 +9,9 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 
 from twinmatch.discrimination import Verdict
-from twinmatch.nodes.conversions import candidate_message, match_from, request_message, score_message
+from twinmatch.nodes.conversions import candidate_message, match_from, score_message
 from twinmatch.nodes.diagnostics import Level
+from twinmatch.nodes.request_messages import request_message
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE, SampleNode
 from twinmatch.sessions.candidates import read_candidates

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 
-from twinmatch.nodes.conversions import match_message, request_from
+from twinmatch.nodes.conversions import match_message
+from twinmatch.nodes.request_messages import request_from
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING, RELIABLE, TwinNode, nanoseconds
 from twinmatch.twin import answer

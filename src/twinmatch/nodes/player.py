@@ -36,6 +36,8 @@ BATCH = DEPTH // 4
 TICK = 0.1
 """Longest wait before the clock is published again, s."""
 SAMPLE = "plant/sample"
+MADE_ANEW = ("plant/description",)
+"""Of the plant's topics those that a twin publishes."""
 
 
 class PlayerError(TwinmatchError):
@@ -98,6 +100,7 @@ class Player(TwinmatchNode):
             )
             for topic in self._session.topics
             if self._relative(topic.name).startswith(tuple(self.values["topics"]))
+            and self._relative(topic.name) not in MADE_ANEW
         }
         if self._session.topic not in self._publishers_of:
             msg = f"player: topics {self.values['topics']} leave out {self._relative(self._session.topic)}"

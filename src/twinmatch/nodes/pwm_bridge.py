@@ -17,7 +17,9 @@ from twinmatch.nodes.output_gate import OutputGate, Times
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
 from twinmatch.nodes.pwm_parameters import PWM_PARAMETERS, limits_from
 from twinmatch.nodes.runner import run
+from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.safety import ClockLimits, Fault, FaultKind
+from twinmatch.signals import SignalError
 from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
 
 __all__ = ["PwmBridge", "main"]
@@ -115,8 +117,14 @@ class PwmBridge(TwinmatchNode):
         self._gate.temperature(message.temperature, _nanoseconds(message.header.stamp))
 
     def _on_sample(self, message: LoopSample) -> None:
+        try:
+            sample = sample_from(message)
+        except SignalError as error:
+            self.health.complain("sample", Level.ERROR, f"plant/sample: {error}")
+            return
         self._sampled_at = time.monotonic()
-        self._gate.sample(message.reference, message.temperature, message.pwm)
+        self.health.withdraw("sample")
+        self._gate.sample(sample.reference, sample.output, sample.input)
 
     def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         fault = self._gate.fault

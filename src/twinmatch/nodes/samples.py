@@ -9,13 +9,13 @@ from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from twinmatch.nodes.conversions import sample_from
 from twinmatch.nodes.diagnostics import Health, Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.twin_parameters import settings_from, understood
 from twinmatch.nodes.worker import Worker
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, SignalError
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 
@@ -141,7 +141,13 @@ class SampleNode(TwinNode):
         return super().report()
 
     def _on_sample(self, message: LoopSample) -> None:
-        sample: Sample = sample_from(message)
+        try:
+            sample: Sample = sample_from(message)
+        except SignalError as error:
+            self.health.count("refused")
+            self.health.complain("sample", Level.ERROR, f"plant/sample: {error}")
+            return
+        self.health.withdraw("sample")
         self._watch.push(sample.index, time.monotonic())
         self.put(sample)
 

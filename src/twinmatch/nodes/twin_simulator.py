@@ -1,15 +1,20 @@
-"""Runs the nominal twin beside the plant: samples and `twin/nominal` in, `twin/state` out."""
+"""Runs the nominal twin beside the plant: samples and `twin/nominal` in, `twin/state` out.
+
+It also says, once, what plant that is: `plant/description`.
+"""
 
 from __future__ import annotations
 
 import sys
 
 from twinmatch.nodes.conversions import parameters_from, state_message
+from twinmatch.nodes.descriptions import description_message
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import LATCHED, RELIABLE, SampleNode
+from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror
-from twinmatch_msgs.msg import Candidate, TwinState
+from twinmatch_msgs.msg import Candidate, PlantDescription, TwinState
 
 __all__ = ["TwinSimulatorNode", "main"]
 
@@ -24,6 +29,10 @@ class TwinSimulatorNode(SampleNode):
         self._mirror = Mirror(self.settings.start, self.settings.gains, self.values["recent"])
         self._nominal = ""
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
+        self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
+        self._describer.publish(
+            description_message(description_of(self.settings.plant), self.settings.period)
+        )
         super().open()
         self.create_subscription(Candidate, "twin/nominal", self.put, LATCHED)
 

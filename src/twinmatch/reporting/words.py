@@ -125,8 +125,8 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
 def _fit(judgement: Judgement, nominal: CandidateScore) -> str:
     s = judgement.summary
     parts = compare(judgement.samples, nominal.parameters, judgement.settings.gains)
-    y = root_mean_square([p.residual_y for p in parts])
-    u = root_mean_square([p.residual_u for p in parts])
+    y = root_mean_square([p.closed_residual_y for p in parts])
+    u = root_mean_square([p.closed_residual_u for p in parts])
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
         "Given only the set-points, the nominal twin follows the measured temperature over the whole session "
@@ -170,9 +170,9 @@ def _health(judgement: Judgement) -> str:
 def _fit_facts(judgement: Judgement, nominal: CandidateScore) -> list[tuple[str, str]]:
     parts = compare(judgement.samples, nominal.parameters, judgement.settings.gains)
     s = judgement.summary
-    y = root_mean_square([p.residual_y for p in parts])
-    u = root_mean_square([p.residual_u for p in parts])
-    driven = root_mean_square([p.residual_driven for p in parts])
+    y = root_mean_square([p.closed_residual_y for p in parts])
+    u = root_mean_square([p.closed_residual_u for p in parts])
+    driven = root_mean_square([p.driven_residual_y for p in parts])
     return [
         ("closed-loop twin, temperature", f"fit {number(100 * s.fit_y, 1)} %, {number(y, 3)} °C RMS"),
         ("closed-loop twin, control", f"fit {number(100 * s.fit_u, 1)} %, {number(u, 1)} counts RMS"),

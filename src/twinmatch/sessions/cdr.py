@@ -2,19 +2,28 @@
 
 A message begins with four bytes that name the encoding (here little-endian CDR, 00 01 00 00), and
 every field is aligned to its own size **counted from behind those four bytes**. So the place of the
-fields after a string depends on the string's length. Written out for these three types it is a few
-lines, and an hour of samples decodes in milliseconds without a library to load first.
+fields after a string depends on the string's length. A sequence is its length and its elements. Written
+out for these few types it is short, and an hour of samples decodes in milliseconds without a library to
+load first.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from functools import lru_cache
 
 from twinmatch.sessions.errors import SessionError
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, not_one_loop
 
-__all__ = ["FRAME", "decode_sample", "encode_float64", "encode_sample", "encode_temperature"]
+__all__ = [
+    "FRAME",
+    "decode_sample",
+    "decode_scalar_sample",
+    "encode_float64",
+    "encode_sample",
+    "encode_temperature",
+]
 
 FRAME = "plate"
 """`header.frame_id` of everything measured at the plate."""
@@ -24,7 +33,11 @@ NANOSECONDS = 1_000_000_000
 _LITTLE = b"\x00\x01\x00\x00"
 _ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _HEADER = {order: struct.Struct(order + "iII") for order in "<>"}
-_BODY = {order: struct.Struct(order + "Qddd") for order in "<>"}
+_SCALARS = {order: struct.Struct(order + "Qddd") for order in "<>"}
+_ARRAYS = {order: struct.Struct(order + "QI4xdI4xdI4xdI") for order in "<>"}
+"""One reference, one output, one input, and how many disturbances follow."""
+_INDEX = {order: struct.Struct(order + "Q") for order in "<>"}
+_LENGTH = {order: struct.Struct(order + "I") for order in "<>"}
 _FLOAT64 = struct.Struct("<4sd")
 
 
@@ -51,7 +64,10 @@ def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
         SessionError: the stamp is negative or past 2038.
     """
     head = _header(sample.stamp, frame)
-    return _stamped(head[-1], "Qddd").pack(*head, sample.index, sample.reference, sample.output, sample.input)
+    number = len(sample.disturbances)
+    fields = "QI4xdI4xdI4xdI" + (f"4x{number}d" if number else "")
+    signals = 1, sample.reference, 1, sample.output, 1, sample.input, number, *sample.disturbances
+    return _stamped(head[-1], fields).pack(*head, sample.index, *signals)
 
 
 def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME) -> bytes:
@@ -73,17 +89,58 @@ def decode_sample(data: bytes) -> Sample:
     """The sample in a `twinmatch_msgs/msg/LoopSample`, in either byte order.
 
     Raises:
+        SessionError: another encoding than CDR, too few bytes, or not one reference, output and input.
+    """
+    return _decoded(data, _arrays)
+
+
+def decode_scalar_sample(data: bytes) -> tuple[Sample, str]:
+    """The sample in a `LoopSample` of the first definition (reference, temperature and PWM as numbers) and
+    the frame it was measured in.
+
+    Raises:
         SessionError: another encoding than CDR, or too few bytes.
     """
+    sample = _decoded(data, lambda order, _, at: (*_SCALARS[order].unpack_from(data, at), ()))
+    (length,) = _LENGTH[_ORDER[bytes(data[:2])]].unpack_from(data, 12)
+    return sample, data[16 : 16 + length - 1].decode()
+
+
+_Fields = tuple[int, float, float, float, tuple[float, ...]]
+
+
+def _decoded(data: bytes, body: Callable[[str, bytes, int], _Fields]) -> Sample:
     order = _ORDER.get(bytes(data[:2]))
     if order is None:
         msg = f"session: a LoopSample is encoded as {bytes(data[:4]).hex(' ')!r}; only plain CDR is read"
         raise SessionError(msg)
     try:
         seconds, nanoseconds, length = _HEADER[order].unpack_from(data, 4)
-        body = 4 + (12 + length + 7) // 8 * 8
-        index, reference, temperature, pwm = _BODY[order].unpack_from(data, body)
+        index, reference, output, computed, disturbances = body(order, data, 4 + (12 + length + 7) // 8 * 8)
     except struct.error:
         msg = f"session: a LoopSample of {len(data)} bytes is too short for its fields"
         raise SessionError(msg) from None
-    return Sample(index, seconds * NANOSECONDS + nanoseconds, reference, temperature, pwm)
+    stamp = seconds * NANOSECONDS + nanoseconds
+    return Sample(index, stamp, reference, output, computed, disturbances)
+
+
+def _arrays(order: str, data: bytes, at: int) -> _Fields:
+    layout = _ARRAYS[order]
+    lengths = _lengths(order, data, at + 8)
+    if lengths != [1, 1, 1]:
+        (index,) = _INDEX[order].unpack_from(data, at)
+        raise SessionError(f"session: {not_one_loop(index, lengths)}")
+    index, _, reference, _, output, _, computed, number = layout.unpack_from(data, at)
+    if not number:
+        return index, reference, output, computed, ()
+    disturbances = struct.unpack_from(f"{order}{number}d", data, at + layout.size + 4)
+    return index, reference, output, computed, disturbances
+
+
+def _lengths(order: str, data: bytes, at: int) -> list[int]:
+    """Of the first three sequences of float64; `at` is where the first begins."""
+    found = []
+    for _ in range(3):
+        found.append(_LENGTH[order].unpack_from(data, at)[0])
+        at = 4 + (at + 7) // 8 * 8 + 8 * found[-1] if found[-1] else at + 4
+    return found

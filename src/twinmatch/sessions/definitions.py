@@ -10,7 +10,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["FLOAT64", "HEADER", "LOOP_SAMPLE", "TEMPERATURE", "TIME", "MessageType", "fields_of"]
+__all__ = [
+    "FLOAT64",
+    "HEADER",
+    "LOOP_SAMPLE",
+    "SCALAR_SAMPLE",
+    "TEMPERATURE",
+    "TIME",
+    "MessageType",
+    "fields_of",
+]
 
 
 class MessageType(NamedTuple):
@@ -77,18 +86,28 @@ string frame_id
 LOOP_SAMPLE = MessageType(
     "twinmatch_msgs/msg/LoopSample",
     """\
-# One tick of the control loop: at tick k the reference and the temperature are read and the PWM is
-# computed from them; the PWM then drives the plant until tick k+1.
+# One tick of the control loop: at tick k references, outputs and disturbances are read and the inputs are
+# computed from them; the inputs then drive the plant until tick k+1. plant/description has names and units.
 
-std_msgs/Header header   # stamp: when the temperature was read
+std_msgs/Header header   # stamp: when the outputs were read
 uint64 index             # ticks since the session began, without gaps
-float64 reference        # set-point r, degC
-float64 temperature      # measured plate temperature y, degC
-float64 pwm              # command u of this tick, -255 to 255, positive heats
+float64[] reference      # set-points r, in the units of the outputs
+float64[] output         # measured outputs y
+float64[] input          # commands u of this tick
+float64[] disturbances   # measured disturbances; the Peltier rig has none
 """,
-    "RIHS01_a973baa05a492f73a0ebcd1d2e846bf77a509f16f1f25eb28d100a35834d4ea9",
+    "RIHS01_29aed8c2ef7b66a60fb7166b3918f2b3b9606a5b297e5fd222d2c049b2df8cb0",
     (HEADER, TIME),
 )
+
+SCALAR_SAMPLE = (
+    "std_msgs/Header header",
+    "uint64 index",
+    "float64 reference",
+    "float64 temperature",
+    "float64 pwm",
+)
+"""Fields of the first definition of LoopSample; sessions recorded with it are read as today's."""
 
 TEMPERATURE = MessageType(
     "sensor_msgs/msg/Temperature",

@@ -14,6 +14,7 @@ from twinmatch.sessions.checks import check_samples, gaps_of, period_of
 from twinmatch.sessions.definitions import LOOP_SAMPLE, fields_of
 from twinmatch.sessions.errors import SessionError
 from twinmatch.sessions.metadata import METADATA, files_listed
+from twinmatch.sessions.older import current, current_topic
 from twinmatch.sessions.scan import Scan
 from twinmatch.sessions.topics import Message, Topic
 from twinmatch.signals import Sample, Window
@@ -104,32 +105,32 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
     files, notes = _files(path)
     scans = [Scan(file) for file in files]
     counts: Counter[str] = Counter()
-    raw: dict[str, list[bytes]] = {}
+    raw: dict[str, list[Message]] = {}
     start, end = 2**64, 0
     for message in chain.from_iterable(scans):
         name = message.topic.name
         counts[name] += 1
         start, end = min(start, message.log_time), max(end, message.log_time)
         if message.topic.type == LOOP_SAMPLE.name:
-            raw.setdefault(name, []).append(message.data)
+            raw.setdefault(name, []).append(message)
     topics = list({known.name: known for scan in scans for known in scan.topics}.values())
     name = path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem)
     faults = [f"{scan.path.name}: {scan.fault}" for scan in scans if scan.fault]
     place = "; ".join([f"session {name}", *faults])
     chosen = _plant_topic(topics, topic, place)
-    samples = [decode_sample(data) for data in raw.get(chosen.name, [])]
+    samples = [decode_sample(current(message).data) for message in raw.get(chosen.name, [])]
     check_samples(samples, place)
     return Session(
         name=name,
         path=path,
         topic=chosen.name,
         samples=samples,
-        topics=topics,
+        topics=[current_topic(known) for known in topics],
         counts={known.name: counts[known.name] for known in topics},
         start=start,
         end=end,
         notes=[*notes, *(_extent(fault, samples) for fault in faults), *_gaps(samples), *_clock(samples)],
-        source=lambda: chain.from_iterable(Scan(file) for file in files),
+        source=lambda: map(current, chain.from_iterable(Scan(file) for file in files)),
         records={name: values for scan in scans for name, values in scan.records.items()},
     )
 
@@ -166,7 +167,7 @@ def _plant_topic(topics: list[Topic], wanted: str | None, place: str) -> Topic:
     if len(plants) > 1:
         msg = f"{place}: has samples of several rigs ({_names(plants)}); name the topic to use"
         raise SessionError(msg)
-    if fields_of(plants[0].schema) != fields_of(LOOP_SAMPLE.schema):
+    if fields_of(current_topic(plants[0]).schema) != fields_of(LOOP_SAMPLE.schema):
         msg = (
             f"{place}: {plants[0].name} was recorded with another definition of LoopSample; "
             "read it with the version that recorded it"

@@ -244,8 +244,8 @@ class Discriminator:
             fault_since=since,
             structure=choice.chosen if choice else "",
             structure_parameters=choice.parameters if choice else None,
-            residual_y=found.y,
-            residual_u=found.u,
+            driven_rms_y=found.y,
+            closed_rms_u=found.u,
         )
 
     def _nothing(self) -> Verdict:
@@ -261,8 +261,8 @@ class Discriminator:
             candidates=(),
             order=None,
             nu_gap=(),
-            residual_y=float("nan"),
-            residual_u=float("nan"),
+            driven_rms_y=float("nan"),
+            closed_rms_u=float("nan"),
         )
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> _Fate:

@@ -23,21 +23,21 @@ class MirrorState:
     """Output of the twin that is given the set-point and has a controller of its own."""
     closed_input: float
     """Input that this controller gives it."""
+    closed_states: Mapping[str, float]
+    """States of that twin by name, each in its unit."""
     driven_output: float
     """Output of the twin that is given the plant's input."""
-    closed_states: Mapping[str, float]
-    """States of the closed-loop twin by name, each in its unit."""
     driven_states: Mapping[str, float]
-    residual_y: float
+    closed_residual_y: float
     """Measured minus closed-loop output."""
-    residual_u: float
+    closed_residual_u: float
     """Measured minus closed-loop input."""
-    residual_driven: float
+    driven_residual_y: float
     """Measured minus driven output."""
-    rms_y: float
+    closed_rms_y: float
     """RMS of the residuals above over the newest samples, same units."""
-    rms_u: float
-    rms_driven: float
+    closed_rms_u: float
+    driven_rms_y: float
 
 
 class Mirror:
@@ -109,21 +109,21 @@ class Mirror:
         driven = read(self._parameters, self._driven, _disturbances(sample))
         residual = (sample.output - closed, sample.input - closed_input, sample.output - driven)
         self._recent.append(residual)
-        rms_y, rms_u, rms_driven = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()
+        closed_rms_y, closed_rms_u, driven_rms_y = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()
         names = self._parameters.model.states
         return MirrorState(
             sample=sample,
             closed_output=closed,
             closed_input=closed_input,
-            driven_output=driven,
             closed_states=dict(zip(names, self._closed.tolist(), strict=True)),
+            driven_output=driven,
             driven_states=dict(zip(names, self._driven.tolist(), strict=True)),
-            residual_y=residual[0],
-            residual_u=residual[1],
-            residual_driven=residual[2],
-            rms_y=rms_y,
-            rms_u=rms_u,
-            rms_driven=rms_driven,
+            closed_residual_y=residual[0],
+            closed_residual_u=residual[1],
+            driven_residual_y=residual[2],
+            closed_rms_y=closed_rms_y,
+            closed_rms_u=closed_rms_u,
+            driven_rms_y=driven_rms_y,
         )
 
 

@@ -30,17 +30,17 @@ class Comparison:
         return self.window.time[SKIPPED:]
 
     @property
-    def residual_y(self) -> FloatArray:
+    def closed_residual_y(self) -> FloatArray:
         """Measured minus closed-loop-twin output."""
         return np.asarray(self.window.output[SKIPPED:] - self.closed.output)
 
     @property
-    def residual_u(self) -> FloatArray:
+    def closed_residual_u(self) -> FloatArray:
         """Measured minus closed-loop-twin input."""
         return np.asarray(self.window.input[SKIPPED:] - self.closed.input)
 
     @property
-    def residual_driven(self) -> FloatArray:
+    def driven_residual_y(self) -> FloatArray:
         """Measured minus driven-twin output."""
         return np.asarray(self.window.output[SKIPPED:] - self.driven)
 

@@ -57,7 +57,8 @@ def verdict_entry(verdict: Verdict) -> dict[str, Any]:
             parameters_entry(verdict.structure_parameters) if verdict.structure_parameters else None
         ),
         "decimals": verdict.decimals,
-        "residual": {"y": _finite(verdict.residual_y), "u": _finite(verdict.residual_u)},
+        "driven_rms_y": _finite(verdict.driven_rms_y),
+        "closed_rms_u": _finite(verdict.closed_rms_u),
         "candidates": [_candidate_entry(c) for c in verdict.candidates],
         "order": verdict.order,
         "nu_gap": [list(row) for row in verdict.nu_gap],

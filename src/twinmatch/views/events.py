@@ -144,7 +144,7 @@ def _level_event(verdict: Verdict) -> Event:
     why = LEVEL_WORDS[verdict.level]
     if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT}:
         why += (
-            f": over the newest samples they are {verdict.residual_y:.2f} °C "
-            f"and {verdict.residual_u:.1f} counts apart"
+            f": over the newest samples they are {verdict.driven_rms_y:.2f} °C "
+            f"and {verdict.closed_rms_u:.1f} counts apart"
         )
     return Event(verdict.sample, kind, verdict.level.value, why)

@@ -48,7 +48,7 @@ def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
         gain,
         total,
         now,
-        number(verdict.residual_y, 2),
-        number(verdict.residual_u, 1),
+        number(verdict.driven_rms_y, 2),
+        number(verdict.closed_rms_u, 1),
         verdict.reason,
     )

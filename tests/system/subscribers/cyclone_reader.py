@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float64, int32, uint32, uint64
+from cyclonedds.idl.types import float64, int32, sequence, uint32, uint64
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
@@ -49,9 +49,10 @@ class Temperature(IdlStruct, typename="sensor_msgs::msg::dds_::Temperature_"):  
 class LoopSample(IdlStruct, typename="twinmatch_msgs::msg::dds_::LoopSample_"):  # type: ignore[call-arg]
     header: Header
     index: uint64
-    reference: float64
-    temperature: float64
-    pwm: float64
+    reference: sequence[float64]
+    output: sequence[float64]
+    input: sequence[float64]
+    disturbances: sequence[float64]
 
 
 stop_requested = False
@@ -70,7 +71,7 @@ def show(message: Temperature | LoopSample) -> None:
     if isinstance(message, Temperature):
         print(json.dumps(["temperature", stamp(message.header), message.temperature]), flush=True)
     elif isinstance(message, LoopSample):  # what else comes says that a writer has gone
-        values = [message.index, message.reference, message.temperature, message.pwm]
+        values = [message.index, *message.reference, *message.output, *message.input]
         print(json.dumps(["sample", stamp(message.header), *values]), flush=True)
 
 

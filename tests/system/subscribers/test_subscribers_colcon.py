@@ -86,4 +86,4 @@ def test_nodes_and_messages_of_the_install_space(programs: Any, installed: Path,
     last = read_session(session).samples[-1]
     for reader in (ours, theirs):
         reader.said(f'"index": {last.index},')
-        assert reader.json[-1]["temperature"] == last.output
+        assert reader.json[-1]["output"] == [last.output]

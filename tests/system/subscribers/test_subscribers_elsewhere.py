@@ -108,7 +108,7 @@ def test_it_reads_the_verdicts(programs: Any, other_python: str, session: Path, 
     assert replay.wait() == 0, replay.text
     last = read_session(session).samples[-1]
     samples.said(f'"index": {last.index},')
-    assert samples.json[-1]["temperature"] == last.output
+    assert samples.json[-1]["output"] == [last.output]
     assert verdicts.json[-1]["level_name"] == "trusted"
     assert verdicts.json[-1]["candidates"][-1]["parameters"]["heat_capacity"] > 0
     for reader in (verdicts, samples):

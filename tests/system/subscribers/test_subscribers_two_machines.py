@@ -45,4 +45,4 @@ def test_reader_on_another_machine(
     assert heard.startswith("ready"), heard
     assert heard.endswith("imported []\n"), heard
     assert ("NETWORK OPEN" in done.stderr) == (network == "open")
-    assert ('"temperature"' in heard) == (network == "open"), heard[:300]
+    assert ('"output"' in heard) == (network == "open"), heard[:300]

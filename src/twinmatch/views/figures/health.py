@@ -36,9 +36,9 @@ def draw_health(
     first, period = samples[0].index, settings.period
     draw_levels(axes[0], verdicts, period, first)
     limits = settings.limits
-    _draw_residual(axes[1], verdicts, "residual_y", period, limits.doubtful_y)
+    _draw_residual(axes[1], verdicts, "driven_rms_y", period, limits.doubtful_y)
     axes[1].set_ylabel("temperature\nRMS / °C")
-    _draw_residual(axes[2], verdicts, "residual_u", period, limits.doubtful_u)
+    _draw_residual(axes[2], verdicts, "closed_rms_u", period, limits.doubtful_u)
     axes[2].set_ylabel("control\nRMS / counts")
     _draw_matches(axes[3], matches, admitted(verdicts), period)
     time_axis(axes[-1], period, first, samples[-1].index)

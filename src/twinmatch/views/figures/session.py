@@ -45,8 +45,8 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     if parts:
         axes[2].set_ylabel("plant − twin / °C")
         axes[3].set_ylabel("plant − twin / counts")
-        _limit(axes[2], [p.residual_y for p in parts] + [p.residual_driven for p in parts])
-        _limit(axes[3], [p.residual_u for p in parts])
+        _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
+        _limit(axes[3], [p.closed_residual_u for p in parts])
     for each in axes:
         if each.get_legend_handles_labels()[0]:
             each.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=5, borderaxespad=0.2)
@@ -95,8 +95,8 @@ def _draw_twins(temperature: Axes, control: Axes, part: Comparison, *, first: bo
 def _draw_residuals(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
     band = f"±2 RMS over {BAND} samples"
     for axes, residual, name in (
-        (temperature, part.residual_y, "closed-loop twin"),
-        (control, part.residual_u, "closed-loop twin"),
+        (temperature, part.closed_residual_y, "closed-loop twin"),
+        (control, part.closed_residual_u, "closed-loop twin"),
     ):
         width = 2 * rolling_rms(residual, BAND)
         axes.fill_between(
@@ -105,5 +105,5 @@ def _draw_residuals(temperature: Axes, control: Axes, part: Comparison, *, first
         axes.plot(part.time, residual, color=CLOSED, lw=0.7, label=name if first else "_")
         axes.axhline(0, color=SET_POINT, lw=0.6)
     temperature.plot(
-        part.time, part.residual_driven, color=DRIVEN, lw=0.9, ls=":", label="driven twin" if first else "_"
+        part.time, part.driven_residual_y, color=DRIVEN, lw=0.9, ls=":", label="driven twin" if first else "_"
     )

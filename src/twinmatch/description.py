@@ -1,0 +1,45 @@
+"""What a plant and its signals are called, and in which units: for messages, figures, tables and pages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["Description", "Quantity"]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A signal or an inner state of a plant."""
+
+    name: str
+    """How code and files call it."""
+    text: str
+    """What it is, in a few words."""
+    unit: str = ""
+    low: float = -math.inf
+    """Least value it can be given or can have."""
+    high: float = math.inf
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as on an axis."""
+        return f"{self.name} / {self.unit}" if self.unit else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """A plant with one loop: the reference has the unit of the output."""
+
+    plant: str
+    """Name, such as peltier."""
+    title: str
+    """What people call it."""
+    reference: Quantity
+    output: Quantity
+    input: Quantity
+    disturbances: tuple[Quantity, ...] = ()
+    states: tuple[Quantity, ...] = ()
+    """Inner states of a twin, in the order in which messages carry them."""
+    structures: tuple[str, ...] = ()
+    """Which parts a model may take the plant to have, by name."""
