@@ -9,6 +9,7 @@ import pytest
 
 from tests.support.rig import rig, run
 from twinmatch.discrimination import Candidate, Verdict, score
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, Twin, TwinSettings
@@ -49,7 +50,9 @@ def test_matched_and_given_candidates_have_their_window_and_their_own_models(
     assert sum(m.nominal for m in members) == 1
     for member in members:
         assert (member.window.first, member.window.last) == judged[0][0].match.samples
-        found = [score(model, member.measured, 2) for model in member.models]
+        found = [
+            score(model, member.measured, 2, absolute=Peltier.output.absolute) for model in member.models
+        ]
         assert [s.total.gain for s in found] == [o.total.gain for o in member.score.orders]
         assert [s.u.bic for s in found] == [o.u.bic for o in member.score.orders]
 

@@ -123,7 +123,7 @@ def test_the_end_is_notes_certainty_structure_and_the_sentence() -> None:
     assert lines[0] == "Note: cut short"
     assert lines[1] == "Certainty: 50 °C is the only candidate."
     assert lines[2].startswith("Structure: the samples pay for sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
-    assert "∞" not in lines[2]
+    assert lines[2].endswith(", L 5.00 A).")
     assert lines[3] == sentence(summary)
     assert closing_lines(summary, None) == [lines[0], lines[3]]
 

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from tests.support.steps import drive_lost
 from twinmatch.judging.judgement import Judgement, judge_samples
+from twinmatch.plants import Peltier
 from twinmatch.twin import TwinSettings
 from twinmatch.views import nominal_score, number, quantity
 from twinmatch.views.line import Lines
@@ -70,7 +71,7 @@ def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement
         assert table[score.name] == [
             number(score.operating_point, 1),
             *(
-                quantity(name).text(getattr(score.parameters, name))
+                quantity(Peltier, name).text(score.parameters[name])
                 + ("*" if name in believed(judged, score.first) else "")
                 for name in ("seebeck", "conductance", "heat_capacity")
             ),
@@ -103,7 +104,7 @@ def test_level_progress_fault_and_events_are_told(judged: Judgement) -> None:
     told = next(v for v in judged.verdicts if v.fault)
     assert f"fault drive-lost since {told.fault_since} s" in text
     assert f"{told.sample} s ! fault: drive-lost" in text
-    assert "match at 70 °C accepted" in text
+    assert "match admitted: candidate 70 °C" in text
     assert f"{nominal_score(told).name} is nominal" in text  # type: ignore[union-attr]
     assert re.search(r"\x1b\[[0-9;]*31[0-9;]*m FAULT ", written)
 

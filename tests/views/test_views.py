@@ -107,7 +107,7 @@ def test_the_document_is_strict_json() -> None:
     entry = document("s", verdicts, summarise(samples(), verdicts, TwinSettings().gains))
     back = json.loads(json.dumps(entry, allow_nan=False))
     assert (back["verdicts"][0]["driven_rms_y"], back["verdicts"][0]["closed_rms_u"]) == (None, None)
-    assert back["verdicts"][1]["candidates"][0]["parameters"]["sink_heat_capacity"] is None
+    assert back["verdicts"][1]["candidates"][0]["parameters"]["seebeck"] == 0.06
     assert back["verdicts"][1]["candidates"][0]["orders"][0]["information_gain"]["total"] == 1200
 
 

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from twinmatch.archive.archive import Archive
+    from twinmatch.views.quantities import Quantity
 
-__all__ = ["COLUMNS", "cells", "table"]
+__all__ = ["cells", "columns", "table"]
 
-COLUMNS = (
-    "session",
-    "at / °C",
-    "candidate",
-    "α / mV/K",
-    "R / Ω",
-    "K / W/K",
-    "C / J/K",
-    "order",
-    "gain",
-    "Σ ν-gap",
-    "ν-gap now",
-    "fit y",
-    "fit u",
-)
+BEFORE = ("session", "at", "candidate")
+BEHIND = ("order", "gain", "Σ ν-gap", "ν-gap now", "fit y", "fit u")
 
 
 def table(archive: Archive) -> Table:
@@ -34,28 +23,31 @@ def table(archive: Archive) -> Table:
     from rich.table import Table  # noqa: PLC0415 — only who prints needs it
 
     shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
-    for number, column in enumerate(COLUMNS):
+    matched = _matched(archive)
+    for number, column in enumerate(columns(archive)):
         text = column in ("session", "candidate")
         shown.add_column(column, justify="left" if text else "right", no_wrap=number > 0, overflow="fold")
     before = ""
     for row in archive.candidates:
-        first, *others = cells(row)
+        first, *others = cells(row, matched)
         shown.add_row("" if first == before else first, *others, style="bold" if row["nominal"] else "")
         before = first
     return shown
 
 
-def cells(row: dict[str, Any]) -> tuple[str, ...]:
+def columns(archive: Archive) -> tuple[str, ...]:
+    """Their names; the parameters are those that the structure of the first candidate leaves free."""
+    return (*BEFORE, *(q.label for q in _matched(archive)), *BEHIND)
+
+
+def cells(row: dict[str, Any], matched: Sequence[Quantity]) -> tuple[str, ...]:
     """One row as text, a cell per column."""
-    p, fit = row["parameters"], row["fit"]
+    fit = row["fit"]
     return (
         row["session"],
         f"{row['operating_point']:g}",
         f"{row['name']}{' *' if row['nominal'] else ''}",
-        f"{1000 * p['seebeck']:.1f}",
-        f"{p['resistance']:.2f}",
-        f"{p['conductance']:.3f}",
-        f"{p['heat_capacity']:.1f}",
+        *(q.text(row["parameters"].get(q.name, math.nan)) for q in matched),
         row["chosen_order"],
         _number(row["criteria"]["information_gain"], ".0f"),
         _number(row["nu_gap_sum"], ".3f"),
@@ -63,6 +55,17 @@ def cells(row: dict[str, Any]) -> tuple[str, ...]:
         _number(fit["y"], ".1%"),
         _number(fit["u"], ".1%"),
     )
+
+
+def _matched(archive: Archive) -> list[Quantity]:
+    if not archive.candidates:
+        return []
+    from twinmatch.plants import find_plant  # noqa: PLC0415 — as `rich`
+    from twinmatch.views.quantities import quantity  # noqa: PLC0415
+
+    first = archive.candidates[0]
+    plant = find_plant(first["plant"])
+    return [quantity(plant, name) for name in plant.structures[first["structure"]].free]
 
 
 def _number(value: float | None, form: str) -> str:

@@ -74,7 +74,7 @@ def match_entry(report: MatchReport) -> dict[str, Any]:
         "window": list(match.samples),
         "status": match.status.value,
         "reason": match.reason,
-        "parameters": parameters_entry(match.parameters),
+        **_model_entry(match.parameters),
         "fit": {"y": _finite(match.fit.y), "u": _finite(match.fit.u)},
         "fitted": [_fitted_entry(match, name) for name in match.free],
         "determined": match.determined,
@@ -95,10 +95,18 @@ def _fitted_entry(match: Match, name: str) -> dict[str, Any]:
     }
 
 
-def parameters_entry(parameters: Parameters) -> dict[str, Any]:
-    """Plant and structure by name, and the values of the parameters in their own units."""
+def parameters_entry(parameters: Parameters) -> dict[str, float]:
+    """The values by name, in the parameters' own units."""
+    return dict(parameters)
+
+
+def _model_entry(parameters: Parameters) -> dict[str, Any]:
     model = parameters.model
-    return {"plant": model.plant.name, "structure": model.structure_name, "values": dict(parameters)}
+    return {
+        "plant": model.plant.name,
+        "structure": model.structure_name,
+        "parameters": parameters_entry(parameters),
+    }
 
 
 def _candidate_entry(candidate: CandidateScore) -> dict[str, Any]:
@@ -106,7 +114,7 @@ def _candidate_entry(candidate: CandidateScore) -> dict[str, Any]:
         "name": candidate.name,
         "operating_point": candidate.operating_point,
         "window": [candidate.first, candidate.last],
-        "parameters": parameters_entry(candidate.parameters),
+        **_model_entry(candidate.parameters),
         "orders": [_order_entry(o) for o in candidate.orders],
         "chosen_order": candidate.chosen_order,
         "nu_gap_sum": candidate.nu_gap_sum,
