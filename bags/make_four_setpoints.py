@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.emulation.virtual_rig_plant import RICH_RIG
 from twinmatch.errors import TwinmatchError
-from twinmatch.plant import Camera, simulate_closed_loop
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of, write_session
-from twinmatch.signals import KELVIN, Window
+from twinmatch.signals import Window
 
 SET_POINTS = (30, 50, 70, 90, 50, 30, 70, 50, 90, 70)
 """°C; every level is met from below and from above."""
@@ -27,8 +28,8 @@ HOLD = 200
 def four_setpoints() -> Window:
     """The simulated run, 1 Hz."""
     reference = np.repeat(np.array(SET_POINTS, dtype=float), HOLD)
-    camera = Camera().realise(len(reference), 1.0, seed=30507090)
-    run = simulate_closed_loop(RICH_RIG, reference, plate=22.0 + KELVIN, camera=camera)
+    sensor = Peltier.sensor.realise(len(reference), 1.0, seed=30507090)
+    run = simulate_closed_loop(RICH_RIG, reference, states=begin(RICH_RIG, 22.0), sensor=sensor)
     return Window(reference, run.output, run.input)
 
 

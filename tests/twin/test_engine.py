@@ -10,22 +10,23 @@ import pytest
 
 import twinmatch.twin.matcher
 from twinmatch.discrimination import ADMITTED, REFUSED, Candidate, Verdict
-from twinmatch.plant import Pid, PlantState, RigParameters, advance
-from twinmatch.signals import KELVIN, Sample, Window
+from twinmatch.dynamics import Parameters, Pid, advance, begin, read
+from twinmatch.plants import Peltier
+from twinmatch.signals import Sample, Window
 from twinmatch.twin import Discriminator, MatchRequest, Outcome, Twin, TwinSettings, answer
 
 
 def drive_lost_for_a_while(at: int = 550, again: int = 570, ticks: int = 1410) -> list[Sample]:
     """Steps between 40 and 70 °C; the drive is lost for twenty samples and comes back."""
-    rig = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+    rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
-    pid, state, samples = Pid(), PlantState(296.0, 296.0), []
+    pid, states, samples = Pid(Peltier.loop), begin(rig, 22.85), []
     for k in range(ticks):
         r = (40.0, 70.0)[(k // 200) % 2]
-        y = state.plate - KELVIN + float(noise[k])
+        y = read(rig, states) + float(noise[k])
         u = pid.step(r, y)
         samples.append(Sample(k, k * 10**9, r, y, u))
-        state = advance(rig, state, 0.0 if at <= k < again else u)
+        states = advance(rig, states, 0.0 if at <= k < again else u, 1.0)
     return samples
 
 
@@ -47,7 +48,7 @@ def story() -> Iterator[tuple[list[Outcome], list[Any]]]:
 
 def test_what_a_match_has_to_beat_is_in_the_family(story: tuple[list[Outcome], list[Any]]) -> None:
     outcomes, rivals = story
-    family: list[RigParameters] = []
+    family: list[Parameters] = []
     told: list[Verdict] = []
     asked = iter(rivals)
     for outcome in outcomes:
@@ -80,7 +81,9 @@ def test_a_window_with_a_known_fault_is_not_asked_about(story: tuple[list[Outcom
 
 
 def test_given_candidates_are_who_a_match_of_their_regime_has_to_beat() -> None:
-    given = Candidate("given", 71.0, RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0), None)
+    given = Candidate(
+        "given", 71.0, Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0), None
+    )
     judge = Discriminator(TwinSettings(), [given])
     steps = (judge.push_sample(sample) for sample in drive_lost_for_a_while(ticks=500))
     request = next(step.request for step in steps if step.request is not None)
@@ -91,6 +94,6 @@ def test_given_candidates_are_who_a_match_of_their_regime_has_to_beat() -> None:
 def test_what_cannot_be_matched_is_refused_in_words() -> None:
     """An answer comes to every request, or the discriminator would wait for ever."""
     window = Window(np.full(9, 50.0), np.full(9, 50.0), np.full(9, 90.0), period=2.0)
-    report = answer(MatchRequest(8, 50.0, window, RigParameters(), None), TwinSettings())
+    report = answer(MatchRequest(8, 50.0, window, Peltier.model().parameters(), None), TwinSettings())
     assert not report.match.accepted
     assert "the controller runs every 1.0 s" in report.match.reason

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from twinmatch.discrimination import Candidate, TrustLevel, Verdict
-from twinmatch.plant import Pid, PlantState, RigParameters, advance
+from twinmatch.dynamics import Pid, advance, begin, read
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
-from twinmatch.signals import KELVIN, Sample, Window
+from twinmatch.signals import Sample, Window
 from twinmatch.twin import (
     Discriminator,
     MatchReport,
@@ -146,7 +147,7 @@ def test_without_an_answer_everything_waits(simulated_session: list[Sample]) -> 
 
 def test_given_candidates_are_judged_on_the_first_window_that_moves(simulated_session: list[Sample]) -> None:
     """One for a regime that the session never visits: no match takes its place."""
-    rig = RigParameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
+    rig = Peltier.model().parameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
     twin = Twin(given=[Candidate("paper 90 °C", 90.0, rig, None)])
     verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
     first = next(v for v in verdicts if not v.stands)
@@ -156,7 +157,7 @@ def test_given_candidates_are_judged_on_the_first_window_that_moves(simulated_se
 
 
 def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_session: list[Sample]) -> None:
-    rig = RigParameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
+    rig = Peltier.model().parameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
     twin = Twin(given=[Candidate("paper 50 °C", 50.0, rig, None)])
     verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
     assert {c.name for c in verdicts[-1].candidates} == {"50 °C"}
@@ -164,16 +165,16 @@ def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_s
 
 def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
     """A run whose drive is lost, and may come back: the controller goes on, the plate gets nothing."""
-    rig = RigParameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+    rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     levels = (40.0, 70.0, 45.0, 80.0, 50.0, 75.0, 40.0, 70.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
-    pid, state, samples = Pid(), PlantState(296.0, 296.0), []
+    pid, states, samples = Pid(Peltier.loop), begin(rig, 22.85), []
     for k in range(ticks):
         r = levels[(k // 200) % len(levels)]
-        y = state.plate - KELVIN + float(noise[k])
+        y = read(rig, states) + float(noise[k])
         u = pid.step(r, y)
         samples.append(Sample(k, k * 10**9, r, y, u))
-        state = advance(rig, state, 0.0 if at <= k < (again or ticks) else u)
+        states = advance(rig, states, 0.0 if at <= k < (again or ticks) else u, 1.0)
     return samples
 
 
@@ -257,9 +258,9 @@ def test_before_anything_moves_nothing_is_known() -> None:
     ("make", "message"),
     [
         (lambda: TwinSettings(most_candidates=0), "most_candidates is 0"),
-        (lambda: TwinSettings(regime_width=0.0), "regime_width is 0.0 °C"),
+        (lambda: TwinSettings(regime_width=0.0), "regime_width is 0.0; it must"),
         (lambda: TwinSettings(period=0.1), "give both the same period"),
-        (lambda: TrustLimits(doubtful_y=20.0), "doubtful_y 20.0 and fault_y 12.0"),
+        (lambda: TrustLimits(doubtful_y=0.0), "doubtful_y is 0.0; it must be positive"),
     ],
 )
 def test_settings_that_cannot_work_are_refused(make: object, message: str) -> None:
