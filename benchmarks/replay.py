@@ -14,8 +14,9 @@ from pathlib import Path
 from benchmarks.common import Row, Timing, measure_side_by_side, print_rows, rows_of
 from benchmarks.rig import recorded
 from twinmatch.discrimination import Candidate, Verdict
+from twinmatch.dynamics import Parameters
 from twinmatch.judging.judgement import Judgement, judge_samples
-from twinmatch.plant import RigParameters
+from twinmatch.plants import Peltier
 from twinmatch.sessions import open_any
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, TwinSettings, answer
@@ -27,6 +28,12 @@ VERDICT_TARGET = 1.0
 """s"""
 POINTS = (30, 40, 50, 60, 70, 80, 90, 100)
 """Operating points of eight candidates, °C."""
+
+
+def _rig(at: int) -> Parameters:
+    return Peltier.model().parameters(
+        seebeck=0.055 + at / 6000, conductance=0.5, heat_capacity=25.0 + at / 10
+    )
 
 
 def run(quick: bool) -> list[Row]:
@@ -85,12 +92,7 @@ def _full_verdict(quick: bool) -> list[Row]:
 def _before_a_verdict() -> tuple[Discriminator, Sample, MatchReport]:
     """A discriminator with eight candidates before a window's last sample, that sample, and the match."""
     settings = TwinSettings()
-    given = [
-        Candidate(
-            f"given {at} °C", float(at), RigParameters(0.055 + at / 6000, 3.3, 0.5, 25.0 + at / 10), None
-        )
-        for at in POINTS
-    ]
+    given = [Candidate(f"given {at} °C", float(at), _rig(at), None) for at in POINTS]
     samples = recorded(HOUR)
     probe, ready = Discriminator(settings, given), Discriminator(settings, given)
     for sample in samples:

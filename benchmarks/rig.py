@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinmatch.plant import Camera, RigParameters, simulate_closed_loop
+from twinmatch.dynamics import begin, simulate_closed_loop
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
 
 __all__ = ["REGIME", "SINK", "recorded"]
 
-SINK = RigParameters(
+SINK = Peltier.model("sink with mass").parameters(
     seebeck=0.06,
     conductance=0.5,
     heat_capacity=27.0,
@@ -29,6 +30,6 @@ def recorded(samples: int, seed: int = 5) -> list[Sample]:
     count = -(-samples // REGIME)
     levels = np.resize([30.0, 60.0, 45.0, 80.0, 50.0, 90.0, 35.0, 70.0], count) + rng.integers(-3, 4, count)
     reference = np.repeat(levels, REGIME)[:samples]
-    camera = Camera().realise(samples, 1.0, seed)
-    run = simulate_closed_loop(SINK, reference, plate=296.0, camera=camera)
+    camera = Peltier.sensor.realise(samples, 1.0, seed)
+    run = simulate_closed_loop(SINK, reference, states=begin(SINK, 22.85), sensor=camera)
     return list(samples_of(Window(reference, run.output, run.input)))
