@@ -58,9 +58,20 @@ def compiled(function: Any = None, /, *, inside: bool = False, inlined: bool = F
     if inlined:
         options["inline"] = "always"
     kernel = numba.njit(nogil=True, error_model="numpy", **options)(function)
-    if not options:
+    kernel._compiler.compile = functools.partial(_vectorised, kernel._compiler.compile)
+    if not (inside or inlined):
         kernel._cache = _Cache(function)
     return kernel
+
+
+def _vectorised(compile_: Callable[..., Any], *args: Any) -> Any:
+    """Compile with sums that are written side by side in one vector; every one is still added up in order."""
+    before = numba.config.SLP_VECTORIZE
+    numba.config.SLP_VECTORIZE = 1
+    try:
+        return compile_(*args)
+    finally:
+        numba.config.SLP_VECTORIZE = before
 
 
 class _Cache:
@@ -124,7 +135,7 @@ def _fields(kind: Any) -> Iterator[tuple[str, ...]]:
 
 def _stamp(function: FunctionType) -> str:
     """One hash of all source files and constants that a kernel is made from."""
-    files: set[str] = set()
+    files = {__file__}
     constants: set[bytes] = set()
     seen: set[int] = set()
     waiting = [function]

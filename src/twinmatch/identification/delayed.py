@@ -2,8 +2,8 @@
 
 They are never formed: `triangularise` folds them chunk by chunk into the triangle of their QR factorisation
 (exact, slow), `correlate` gets the normal matrix from a few correlations (twenty times faster, half the
-digits), and `cholesky` turns that into the same triangle. Signals carry zeros in front, at least as many as
-the largest delay, so that a delay needs no test.
+digits), and `cholesky` turns that into the same triangle. Signals carry zeros in front, at least `SLACK`
+more than the largest delay, so that a delay needs no test.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ __all__ = [
     "COUNT",
     "DELAY",
     "SIGNAL",
+    "SLACK",
     "Spans",
     "cholesky",
     "column_norms",
@@ -34,6 +35,8 @@ Spans = NDArray[np.int64]
 SIGNAL, DELAY, COUNT = range(3)
 """What stands where in a group."""
 
+SLACK = 4
+"""Delays are worked off by fours."""
 CHUNK = 48
 """Rows folded into the triangle at a time: a chunk of 30 columns stays in the first-level cache."""
 DEPENDENT = 1e-13
@@ -74,7 +77,8 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
     of each span are summed in full.
 
     Args:
-        signals: shape (m, pad + N), zero in the first `pad` samples; pad is at least the largest delay.
+        signals: shape (m, pad + N), zero in the first `pad` samples; pad is at least the largest delay and
+            `SLACK`.
         low: index of the first row used, `pad` for all.
         spans: the columns.
 
@@ -106,28 +110,51 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
 @compiled(inside=True)
 def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray[np.int64]) -> FloatArray:
     """Inner products of the first column of every group with all columns, shape (g, p)."""
-    width, groups = corners[-1], spans.shape[0]
-    leads = np.zeros((groups, width))
-    rows = np.empty((CHUNK, width))
-    high = signals.shape[1]
-    for start in range(low, high, CHUNK):
-        count = min(CHUNK, high - start)
-        delayed_rows(signals, spans, start, count, rows)
-        for p in range(groups):
-            if spans[p, COUNT] == 0:
-                continue
-            lead = leads[p]
-            corner = corners[p]
-            for t in range(0, count - 3, 4):
-                r0, r1, r2, r3 = rows[t], rows[t + 1], rows[t + 2], rows[t + 3]
-                a0, a1, a2, a3 = r0[corner], r1[corner], r2[corner], r3[corner]
-                for j in range(width):
-                    lead[j] += (a0 * r0[j] + a1 * r1[j]) + (a2 * r2[j] + a3 * r3[j])
-            for t in range(count // 4 * 4, count):
-                row = rows[t]
-                for j in range(width):
-                    lead[j] += row[corner] * row[j]
+    groups, count = spans.shape[0], signals.shape[1] - low
+    leads = np.zeros((groups, corners[-1]))
+    found = np.empty(12)
+    for p in range(0, groups, 3):
+        second, third = min(p + 1, groups - 1), min(p + 2, groups - 1)
+        a = signals[spans[p, SIGNAL], low - spans[p, DELAY] :]
+        b = signals[spans[second, SIGNAL], low - spans[second, DELAY] :]
+        c = signals[spans[third, SIGNAL], low - spans[third, DELAY] :]
+        for q in range(groups):
+            for i in range(0, spans[q, COUNT], 4):
+                at = low - spans[q, DELAY] - i - 3
+                products(a[:count], b, c, signals[spans[q, SIGNAL], at:], found)
+                column = corners[q] + i
+                for j in range(min(4, spans[q, COUNT] - i)):
+                    leads[p, column + j] = found[3 - j]
+                    leads[second, column + j] = found[7 - j]
+                    leads[third, column + j] = found[11 - j]
     return leads
+
+
+@compiled(inside=True)
+def products(a: FloatArray, b: FloatArray, c: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Sums of a(t), b(t) and c(t) times x(t + j), j = 0 … 3, over the length of a; shape (12,).
+
+    Twelve sums side by side fill the vector unit, and every sample of x is fetched for three of them.
+    """
+    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = c0 = c1 = c2 = c3 = 0.0
+    for t in range(a.size):
+        x0, x1, x2, x3 = x[t], x[t + 1], x[t + 2], x[t + 3]
+        by_a, by_b, by_c = a[t], b[t], c[t]
+        a0 += by_a * x0
+        a1 += by_a * x1
+        a2 += by_a * x2
+        a3 += by_a * x3
+        b0 += by_b * x0
+        b1 += by_b * x1
+        b2 += by_b * x2
+        b3 += by_b * x3
+        c0 += by_c * x0
+        c1 += by_c * x1
+        c2 += by_c * x2
+        c3 += by_c * x3
+    out[0], out[1], out[2], out[3] = a0, a1, a2, a3
+    out[4], out[5], out[6], out[7] = b0, b1, b2, b3
+    out[8], out[9], out[10], out[11] = c0, c1, c2, c3
 
 
 @compiled

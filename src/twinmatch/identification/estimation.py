@@ -96,7 +96,8 @@ def estimate(
         if not parsed.covers(start.order):
             msg = f"start: a model of order {start.order} cannot start one of order {parsed}"
             raise IdentificationError(msg)
-        thetas.append(_padded(start, parsed))
+        # First: the others are given up the sooner, the lower the cost that they must beat.
+        thetas.insert(0, _padded(start, parsed))
     return _model(task, parsed, _best(task, parsed, thetas, hops), period)
 
 

@@ -25,6 +25,7 @@ from twinmatch.identification.delayed import (
     COUNT,
     DELAY,
     SIGNAL,
+    SLACK,
     Spans,
     cholesky,
     correlate,
@@ -67,7 +68,7 @@ class Task(NamedTuple):
     spans: Spans
     """Columns b, m, c, d, f and e of the derivatives."""
     pad: int
-    """At least the largest delay."""
+    """At least the largest delay of a second derivative, and `SLACK` more than that of a first."""
 
 
 class Place(NamedTuple):
@@ -112,7 +113,7 @@ def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate
         radii=np.array([1.0 - MEMORY / u.size, 1.0 - MEMORY / u.size, LARGEST_ROOT]),
         spans=spans,
         # Second derivatives are delayed by the delays of both coefficients.
-        pad=max(nb + nk, states, nc + 1, nd + 1, nf + 1) + max(nc, nd, nf),
+        pad=max(nb + nk, states, nc + 1, nd + 1, nf + 1) + max(nc, nd, nf, SLACK),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
-from twinmatch.identification.delayed import Spans, cholesky, correlate, solve_triangle
+from twinmatch.identification.delayed import SLACK, Spans, cholesky, correlate, solve_triangle
 from twinmatch.identification.filters import all_pole_into, copy_into, fir, fir_into
 from twinmatch.identification.predictor import Polynomials, errors_of
 from twinmatch.identification.stability import LARGEST_ROOT, stabilise
@@ -87,9 +87,9 @@ def monic(coefficients: FloatArray) -> FloatArray:
 def long_arx(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
     """The denominator A of a long ARX model: 1/A is close to the noise filter C/D."""
     length, delay = min(LONG, u.size // 8), counts[4]
-    pad = length + delay
+    pad = length + delay + SLACK
     spans = np.array(((0, 1, length), (1, delay, length), (0, 0, 1)))
-    return monic(regression(padded(pad, y, u), 2 * pad, spans)[:length])
+    return monic(regression(padded(pad, y, u), pad + length + delay, spans)[:length])
 
 
 @compiled(inside=True)
@@ -98,7 +98,7 @@ def arx_denominator(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> 
     nb, _, _, nf, nk = counts
     if nf == 0:
         return np.ones(1)
-    pad = max(nf, nk + nb)
+    pad = max(nf, nk + nb) + SLACK
     spans = np.array(((0, 1, nf), (1, nk, nb), (0, 0, 1)))
     found = regression(padded(pad, y, u), pad + max(nf, nk + nb - 1), spans)
     return stabilise(monic(found[:nf]), LARGEST_ROOT, 1.0)
@@ -113,7 +113,7 @@ def steiglitz_mcbride(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -
     if nf == 0:
         return F
     states = max(nf, nb + nk - 1)
-    pad = max(nf, nk + nb, states)
+    pad = max(nf, nk + nb, states) + SLACK
     spans = np.array(((0, 1, nf), (1, nk, nb), (2, 0, states), (0, 0, 1)))
     signals = np.zeros((3, pad + u.size))
     for _ in range(ROUNDS):
@@ -144,7 +144,7 @@ def noise_model(
     """C and D of what the best B/F with this F leaves of y."""
     nb, nc, nd, nf, nk = counts
     states = max(nf, nb + nk - 1)
-    pad = max(nk + nb, states)
+    pad = max(nk + nb, states) + SLACK
     signals = np.zeros((3, pad + u.size))
     through_pole(F, u, y, signals[:, pad:])
     copy_into(y, signals[0, pad:])
@@ -162,7 +162,7 @@ def hannan_rissanen(v: FloatArray, nc: int, nd: int) -> tuple[FloatArray, FloatA
     if nc + nd == 0:
         return np.ones(1), np.ones(1)
     length = min(LONG, v.size // 4)
-    pad = max(length, nc, nd) + 1
+    pad = max(length, nc, nd) + SLACK
     signals = padded(pad, v, v)
     A = monic(regression(signals, pad + length, np.array(((0, 1, length), (0, 0, 1)))))
     fir_into(A, v, signals[1, pad:])
