@@ -18,23 +18,32 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from benchmarks.common import Row, Timing, main, measure_side_by_side, peer, rows_of
-from twinmatch.matching import BOUNDS, FREE, SCALES, Noise, match
+from twinmatch.dynamics import PidGains, Sensor, begin, simulate_closed_loop
+from twinmatch.matching import Noise, match
 from twinmatch.matching.estimation import solve, starts_for
 from twinmatch.matching.problem import Problem
-from twinmatch.plant import Camera, Driver, PidGains, RigParameters, simulate_closed_loop
+from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 
 Array = NDArray[np.float64]
 
-TRUTH = RigParameters(seebeck=0.07, conductance=0.6, heat_capacity=31.0)
-START = RigParameters()
+MODEL = Peltier.model()
+TRUTH = MODEL.parameters(seebeck=0.07, conductance=0.6, heat_capacity=31.0)
+START = MODEL.parameters()
 LEVELS = (30.0, 55.0, 42.0, 75.0, 60.0, 90.0, 50.0)
-GAINS, DRIVER, NOISE = PidGains(), Driver(), Noise()
+assert Peltier.loop is not None
+GAINS: PidGains = Peltier.loop
+NOISE = Noise.of(Peltier)
+FREE = MODEL.structure.free
+AMBIENT, RESISTANCE = START["ambient"], START["resistance"]
+LOOP_RESISTANCE, CURRENT_LIMIT = RESISTANCE + START["bridge_resistance"], START["current_limit"]
+VOLTS_PER_COUNT = START["supply"] / GAINS.high
+P, I, D, BACK, PERIOD, LIMIT = *GAINS.constants[:5], GAINS.high
 STEPS = 4
 """Runge–Kutta steps of the peers in each tick."""
-LOW, HIGH = (np.array([BOUNDS[name][end] for name in FREE]) for end in (0, 1))
-SCALE = np.array([SCALES[name] for name in FREE])
-FIRST = np.array([getattr(START, name) for name in FREE])
+LOW, HIGH = (np.array([MODEL.declared[name].bounds[end] for name in FREE]) for end in (0, 1))
+SCALE = np.array([MODEL.declared[name].scale for name in FREE])
+FIRST = np.array([START[name] for name in FREE])
 
 
 def run(quick: bool) -> list[Row]:
@@ -50,13 +59,13 @@ def record(samples: int, seed: int = 7) -> Window:
     """A window of the rig: a new level every 240 samples, seen through a noisy camera."""
     count = -(-samples // 240)
     reference = np.repeat([LEVELS[k % len(LEVELS)] for k in range(count)], 240)[:samples].astype(np.float64)
-    camera = Camera(resolution=0.0, flat_field_period=None).realise(samples, GAINS.period, seed)
-    response = simulate_closed_loop(TRUTH, reference, plate=LEVELS[0] + KELVIN, camera=camera, gains=GAINS)
+    camera = Sensor(noise=NOISE.output).realise(samples, GAINS.period, seed)
+    response = simulate_closed_loop(TRUTH, reference, states=begin(TRUTH, LEVELS[0]), sensor=camera)
     return Window(reference, response.output, response.input)
 
 
 def pose(window: Window) -> Problem:
-    return Problem(window, FREE, START, NOISE, GAINS, DRIVER)
+    return Problem(window, FREE, START, NOISE, GAINS)
 
 
 def fit(window: Window) -> Array:
@@ -99,7 +108,9 @@ def _whole_match(repeats: int) -> list[Row]:
     rows = []
     for samples in (300, 720):
         window = record(samples)
-        timings = measure_side_by_side({"twinmatch": lambda window=window: match(window)}, repeats)
+        timings = measure_side_by_side(
+            {"twinmatch": lambda window=window: match(window, start=START)}, repeats
+        )
         case = f"a match with intervals and suggestion, {samples} samples"
         rows += rows_of("matching", case, timings, targets={"twinmatch": 20e-3})
     return rows
@@ -125,8 +136,8 @@ def _by_differences(problem: Problem, outputs: Callable[[Problem, Array], tuple[
         temperature, pwm = outputs(problem, values)
         return np.concatenate(
             [
-                (problem.output - temperature) / NOISE.output,
-                (problem.input - pwm) / NOISE.input,
+                (problem.measured[0] - temperature) / NOISE.output,
+                (problem.measured[1] - pwm) / NOISE.input,
             ]
         )
 
@@ -134,22 +145,22 @@ def _by_differences(problem: Problem, outputs: Callable[[Problem, Array], tuple[
 
 
 def _numba_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
-    state = problem.controller
+    state = problem.experiment.controller
     return _runge_kutta_loop(
         values,
-        np.array([START.resistance, DRIVER.bridge_resistance, DRIVER.current_limit, START.ambient]),
-        np.array(GAINS.constants),
-        DRIVER.volts_per_count,
+        np.array([RESISTANCE, LOOP_RESISTANCE, CURRENT_LIMIT, AMBIENT]),
+        np.array([P, I, D, BACK, PERIOD, LIMIT]),
+        VOLTS_PER_COUNT,
         problem.window.reference[2:],
         float(problem.window.output[2]) + KELVIN,
         state.integral,
-        state.previous_error,
+        state.previous,
     )
 
 
 @numba.njit
 def _rate(values: Array, rig: Array, volts: float, plate: float) -> float:
-    current = (-volts - values[0] * (rig[3] - plate)) / (rig[0] + rig[1])
+    current = (-volts - values[0] * (rig[3] - plate)) / rig[1]
     current = min(max(current, -rig[2]), rig[2])
     drawn = values[0] * plate * current - 0.5 * current * current * rig[0] + values[1] * (plate - rig[3])
     return -drawn / values[2]
@@ -188,69 +199,63 @@ def _runge_kutta_loop(  # noqa: PLR0917
 
 def _solve_ivp_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
     a, k, c = values.tolist()
-    p, i, d, back, period, limit = GAINS.constants
-    integral, previous = problem.controller.integral, problem.controller.previous_error
+    integral, previous = problem.experiment.controller.integral, problem.experiment.controller.previous
     plate = float(problem.window.output[2]) + KELVIN
-    total, ambient = START.resistance + DRIVER.bridge_resistance, START.ambient
     temperature, pwm = [], []
 
     def rate(_time: float, state: Array, volts: float) -> list[float]:
-        current = (-volts - a * (ambient - state[0])) / total
-        current = min(max(current, -DRIVER.current_limit), DRIVER.current_limit)
-        half_joule = 0.5 * current * current * START.resistance
-        return [-(a * state[0] * current - half_joule + k * (state[0] - ambient)) / c]
+        current = (-volts - a * (AMBIENT - state[0])) / LOOP_RESISTANCE
+        current = min(max(current, -CURRENT_LIMIT), CURRENT_LIMIT)
+        half_joule = 0.5 * current * current * RESISTANCE
+        return [-(a * state[0] * current - half_joule + k * (state[0] - AMBIENT)) / c]
 
     for reference in problem.window.reference[2:].tolist():
         error = reference - (plate - KELVIN)
-        wanted = p * error + integral + d * (error - previous) / period
-        u = min(max(wanted, -limit), limit)
-        integral += period * (i * error + back * (u - wanted))
+        wanted = P * error + integral + D * (error - previous) / PERIOD
+        u = min(max(wanted, -LIMIT), LIMIT)
+        integral += PERIOD * (I * error + BACK * (u - wanted))
         previous = error
         temperature.append(plate - KELVIN)
         pwm.append(u)
-        done = solve_ivp(
-            rate, (0.0, period), [plate], args=(u * DRIVER.volts_per_count,), rtol=1e-7, atol=1e-7
-        )
+        done = solve_ivp(rate, (0.0, PERIOD), [plate], args=(u * VOLTS_PER_COUNT,), rtol=1e-7, atol=1e-7)
         plate = float(done.y[0, -1])
     return np.array(temperature), np.array(pwm)
 
 
 def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[Array, Array]]:
     """Residuals and their Jacobian from one graph: a tick, accumulated over the window."""
-    p, i, d, back, period, limit = GAINS.constants
     state, reference, values = casadi.SX.sym("x", 3), casadi.SX.sym("r"), casadi.SX.sym("p", 3)
     plate, integral, previous = state[0], state[1], state[2]
     error = reference - (plate - KELVIN)
-    wanted = p * error + integral + d * (error - previous) / period
-    u = casadi.fmin(casadi.fmax(wanted, -limit), limit)
-    total, ambient = START.resistance + DRIVER.bridge_resistance, START.ambient
+    wanted = P * error + integral + D * (error - previous) / PERIOD
+    u = casadi.fmin(casadi.fmax(wanted, -LIMIT), LIMIT)
 
     def rate(now: Any) -> Any:
-        current = (-u * DRIVER.volts_per_count - values[0] * (ambient - now)) / total
-        current = casadi.fmin(casadi.fmax(current, -DRIVER.current_limit), DRIVER.current_limit)
-        half_joule = 0.5 * current**2 * START.resistance
-        return -(values[0] * now * current - half_joule + values[1] * (now - ambient)) / values[2]
+        current = (-u * VOLTS_PER_COUNT - values[0] * (AMBIENT - now)) / LOOP_RESISTANCE
+        current = casadi.fmin(casadi.fmax(current, -CURRENT_LIMIT), CURRENT_LIMIT)
+        half_joule = 0.5 * current**2 * RESISTANCE
+        return -(values[0] * now * current - half_joule + values[1] * (now - AMBIENT)) / values[2]
 
-    h, after = period / STEPS, plate
+    h, after = PERIOD / STEPS, plate
     for _ in range(STEPS):
         k1 = rate(after)
         k2 = rate(after + 0.5 * h * k1)
         k3 = rate(after + 0.5 * h * k2)
         k4 = rate(after + h * k3)
         after = after + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    following = casadi.vertcat(after, integral + period * (i * error + back * (u - wanted)), error)
+    following = casadi.vertcat(after, integral + PERIOD * (I * error + BACK * (u - wanted)), error)
     outputs = casadi.vertcat(
         (plate - KELVIN) / NOISE.output,
         u / NOISE.input,
     )
     tick = casadi.Function("tick", [state, reference, values], [following, outputs])
-    size = problem.output.size
+    size = problem.measured.shape[1]
     loop = tick.mapaccum("loop", size)
     free = casadi.MX.sym("p", 3)
-    known = problem.controller
-    start = casadi.DM([float(problem.window.output[2]) + KELVIN, known.integral, known.previous_error])
+    known = problem.experiment.controller
+    start = casadi.DM([float(problem.window.output[2]) + KELVIN, known.integral, known.previous])
     _, simulated = loop(start, problem.window.reference[2:].reshape(1, -1), casadi.repmat(free, 1, size))
-    measured = np.stack([problem.output / NOISE.output, problem.input / NOISE.input])
+    measured = problem.measured * problem.weights
     left = casadi.vec(casadi.DM(measured) - simulated)
     both = casadi.Function("both", [free], [left, casadi.jacobian(left, free)])
 

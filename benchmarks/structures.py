@@ -28,35 +28,32 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from twinmatch.dynamics import simulate_window
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import STRUCTURES, StructureFit
-from twinmatch.plant import controller_state, simulate_closed_loop
+from twinmatch.matching import StructureFit
+from twinmatch.plants import Peltier
 from twinmatch.sessions import read_recording, samples_of
-from twinmatch.signals import KELVIN, Window
-from twinmatch.twin import Schedule, StructureWatch, choose_structure, nrmse
+from twinmatch.signals import Window
+from twinmatch.twin import Schedule, StructureSettings, StructureWatch, choose_structure, nrmse
+from twinmatch.twin.structure_watch import watched
 
 MEDIAN_TARGET, LEAST_TARGET = (0.992, 0.90), (0.984, 0.82)
 CHOSEN = "chosen"
+MODELS = watched(Peltier)
 
 Figures = tuple[float, float]
 
 
 def judged(fitted: StructureFit, hour: Window, half: int) -> Figures:
     """NRMSE of temperature and PWM over the samples from `half` on."""
-    run = simulate_closed_loop(
-        fitted.parameters,
-        hour.reference[2:],
-        plate=float(hour.output[2]) + KELVIN,
-        sink=fitted.sink_starts[0],
-        controller=controller_state(hour),
-    )
+    run = simulate_window(fitted.parameters, hour, starts=fitted.starts[0])
     y = nrmse(hour.output[half:], run.output[half - 2 :])
     return y, nrmse(hour.input[half:], run.input[half - 2 :])
 
 
-def watched(hour: Window) -> str:
+def looks(hour: Window) -> str:
     """What the watch beside a running plant chooses over the hour, and what it costs."""
-    schedule, watch, chosen, costs = Schedule(), StructureWatch(), [], []
+    schedule, watch, chosen, costs = Schedule(), StructureWatch(StructureSettings(MODELS)), [], []
     for sample in samples_of(hour):
         trigger = schedule.push(sample)
         if trigger is None:
@@ -80,13 +77,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)],
     )
     console = Console(width=200)
-    found: dict[str, dict[str, Figures]] = {name: {} for name in (*(s.name for s in STRUCTURES), CHOSEN)}
+    found: dict[str, dict[str, Figures]] = {name: {} for name in (*Peltier.structures, CHOSEN)}
     for path in paths:
         try:
             hour = read_recording(path)
             half = len(hour) // 2
             began = time.process_time()
-            choice = choose_structure(hour.part(hour.first, hour.first + half))
+            choice = choose_structure(hour.part(hour.first, hour.first + half), MODELS)
         except TwinmatchError as error:
             console.print(f"{path.name}: passed over: {error}")
             continue
@@ -102,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.print(_table(found, names, healthy))
     for path in paths:
         if path.name in names:
-            console.print(f"{path.name}: watch: {watched(read_recording(path))}")
+            console.print(f"{path.name}: watch: {looks(read_recording(path))}")
     return 0 if _met(console, [found[CHOSEN][n] for n in healthy]) else 1
 
 
