@@ -15,8 +15,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from twinmatch.discrimination import Criteria, Verdict
-from twinmatch.plant import RigParameters
-from twinmatch.plant.named import named
+from twinmatch.dynamics import Parameters
+from twinmatch.plants.named import named
 from twinmatch.twin import MatchReport
 
 __all__ = ["Tree", "differences", "match_tree", "message_tree", "verdict_tree"]
@@ -97,7 +97,7 @@ def match_tree(report: MatchReport, stamp: int) -> Tree:
         "status_name": match.status.value,
         "reason": match.reason,
         "parameters": _parameters_tree(match.parameters),
-        "starts": {} if match.sink_start is None else {"sink": match.sink_start},
+        "starts": dict(match.starts),
         "free": list(match.free),
         "covariance": match.covariance.ravel().tolist(),
         "standard_errors": match.standard_errors.tolist(),
@@ -180,7 +180,7 @@ def _candidate_tree(verdict: Verdict, row: int) -> Tree:
     }
 
 
-def _parameters_tree(parameters: RigParameters | None) -> Tree:
+def _parameters_tree(parameters: Parameters | None) -> Tree:
     held = named(parameters)
     return {
         "plant": held.plant,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +18,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from twinmatch.description import Quantity
 from twinmatch.discrimination import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.discrimination.verdict import CandidateScore
+from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.matching import Fit, Match, Status
 from twinmatch.nodes.conversions import (
     LEVELS,
@@ -35,8 +35,8 @@ from twinmatch.nodes.conversions import (
 from twinmatch.nodes.descriptions import description_from, description_message
 from twinmatch.nodes.request_messages import request_from, request_message
 from twinmatch.nodes.sample_messages import one_of, sample_from, sample_message
-from twinmatch.plant import PlantError, RigParameters
-from twinmatch.plant.named import RIG
+from twinmatch.plants import Peltier
+from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample, SignalError, Window
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
@@ -51,19 +51,17 @@ COUNTS = st.integers(-(2**53), 2**53)
 POSITIVE = st.floats(1e-6, 1e6)
 
 SAMPLES = st.builds(Sample, INDICES, STAMPS, ANY, ANY, ANY, st.lists(ANY, max_size=3).map(tuple))
-PARAMETERS = st.builds(
-    RigParameters,
-    seebeck=POSITIVE,
-    resistance=POSITIVE,
-    conductance=POSITIVE,
-    heat_capacity=POSITIVE,
-    ambient=st.floats(200.0, 400.0),
-    sink_heat_capacity=st.one_of(POSITIVE, st.just(math.inf)),
-    sink_convection=POSITIVE,
-    sensor_lag=POSITIVE,
-    seebeck_slope=st.floats(-1e6, 1e6),
-    drive_ripple=st.floats(0.0, 1.0),
-)
+
+
+@st.composite
+def parameters(draw: st.DrawFn) -> Parameters:
+    """Of the rig in any structure, anywhere within the bounds of a search."""
+    model = Peltier.model(draw(st.sampled_from(sorted(Peltier.structures))))
+    names = draw(st.sets(st.sampled_from(model.names), max_size=4))
+    return model.parameters(**{name: draw(st.floats(*model.declared[name].bounds)) for name in sorted(names)})
+
+
+PARAMETERS = parameters()
 CRITERIA = st.builds(Criteria, COUNTS, COUNTS, COUNTS, ANY, ANY, ANY, ANY, ANY)
 ORDERS = st.builds(OrderScore, TEXTS, CRITERIA, CRITERIA, CRITERIA, ANY, ANY)
 ROWS = st.lists(ANY, max_size=3).map(tuple)
@@ -121,7 +119,7 @@ def reports(draw: st.DrawFn) -> MatchReport:
         match = Match(
             parameters=draw(PARAMETERS),
             free=tuple(names),
-            sink_start=draw(st.none() | NUMBERS),
+            starts=draw(st.dictionaries(TEXTS, ANY, max_size=2)),
             covariance=np.array(draw(square), dtype=np.float64).reshape(size, size),
             fisher=np.array(draw(square), dtype=np.float64).reshape(size, size),
             eigenvalues=np.array(draw(st.lists(ANY, max_size=4)), dtype=np.float64),
@@ -272,14 +270,18 @@ def test_a_state_of_another_number_of_loops_is_refused() -> None:
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        ({"plant": "tclab"}, "are of the plant 'tclab'; this twin knows 'peltier'"),
-        ({"names": ["seebeck", "mass"], "values": [0.1, 1.0]}, "peltier has no 'mass'; it has seebeck, "),
-        ({"values": [0.1]}, "10 names came with 1 values"),
+        ({"plant": "tclab"}, "plant 'tclab': not known; there are peltier"),
+        (
+            {"names": ["seebeck", "mass"], "values": [0.1, 1.0]},
+            "no parameter 'mass' in this structure",
+        ),
+        ({"structure": "two sinks"}, "no structure 'two sinks'; it has held sink, "),
+        ({"values": [0.1]}, "9 names came with 1 values"),
         ({"plant": "", "names": [], "values": []}, "the message holds none"),
     ],
 )
 def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], said: str) -> None:
-    message = parameters_message(RigParameters())
+    message = parameters_message(Peltier.model().parameters())
     for name, value in spoil.items():
         setattr(message, name, value)
     with pytest.raises(PlantError, match=said):
@@ -287,15 +289,13 @@ def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], said: st
 
 
 def test_parameters_come_with_their_units() -> None:
-    message = parameters_message(RigParameters())
+    message = parameters_message(Peltier.model("sink with mass").parameters())
     assert dict(zip(message.names, message.units, strict=True))["sink_convection"] == "W/K"
-    assert (message.plant, message.structure) == ("peltier", "")
+    assert (message.plant, message.structure) == ("peltier", "sink with mass")
 
 
 def test_a_description_is_carried_whole() -> None:
-    whole = replace(
-        RIG, structures=("held sink", "sink with mass"), disturbances=(Quantity("room", "air", "°C"),)
-    )
+    whole = replace(description_of(Peltier), disturbances=(Quantity("room", "air", "°C"),))
     message = there_and_back(description_message(whole, 0.5))
     assert message.period == 0.5
     assert description_from(message) == whole

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
+from twinmatch.plant.named import RIG
 
 from tests.support.processes import Process
 from tests.support.ros import Listener
@@ -26,7 +27,6 @@ from twinmatch.nodes.conversions import (
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.plant import RigParameters
-from twinmatch.plant.named import RIG
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
 from twinmatch_msgs.msg import (

@@ -13,10 +13,10 @@ import numpy as np
 
 from twinmatch.discrimination import Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.discrimination.verdict import CandidateScore
+from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.matching import Fit, Match, Status
 from twinmatch.nodes.sample_messages import stamp_header
-from twinmatch.plant import PlantError, RigParameters
-from twinmatch.plant.named import named, parameters_of
+from twinmatch.plants.named import named, parameters_of
 from twinmatch.signals import FloatArray
 from twinmatch.twin import MatchReport, MirrorState
 from twinmatch_msgs import msg as messages
@@ -37,7 +37,6 @@ NAN = float("nan")
 
 STATUSES = {status: getattr(messages.Match, status.name) for status in Status}
 LEVELS = {level: getattr(messages.ModelScore, level.name) for level in TrustLevel}
-SINK = "sink"
 STATE_FIGURES = (
     "closed_output",
     "closed_input",
@@ -79,8 +78,8 @@ def match_message(report: MatchReport, stamp: int) -> messages.Match:
         status_name=match.status.value,
         reason=match.reason,
         parameters=parameters_message(match.parameters),
-        starts=[] if match.sink_start is None else [SINK],
-        start_values=[] if match.sink_start is None else [match.sink_start],
+        starts=list(match.starts),
+        start_values=list(match.starts.values()),
         free=list(match.free),
         covariance=match.covariance.ravel().tolist(),
         standard_errors=match.standard_errors.tolist(),
@@ -108,7 +107,7 @@ def match_from(message: messages.Match) -> MatchReport:
     match = Match(
         parameters=parameters_from(message.parameters),
         free=tuple(message.free),
-        sink_start=_starts_from(message).get(SINK),
+        starts=dict(zip(message.starts, message.start_values, strict=True)),
         covariance=_square(message.covariance),
         fisher=_square(message.fisher),
         eigenvalues=np.array(message.eigenvalues, dtype=np.float64),
@@ -127,10 +126,6 @@ def match_from(message: messages.Match) -> MatchReport:
         suggestion=message.suggestion,
     )
     return MatchReport(message.sample, message.operating_point, match)
-
-
-def _starts_from(message: messages.Match) -> dict[str, float]:
-    return dict(zip(message.starts, message.start_values, strict=False))
 
 
 def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
@@ -258,24 +253,24 @@ def _candidate_from(message: messages.Candidate) -> CandidateScore:
     )
 
 
-def parameters_from(message: messages.Parameters) -> RigParameters:
+def parameters_from(message: messages.Parameters) -> Parameters:
     """The parameters in a `Parameters`.
 
     Raises:
         PlantError: there are none, or those of another plant, or values no rig has.
     """
-    parameters = parameters_of(message.plant, message.names, message.values)
+    parameters = parameters_of(message.plant, message.structure, message.names, message.values)
     if parameters is None:
         raise PlantError("parameters: the message holds none")
     return parameters
 
 
-def parameters_if_any(message: messages.Parameters) -> RigParameters | None:
+def parameters_if_any(message: messages.Parameters) -> Parameters | None:
     """The parameters in a `Parameters`, or None where there are none."""
-    return parameters_of(message.plant, message.names, message.values)
+    return parameters_of(message.plant, message.structure, message.names, message.values)
 
 
-def parameters_message(parameters: RigParameters | None) -> messages.Parameters:
+def parameters_message(parameters: Parameters | None) -> messages.Parameters:
     """Parameters as `Parameters`; of None one without names."""
     held = named(parameters)
     return messages.Parameters(
