@@ -16,7 +16,7 @@ from typing import Any
 
 from twinmatch.discrimination import Criteria, Verdict
 from twinmatch.plant import RigParameters
-from twinmatch.plant.named import named
+from twinmatch.plant.named import PLANT, named
 from twinmatch.twin import MatchReport
 
 __all__ = ["Tree", "differences", "match_tree", "message_tree", "verdict_tree"]
@@ -49,6 +49,8 @@ def _by_name(tree: Tree) -> Tree:
     if {"plant", "names", "values"} <= tree.keys():
         held = dict(zip(tree["names"], tree["values"], strict=True))
         return {"plant": tree["plant"], "structure": tree["structure"], **held}
+    if "seebeck" in tree:  # the rig's own message, before there were other plants
+        return {"plant": "", "structure": ""} if math.isnan(tree["seebeck"]) else {"plant": PLANT, **tree}
     if "start_values" in tree:
         tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
     if "sink_start" in tree:

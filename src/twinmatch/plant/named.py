@@ -13,7 +13,7 @@ from twinmatch.description import Description, Quantity
 from twinmatch.plant.parameters import PARAMETER_NAMES, PlantError, RigParameters
 from twinmatch.signals import PWM_LIMIT
 
-__all__ = ["RIG", "STATE_NAMES", "Named", "named", "parameters_of"]
+__all__ = ["PLANT", "RIG", "STATE_NAMES", "Named", "named", "parameters_of"]
 
 PLANT: Final = "peltier"
 UNITS: Final = {
