@@ -31,13 +31,12 @@ plate is taken as the cubic through both temperatures and both rates, and the la
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from twinmatch.compiled import compiled
 from twinmatch.plant.parameters import SEEBECK_REFERENCE
 from twinmatch.signals import KELVIN, FloatArray
 
@@ -58,13 +57,6 @@ __all__ = [
     "seebeck_between",
     "tick",
 ]
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
-
-
-def _compiled(function: _Function) -> _Function:
-    # No fastmath: live and replay must agree to the last bit. Division follows IEEE, it does not raise.
-    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 class Constants(NamedTuple):
@@ -99,7 +91,7 @@ class Gains(NamedTuple):
     limit: float
 
 
-@_compiled
+@compiled
 def riccati_flow(quadratic: float, slope: float, speed: float, time: float) -> float:
     """How far y' = quadratic·y² + slope·y + speed has come from y(0) = 0 after `time`.
 
@@ -117,7 +109,7 @@ def riccati_flow(quadratic: float, slope: float, speed: float, time: float) -> f
     return 2.0 * speed * sine / (math.cos(angle) - slope * sine)
 
 
-@_compiled
+@compiled
 def riccati_arrival(quadratic: float, slope: float, speed: float, distance: float) -> float:
     """When the same solution reaches `distance`, s: 0 if it lies behind, infinite if it is never reached."""
     ratio = distance / speed
@@ -136,33 +128,33 @@ def riccati_arrival(quadratic: float, slope: float, speed: float, distance: floa
     return 2.0 * math.atan2(0.5 * omega * ratio, 1.0 + 0.5 * slope * ratio) / omega
 
 
-@_compiled
+@compiled
 def seebeck_between(rig: Constants, plate: float, sink: float) -> float:
     """Seebeck coefficient at the mean of both temperatures, V/K: what module voltage and heats go by."""
     return rig.seebeck + rig.seebeck_slope * (0.5 * (plate + sink) - SEEBECK_REFERENCE)
 
 
-@_compiled
+@compiled
 def module_current(rig: Constants, volts: float, plate: float, sink: float) -> float:
     """Current before the limiter, A; positive cools the plate."""
     return (-volts - seebeck_between(rig, plate, sink) * (sink - plate)) / rig.loop_resistance
 
 
-@_compiled
+@compiled
 def _regime(rig: Constants, current: float) -> int:
     if current > rig.current_limit:
         return 1
     return -1 if current < -rig.current_limit else 0
 
 
-@_compiled
+@compiled
 def ripple_heat(rig: Constants, volts: float) -> float:
     """Joule heat of the current's swing about its mean that goes to each side, W."""
     swing = abs(volts) * max(rig.supply - abs(volts), 0.0) / (rig.loop_resistance * rig.loop_resistance)
     return 0.5 * rig.resistance * rig.drive_ripple * swing
 
 
-@_compiled
+@compiled
 def heat_flows(
     rig: Constants, current: float, ripple: float, plate: float, sink: float
 ) -> tuple[float, float]:
@@ -180,7 +172,7 @@ def heat_flows(
     )
 
 
-@_compiled
+@compiled
 def lagged(
     lag: float, sensor: float, plate: float, rate: float, plate_after: float, rate_after: float, time: float
 ) -> float:
@@ -210,7 +202,7 @@ def lagged(
     return sensor + m0 * (plate - sensor) + m1 * begin + m2 * second + m3 * third
 
 
-@_compiled
+@compiled
 def _held_sink_step(
     rig: Constants, plate: float, sink: float, sensor: float, volts: float, ripple: float, time: float
 ) -> tuple[float, float]:
@@ -260,7 +252,7 @@ def _held_sink_step(
     return sink + x, sensor
 
 
-@_compiled
+@compiled
 def _rates(
     rig: Constants, volts: float, ripple: float, regime: int, plate: float, sink: float
 ) -> tuple[float, float]:
@@ -270,7 +262,7 @@ def _rates(
     return -from_plate / rig.heat_capacity, -(from_sink + convected) / rig.sink_heat_capacity
 
 
-@_compiled
+@compiled
 def _runge_kutta(
     rig: Constants, volts: float, ripple: float, regime: int, plate: float, sink: float, h: float
 ) -> tuple[float, float]:
@@ -284,7 +276,7 @@ def _runge_kutta(
     )
 
 
-@_compiled
+@compiled
 def _integrated_step(
     rig: Constants, plate: float, sink: float, sensor: float, volts: float, ripple: float, time: float
 ) -> tuple[float, float, float]:
@@ -320,7 +312,7 @@ def _integrated_step(
     return plate, sink, sensor
 
 
-@_compiled
+@compiled
 def tick(rig: Constants, plate: float, sink: float, sensor: float, pwm: float) -> tuple[float, float, float]:
     """Temperature (K) of plate, sink and sensor one period later, the PWM held constant."""
     volts = pwm * rig.volts_per_count
@@ -335,7 +327,7 @@ def tick(rig: Constants, plate: float, sink: float, sensor: float, pwm: float) -
     return plate, sink, sensor if rig.sensor_lag > 0.0 else plate
 
 
-@_compiled
+@compiled
 def reading(seen: float, noise: float, frozen: bool, resolution: float, last: float) -> float:
     """What the camera says, °C, of what it sees, K: noisy, quantised; the last reading while it is frozen."""
     if frozen:
@@ -344,7 +336,7 @@ def reading(seen: float, noise: float, frozen: bool, resolution: float, last: fl
     return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
 
 
-@_compiled
+@compiled
 def pid_step(
     gains: Gains, integral: float, previous_error: float, reference: float, temperature: float
 ) -> tuple[float, float, float]:
@@ -358,7 +350,7 @@ def pid_step(
     return pwm, integral, error
 
 
-@_compiled
+@compiled
 def closed_loop(
     rig: Constants,
     gains: Gains,
@@ -384,7 +376,7 @@ def closed_loop(
     return temperature, pwm
 
 
-@_compiled
+@compiled
 def noise_sensitivity(
     rig: Constants,
     gains: Gains,
@@ -422,7 +414,7 @@ def noise_sensitivity(
     return derivative
 
 
-@_compiled
+@compiled
 def driven(rig: Constants, pwm: FloatArray, plate: float, sink: float, sensor: float) -> FloatArray:
     """Temperature (°C) that is seen at each tick of a plate that follows a given PWM."""
     temperature = np.empty(pwm.size)

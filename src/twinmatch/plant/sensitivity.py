@@ -15,13 +15,13 @@ file has a tick of its own. A test holds it against that of `kernels`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar, cast
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinmatch.compiled import compiled
 from twinmatch.plant.driver import Driver
 from twinmatch.plant.kernels import Gains, riccati_arrival
 from twinmatch.plant.parameters import PARAMETER_NAMES, PlantError, RigParameters, require_kelvin
@@ -34,13 +34,6 @@ DIFFERENTIABLE = ("seebeck", "resistance", "conductance", "heat_capacity", "ambi
 """Names of the parameters by which `LoopSensitivity` differentiates."""
 
 _NOTHING, _NO_WEIGHTS = np.zeros((2, 0)), np.zeros(2)
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
-
-
-def _compiled(function: _Function) -> _Function:
-    # No fastmath, as in `kernels`: the same input gives the same bits.
-    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 class Tangents(NamedTuple):
@@ -149,7 +142,7 @@ def noise_scores(
     return _noise_scores(tangents.slopes, np.ascontiguousarray(weighed), *weights, gains.constants)
 
 
-@_compiled
+@compiled
 def _flow(quadratic: float, slope: float, speed: float, time: float) -> tuple[float, float, float, float]:
     """y(time) of y' = quadratic·y² + slope·y + speed from y(0) = 0, and its derivatives by the three.
 
@@ -194,7 +187,7 @@ def _flow(quadratic: float, slope: float, speed: float, time: float) -> tuple[fl
     )
 
 
-@_compiled
+@compiled
 def _coefficients(values: FloatArray, bridge: float, which: NDArray[np.int64], limited: bool) -> FloatArray:
     """Coefficients of the rate and their derivatives, shape (1 + n, 5).
 
@@ -236,7 +229,7 @@ def _coefficients(values: FloatArray, bridge: float, which: NDArray[np.int64], l
     return rows
 
 
-@_compiled
+@compiled
 def _loop_with_tangents(
     values: FloatArray,
     bridge: float,
@@ -363,7 +356,7 @@ def _loop_with_tangents(
     return temperature, pwm, derivative, slopes, normal
 
 
-@_compiled
+@compiled
 def _noise_scores(
     slopes: FloatArray, weighed: FloatArray, weight_y: float, weight_u: float, gains: Gains
 ) -> tuple[FloatArray, float]:
