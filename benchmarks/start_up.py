@@ -1,11 +1,13 @@
 """Start-up: from the shell to the first sample judged, and a whole hour from the shell.
 
 Everything runs in new processes, so the operating system's start of Python counts too; `python -c pass` is
-measured beside. Kernels are compiled beforehand, as `make setup` leaves them.
+measured beside. Kernels are compiled beforehand, as `make setup` leaves them, and modules are byte-compiled,
+as Python does it at the first use wherever it is not forbidden.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -17,9 +19,9 @@ from benchmarks.common import Row, main, measure_side_by_side
 from benchmarks.rig import recorded
 from twinmatch.sessions import write_session
 
-START_TARGET = 1.0
+START_TARGET = 0.8
 """s, for import and start-up."""
-HOUR_TARGET = 3.0
+HOUR_TARGET = 2.0
 """s, for all of an hour, start-up included."""
 
 
@@ -47,7 +49,11 @@ def run(quick: bool) -> list[Row]:
 
 def _python(*arguments: object) -> Callable[[], None]:
     command = [sys.executable, *map(str, arguments)]
-    return lambda: subprocess.run(command, check=True, capture_output=True) and None
+    return lambda: subprocess.run(command, check=True, capture_output=True, env=_environment()) and None
+
+
+def _environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
 def _loading(session: Path, repeats: int) -> Row:
@@ -59,7 +65,7 @@ def _loading(session: Path, repeats: int) -> Row:
     )
     command = [sys.executable, "-c", code, str(session)]
     took = [
-        float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        float(subprocess.run(command, check=True, capture_output=True, text=True, env=_environment()).stdout)
         for _ in range(repeats)
     ]
     note = "CPU time of Python, imports and loading all kernels"

@@ -49,6 +49,8 @@ def _by_name(tree: Tree) -> Tree:
     if {"plant", "names", "values"} <= tree.keys():
         held = dict(zip(tree["names"], tree["values"], strict=True))
         return {"plant": tree["plant"], "structure": tree["structure"], **held}
+    if "seebeck" in tree:  # the rig's own message, before there were other plants
+        return {"plant": "", "structure": ""} if math.isnan(tree["seebeck"]) else {"plant": PLANT, **tree}
     if "start_values" in tree:
         tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
     if "sink_start" in tree:
