@@ -38,7 +38,7 @@ FREE = MODEL.structure.free
 AMBIENT, RESISTANCE = START["ambient"], START["resistance"]
 LOOP_RESISTANCE, CURRENT_LIMIT = RESISTANCE + START["bridge_resistance"], START["current_limit"]
 VOLTS_PER_COUNT = START["supply"] / GAINS.high
-P, I, D, BACK, PERIOD, LIMIT = *GAINS.constants[:5], GAINS.high
+P, I, D, BACK, PERIOD, LIMIT = *GAINS.constants[:5], GAINS.high  # noqa: E741
 STEPS = 4
 """Runge–Kutta steps of the peers in each tick."""
 LOW, HIGH = (np.array([MODEL.declared[name].bounds[end] for name in FREE]) for end in (0, 1))

@@ -14,9 +14,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from twinmatch.cli import main
+from twinmatch.dynamics import Pid
 from twinmatch.judging.terms import recorded_terms
 from twinmatch.judging.verification import verify_session
-from twinmatch.plant import Pid
+from twinmatch.plants import Peltier
 from twinmatch.sessions import read_session
 from twinmatch.sessions.cdr import decode_sample
 from twinmatch.sessions.definitions import LOOP_SAMPLE
@@ -50,7 +51,7 @@ def test_samples_are_those_that_another_reader_finds() -> None:
 
 def test_outputs_and_inputs_are_those_of_the_loop() -> None:
     """The rig's PID computes the inputs from references and outputs, so none is taken for another."""
-    window, pid = read_session(SESSION).window(), Pid()
+    window, pid = read_session(SESSION).window(), Pid(Peltier.loop)
     computed = [pid.step(r, y) for r, y in zip(window.reference, window.output, strict=True)]
     np.testing.assert_allclose(computed, window.input, atol=1e-9)
 

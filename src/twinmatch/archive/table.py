@@ -49,7 +49,7 @@ def cells(row: dict[str, Any], matched: Sequence[Quantity]) -> tuple[str, ...]:
         f"{row['name']}{' *' if row['nominal'] else ''}",
         *(q.text(row["parameters"].get(q.name, math.nan)) for q in matched),
         row["chosen_order"],
-        _number(row["criteria"]["information_gain"], ".0f"),
+        _number(row["criteria"]["gain"], ".0f"),
         _number(row["nu_gap_sum"], ".3f"),
         _number(row["nu_gap_to_plant"], ".3f"),
         _number(fit["y"], ".1%"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -35,15 +35,18 @@ class Match:
     the fit are NaN.
     """
 
+    DERIVED: ClassVar = ("standard_errors",)
+    """Recorded beside the fields."""
+
     parameters: Parameters
     free: tuple[str, ...]
     """Names of what was fitted, in the order of the arrays below: parameters in the model's order, then the
     states whose value at the window's third sample was unknown."""
     starts: Mapping[str, float]
     """Those states' values, by name; empty where the structure leaves none open."""
-    covariance: FloatArray
+    covariance: FloatArray = field(metadata={"columns": -1})
     """Of the fitted parameters, shape (n, n), their own units."""
-    fisher: FloatArray
+    fisher: FloatArray = field(metadata={"columns": -1})
     """Information JᵀJ of the weighed residuals, shape (n, n)."""
     eigenvalues: FloatArray
     """Of the information in units of the parameters' scales, ascending, shape (n,)."""
@@ -61,10 +64,10 @@ class Match:
     status: Status
     reason: str
     """One sentence on the status."""
-    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)), metadata={"columns": -1})
     """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
     to `eigenvalues[j]`, so column 0 is the combination of parameters that the window shows least."""
-    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2})
     """Profile-likelihood interval (95 %) of each parameter, its own unit, shape (n, 2); an end is
     infinite where a bound of the search cuts the interval off, zero where physics does, and NaN where no
     fit was made or it does not explain the window."""
