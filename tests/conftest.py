@@ -14,7 +14,7 @@ import pytest
 import scipy.io
 from hypothesis import settings
 
-from tests.support.places import PROJECT
+from tests.support.places import PROJECT, TESTS
 from twinmatch.signals import Window
 
 RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "shared" / "rig_recordings"))
@@ -23,8 +23,22 @@ RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "share
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+FIRST = ("system", "nodes", "emulation", "dashboard", "camera_server")
+"""Folders whose tests mostly wait for other processes; they begin first, so that none is the last."""
+
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("repeatable")
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Twice the processors: half of the tests wait for other processes, and none measures time."""
+    return 2 * (os.cpu_count() or 1)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What waits begins first; the order within a folder stays."""
+    folders = {name: place for place, name in enumerate(FIRST)}
+    items.sort(key=lambda item: folders.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -27,6 +27,8 @@ _NUMBER = re.compile(r"\[\d+\]")
 
 NANOSECONDS = 1_000_000_000
 NAMED = ("level", "status")
+RIG = "peltier"
+"""The plant of all sessions from before there were others."""
 RENAMED = {"residual_y": "driven_rms_y", "residual_u": "closed_rms_u"}
 """Fields that were called otherwise before."""
 CRITERIA = ("trivial_length", "model_length", "gain", "explanation", "naic", "bic", "mdl", "two_part_length")
@@ -49,6 +51,8 @@ def _by_name(tree: Tree) -> Tree:
     if {"plant", "names", "values"} <= tree.keys():
         held = dict(zip(tree["names"], tree["values"], strict=True))
         return {"plant": tree["plant"], "structure": tree["structure"], **held}
+    if "seebeck" in tree:  # the rig's own message, before there were other plants
+        return {"plant": "", "structure": ""} if math.isnan(tree["seebeck"]) else {"plant": RIG, **tree}
     if "start_values" in tree:
         tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
     if "sink_start" in tree:

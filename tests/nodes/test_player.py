@@ -42,6 +42,18 @@ def test_every_byte_arrives(start: Callable[..., Process], listener: Listener, s
     assert player.wait() == 0
 
 
+def test_a_session_of_the_first_form_is_played_as_one_of_today(
+    start: Callable[..., Process], listener: Listener
+) -> None:
+    path = Path(__file__).resolve().parents[1] / "sessions" / "first_form"
+    heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    player = start("player", "-p", f"session:={path}", "-p", "rate:=0.0")
+    samples = read_session(path).samples
+    listener.spin_until(lambda: len(heard) == len(samples), "the last sample")
+    assert [sample_from(message) for message in heard] == samples
+    assert player.wait() == 0
+
+
 def test_slow_reader_loses_nothing(start: Callable[..., Process], listener: Listener, tmp_path: Path) -> None:
     """More samples than any queue between holds, to a reader that takes none for a second."""
     samples = counted(7000, 0.1)

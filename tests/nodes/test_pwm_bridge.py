@@ -230,7 +230,8 @@ def test_a_signal_ends_it_with_zero(
 def test_doubt_is_zero_and_latches_until_cleared(
     start: Callable[..., Process], rig: Rig, board: StandInArduino, kind: str, break_it: dict[str, Any]
 ) -> None:
-    start("pwm_bridge", "-p", f"port:={board.port}", "-p", "command_timeout:=2.0")
+    limits = ["-p", "command_timeout:=2.0", "-p", "temperature_timeout:=3.0"]
+    start("pwm_bridge", "-p", f"port:={board.port}", *limits)
     rig.drive(120.0, board)
     good = {name: getattr(rig, name) for name in break_it}
     for name, value in break_it.items():

@@ -116,10 +116,10 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     computed_matches = [match_tree(m, stamps[m.sample]) for m in judgement.matches]
     computed_scores = [verdict_tree(v, stamps[v.sample]) for v in judgement.verdicts]
     last = session.samples[-1].index
-    difference = _compare("match", matches, computed_matches, last) or _compare(
-        "verdict", scores, computed_scores, last
-    )
-    notes = list(session.notes)
+    apart: set[str] = set()
+    other_match = _compare("match", matches, computed_matches, last, apart)
+    difference = other_match or _compare("verdict", scores, computed_scores, last, apart)
+    notes = [*session.notes, *_another_form(apart)]
     if difference is None and len(scores) < len(computed_scores):
         notes.append(
             f"{len(computed_scores) - len(scores)} verdicts at the very end were not recorded any more"
@@ -165,9 +165,24 @@ def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
     return result
 
 
-def _compare(what: str, recorded: list[Tree], computed: list[Tree], last: int) -> Difference | None:
+def _another_form(apart: set[str]) -> list[str]:
+    """A note on fields that recorded and computed do not share."""
+    if not apart:
+        return []
+    fields = ", ".join(sorted(apart))
+    return [f"recorded in another form; only what both forms have was compared, which leaves out {fields}"]
+
+
+def _compare(
+    what: str, recorded: list[Tree], computed: list[Tree], last: int, apart: set[str]
+) -> Difference | None:
+    """The first difference; fields that only one form has go into `apart`."""
     for number, (one, other) in enumerate(zip(recorded, computed, strict=False), 1):
-        for field, was, now in differences(one, other):
+        missing: set[str] = set()
+        found = list(differences(one, other, apart=missing))
+        apart |= {field.removeprefix("candidates.") for field in missing}
+        if found:
+            field, was, now = found[0]
             return Difference(what, number, one["sample"], _owner(one, field), field, was, now)
     number = min(len(recorded), len(computed))
     if len(recorded) > number:

@@ -171,49 +171,44 @@ def test_cyclone_reads_every_sample(programs: Any, session: Path) -> None:
     assert len(heard) >= len(samples) - SETTLED
 
 
-def play(programs: Any, session: Path, *more: str, rate: float = RATE) -> Any:
-    """The twin and the player; returns the twin after the player has ended."""
-    twin = programs.start("-m", "twinmatch.nodes.twin", *(["--ros-args", *more] if more else []))
-    player = programs.start(
-        *("-m", "twinmatch.nodes.player", "--ros-args", *more, "-p", f"session:={session}"),
-        *("-p", f"rate:={float(rate)}", "-p", "wait_for:=3", "-p", "wait_timeout:=60.0"),
+@pytest.fixture(scope="module")
+def last_verdict(lasting_programs: Any, session: Path) -> Any:
+    """The last verdict on a session that was played to a twin, which stands for whoever comes late."""
+    start = lasting_programs.start
+    scores = lasting_programs.start_reader(
+        "twinmatch_msgs/ModelScore", "/late/twin/model_score", "everything"
+    )
+    namespace = ("-r", "__ns:=/late")
+    start("-m", "twinmatch.nodes.twin", "--ros-args", *namespace)
+    player = start(
+        *("-m", "twinmatch.nodes.player", "--ros-args", *namespace, "-p", f"session:={session}"),
+        *("-p", "rate:=0.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0", "-p", "clock:=false"),
     )
     assert player.wait() == 0, player.text
-    return twin
-
-
-def test_late_reader_is_given_the_nominal(programs: Any, session: Path) -> None:
-    """Nothing is published any more when it subscribes, so that it was given what stood is certain."""
-    scores = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
-    play(programs, session)
-    last = session_end(scores)
-    late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
-    late.said("{")
-    (nominal,) = late.json
-    (candidate,) = [c for c in last["candidates"] if c["name"] == last["nominal"]]
-    identity = ("name", "first", "last", "parameters")
-    assert {key: nominal[key] for key in identity} == {key: candidate[key] for key in identity}
-
-
-def session_end(scores: Any, sample: int = 599) -> Any:
-    """Wait for the verdict on a sample, and the one after which nothing comes for a second."""
-    scores.wait_until(
-        lambda: any(score["sample"] >= sample for score in scores.json), f"the verdict on {sample}"
-    )
-    while True:
+    last = 599  # the last sample on which there is something to say
+    scores.wait_until(lambda: any(score["sample"] >= last for score in scores.json), f"the verdict on {last}")
+    while True:  # and what comes within a second of it
         count = len(scores.json)
         time.sleep(1.0)
         if len(scores.json) == count:
             return scores.json[-1]
 
 
-def test_volatile_late_reader_is_given_nothing(programs: Any, session: Path) -> None:
+def test_late_reader_is_given_the_nominal(programs: Any, last_verdict: Any) -> None:
+    """Nothing is published any more when it subscribes, so that it was given what stood is certain."""
+    late = programs.start_reader("twinmatch_msgs/Candidate", "/late/twin/nominal", "latched")
+    late.said("{")
+    (nominal,) = late.json
+    (candidate,) = [c for c in last_verdict["candidates"] if c["name"] == last_verdict["nominal"]]
+    identity = ("name", "first", "last", "parameters")
+    assert {key: nominal[key] for key in identity} == {key: candidate[key] for key in identity}
+
+
+def test_volatile_late_reader_is_given_nothing(programs: Any, last_verdict: Any) -> None:
     """The counterpart that shows what `latched` is needed for."""
-    scores = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
-    play(programs, session)
-    session_end(scores)
-    late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal")
-    latched = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
+    assert last_verdict["nominal"]
+    late = programs.start_reader("twinmatch_msgs/Candidate", "/late/twin/nominal")
+    latched = programs.start_reader("twinmatch_msgs/Candidate", "/late/twin/nominal", "latched")
     latched.said("{")
     assert late.json == []
 

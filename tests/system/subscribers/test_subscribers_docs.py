@@ -66,7 +66,7 @@ def test_page_has_the_blocks_that_are_run_here() -> None:
 def test_verdicts_and_nominal(programs: Any, page: Path, session: Path) -> None:
     verdicts = start_shell(programs, page, blocks("sh")[0])
     twin = start_twin(programs)
-    player = start_player(programs, session, "-p", "wait_for:=3")
+    player = start_player(programs, session, "-p", "wait_for:=2")
     verdicts.said("sample 600: trusted, 70 °C")
     assert player.wait() == 0, player.text
     assert network.sockets_elsewhere(verdicts.id) == []
@@ -81,7 +81,7 @@ def test_namespace(programs: Any, page: Path, session: Path) -> None:
     beside = programs.start(page / "verdicts.py", "--ros-args", "-r", "__ns:=/rig_b")
     verdicts = start_shell(programs, page, blocks("sh")[1])
     start_twin(programs, "-r", "__ns:=/rig_a")
-    player = start_player(programs, session, "-p", "wait_for:=3", "-r", "__ns:=/rig_a")
+    player = start_player(programs, session, "-p", "wait_for:=2", "-r", "__ns:=/rig_a")
     assert player.wait() == 0, player.text
     verdicts.said("sample 600: trusted, 70 °C")
     assert beside.text == ""
