@@ -99,9 +99,8 @@ class Requests:
                 "the controller follows its own profile; it has to be started with reference_source: topic",
             )
         elif not (math.isfinite(level) and low <= level <= high):
-            self._state.tell(
-                False, f"{level:g} {unit} was not asked for: allowed is {low:g} to {high:g} {unit}"
-            )
+            allowed = f"allowed is {low:g} to {high:g} {unit}"
+            self._state.tell(False, f"{level:g} {unit} was not asked for: {allowed}")
         else:
             self._reference.publish(Float64(data=level))
             self._state.tell(
