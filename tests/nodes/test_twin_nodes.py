@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
-from twinmatch.plant.named import RIG
 
 from tests.support.processes import Process
 from tests.support.ros import Listener
@@ -26,7 +25,7 @@ from twinmatch.nodes.conversions import (
 )
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
-from twinmatch.plant import RigParameters
+from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
 from twinmatch_msgs.msg import (
@@ -117,7 +116,7 @@ def test_late_simulator_is_given_the_nominal(
     start: Callable[..., Process], listener: Listener, steps: list[Sample]
 ) -> None:
     """And its state is that of a mirror with those parameters."""
-    parameters = RigParameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
+    parameters = Peltier.model().parameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
     candidate = Candidate(name="60 °C", parameters=parameters_message(parameters))
     listener.node.create_publisher(Candidate, "twin/nominal", LATCHED).publish(candidate)
     samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
@@ -141,7 +140,7 @@ def test_simulator_says_once_what_plant_it_is(start: Callable[..., Any], listene
     listener.spin_until(lambda: heard, "the description")
     assert (heard[0].plant, heard[0].period) == ("peltier", 0.5)
     assert [signal.unit for signal in heard[0].output] == ["°C"]
-    assert [state.name for state in heard[0].states] == [state.name for state in RIG.states]
+    assert [state.name for state in heard[0].states] == list(Peltier.states)
     assert "sink with mass" in heard[0].structures
 
 
