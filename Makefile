@@ -27,7 +27,7 @@ PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
 
 help:
 	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13)"
-	@echo "make test                 setup, then every check and test (PYTEST_ARGS='tests/plant -x' picks some)"
+	@echo "make test                 setup, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
 	@echo "make check                setup, then only ruff, mypy and import-linter"
 	@echo "make demo                 setup, then run the twin on a sample session (SESSION=path picks another)"
 	@echo "make bench                setup and the peers, then measure side by side (BENCH_ARGS='--quick nu_gap' picks)"

@@ -38,7 +38,7 @@ FREE = MODEL.structure.free
 AMBIENT, RESISTANCE = START["ambient"], START["resistance"]
 LOOP_RESISTANCE, CURRENT_LIMIT = RESISTANCE + START["bridge_resistance"], START["current_limit"]
 VOLTS_PER_COUNT = START["supply"] / GAINS.high
-P, I, D, BACK, PERIOD, LIMIT = *GAINS.constants[:5], GAINS.high  # noqa: E741
+KP, KI, KD, KB, PERIOD, LIMIT = *GAINS.constants[:5], GAINS.high
 STEPS = 4
 """Runge–Kutta steps of the peers in each tick."""
 LOW, HIGH = (np.array([MODEL.declared[name].bounds[end] for name in FREE]) for end in (0, 1))
@@ -149,7 +149,7 @@ def _numba_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
     return _runge_kutta_loop(
         values,
         np.array([RESISTANCE, LOOP_RESISTANCE, CURRENT_LIMIT, AMBIENT]),
-        np.array([P, I, D, BACK, PERIOD, LIMIT]),
+        np.array([KP, KI, KD, KB, PERIOD, LIMIT]),
         VOLTS_PER_COUNT,
         problem.window.reference[2:],
         float(problem.window.output[2]) + KELVIN,
@@ -211,9 +211,9 @@ def _solve_ivp_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
 
     for reference in problem.window.reference[2:].tolist():
         error = reference - (plate - KELVIN)
-        wanted = P * error + integral + D * (error - previous) / PERIOD
+        wanted = KP * error + integral + KD * (error - previous) / PERIOD
         u = min(max(wanted, -LIMIT), LIMIT)
-        integral += PERIOD * (I * error + BACK * (u - wanted))
+        integral += PERIOD * (KI * error + KB * (u - wanted))
         previous = error
         temperature.append(plate - KELVIN)
         pwm.append(u)
@@ -227,7 +227,7 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
     state, reference, values = casadi.SX.sym("x", 3), casadi.SX.sym("r"), casadi.SX.sym("p", 3)
     plate, integral, previous = state[0], state[1], state[2]
     error = reference - (plate - KELVIN)
-    wanted = P * error + integral + D * (error - previous) / PERIOD
+    wanted = KP * error + integral + KD * (error - previous) / PERIOD
     u = casadi.fmin(casadi.fmax(wanted, -LIMIT), LIMIT)
 
     def rate(now: Any) -> Any:
@@ -243,7 +243,7 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
         k3 = rate(after + 0.5 * h * k2)
         k4 = rate(after + h * k3)
         after = after + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    following = casadi.vertcat(after, integral + PERIOD * (I * error + BACK * (u - wanted)), error)
+    following = casadi.vertcat(after, integral + PERIOD * (KI * error + KB * (u - wanted)), error)
     outputs = casadi.vertcat(
         (plate - KELVIN) / NOISE.output,
         u / NOISE.input,

@@ -33,8 +33,8 @@ class Nothing:
     def rate(self, rate: float) -> None:
         raise AssertionError(rate)
 
-    def set_point(self, celsius: float) -> None:
-        raise AssertionError(celsius)
+    def set_point(self, level: float) -> None:
+        raise AssertionError(level)
 
     def clear_fault(self) -> None:
         raise AssertionError

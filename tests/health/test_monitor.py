@@ -102,6 +102,8 @@ def test_the_real_failure_is_told_in_time_and_by_name(recorded_hour: Callable[[i
         (50.0, ("drive-lost", 500, 15), Fault.DRIVE_LOST, 15),
         (80.0, ("drive-lost", 210), Fault.DRIVE_LOST, 10),  # on the way up
         (20.0, ("drive-lost", 205), Fault.DRIVE_LOST, 60),  # on the way down, where nothing is asked of it
+        (80.0, ("supply*0.5", 500), Fault.DRIVE_WEAK, 40),
+        (50.0, ("supply*0.5", 500), Fault.DRIVE_WEAK, 40),
         (60.0, ("sensor-frozen", 500), Fault.SENSOR_FROZEN, 12),
         (60.0, ("sensor-frozen", 500, 12), Fault.SENSOR_FROZEN, 12),
         (60.0, ("sensor-frozen", 205), Fault.SENSOR_FROZEN, 12),
@@ -145,6 +147,28 @@ def test_healthy_steps_saturation_and_corrections_of_the_camera_are_no_fault() -
         assert max(abs(s.input) for s in samples) == 255.0
         monitor, _ = rig.watch(samples)
         assert monitor.alarms == ()
+
+
+class Worsening:
+    """A drive that gets half its supply first and none afterwards."""
+
+    kind = ""
+
+    def on(self, k: int) -> bool:
+        self.kind = "supply*0.5" if k < 500 else "drive-lost"
+        return k >= 400
+
+
+def test_a_weak_drive_that_is_lost_in_the_end_is_told_twice() -> None:
+    weak, _ = rig.watch(holding(60.0, rig.Break("supply*0.5", 400, 200)))
+    assert [a.fault for a in weak.alarms] == [Fault.DRIVE_WEAK]
+    assert "should to the plate temperature" in weak.alarms[0].reason
+    assert weak.alarms[0].last is not None  # the supply was mended
+    assert 600 - 10 <= weak.alarms[0].last <= 660
+    worse, _ = rig.watch(holding(60.0, Worsening()))
+    assert [a.fault for a in worse.alarms] == [Fault.DRIVE_WEAK, Fault.DRIVE_LOST]
+    assert 500 < worse.alarms[1].flagged <= 515
+    assert worse.alarms[1].first == worse.alarms[0].last + 1
 
 
 def test_a_drift_spoils_no_window() -> None:

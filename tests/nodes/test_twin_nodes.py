@@ -26,7 +26,6 @@ from twinmatch.nodes.conversions import (
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.plants import Peltier
-from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
 from twinmatch_msgs.msg import (
@@ -141,9 +140,7 @@ def test_simulator_says_once_what_plant_it_is(start: Callable[..., Any], listene
     listener.spin_until(lambda: heard, "the description")
     assert (heard[0].plant, heard[0].period) == ("peltier", 0.5)
     assert [signal.unit for signal in heard[0].output] == ["°C"]
-    assert [state.name for state in heard[0].states] == [
-        state.name for state in description_of(Peltier).states
-    ]
+    assert [state.name for state in heard[0].states] == list(Peltier.states)
     assert "sink with mass" in heard[0].structures
 
 

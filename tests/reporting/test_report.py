@@ -158,7 +158,7 @@ def test_the_coefficients_are_those_of_the_models_that_were_scored(page: Element
     assert [s.total.gain for s in scored] == [o.total.gain for o in nominal.score.orders]
     rows = grid(tables_of(page)[f"Box–Jenkins models of candidate {nominal.score.name}, nominal"])
     assert [(r[0].text, r[1].text) for r in rows] == [
-        (output, polynomial) for output in ("temperature y/r", "control u/r") for polynomial in "BCDF"
+        (output, polynomial) for output in ("output y/r", "control u/r") for polynomial in "BCDF"
     ]
     for k, model in enumerate(nominal.models):
         for j, row in enumerate(rows):

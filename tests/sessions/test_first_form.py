@@ -77,8 +77,8 @@ def test_verdicts_are_compared_in_what_both_forms_have() -> None:
     found = verify_session(SESSION)
     assert (found.samples, found.verdicts, found.matches) == (360, 6, 1)
     assert found.notes[0].startswith("recorded in another form; only what both forms have was compared")
-    assert "match.parameters.structure" in found.notes[0]
-    for renamed in ("rms_y", "rms_u", "residual", "seebeck", "starts"):
+    assert " parameters.structure" in found.notes[0]
+    for renamed in ("rms_y", "rms_u", "residual", " parameters.heat_capacity", "starts"):
         assert renamed not in found.notes[0]
     if found.difference is not None:
         assert type(found.difference.recorded) is type(found.difference.computed)

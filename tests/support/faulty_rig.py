@@ -99,6 +99,8 @@ def run(
 def _now(rig: Parameters, what: str) -> Parameters:
     if what == "drive-lost":
         return rig.replace(current_limit=1e-9)
+    if what.startswith("supply*"):
+        return rig.replace(supply=float(what[7:]) * rig["supply"])
     if what.startswith("room+"):
         return rig.replace(ambient=rig["ambient"] + float(what[5:]))
     if what == "fan-failed":
@@ -129,7 +131,7 @@ def measure(kind: str, length: int, runs: int) -> str:
     for seed in range(runs):
         start = int(np.random.default_rng(seed).integers(500, 900))
         reference, rig = (
-            profile(seed + 1000, 1500 if kind[:4] in ("driv", "sens", "read") else 2700),
+            profile(seed + 1000, 1500 if kind[:4] in ("driv", "supp", "sens", "read") else 2700),
             some_rig(seed),
         )
         samples, truth = run(reference, Break(kind, start, length), rig=rig, seed=seed)
@@ -169,6 +171,7 @@ def main() -> None:
     runs, hours = (int(a) for a in (*sys.argv[1:], "40", "100")[:2])
     print("broken          length | onset med max | visible med max | cleared | before | told")
     cases = [("drive-lost", n) for n in (10, 20, 60, 1_000_000)]
+    cases += [(kind, n) for kind in ("supply*0.5", "supply*0.6") for n in (60, 1_000_000)]
     cases += [("sensor-frozen", n) for n in (12, 30, 1_000_000)]
     cases += [(kind, n) for kind in ("sensor-off", "reading-offset") for n in (20, 1_000_000)]
     cases += [(kind, 1_000_000) for kind in ("room+10", "room+20", "fan-failed")]

@@ -23,7 +23,7 @@ class Actions(Protocol):
     def rate(self, rate: float) -> None:
         """Let it play so many recorded seconds per second; 0: as fast as it goes."""
 
-    def set_point(self, celsius: float) -> None:
+    def set_point(self, level: float) -> None:
         """Ask the controller for a set-point."""
 
     def clear_fault(self) -> None:

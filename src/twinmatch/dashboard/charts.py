@@ -10,15 +10,12 @@ from bokeh.plotting import figure
 
 from twinmatch.dashboard.events import Event, Lane
 from twinmatch.dashboard.look import MARKS, SHAPES
-from twinmatch.plants import Peltier
-from twinmatch.plants.named import description_of
+from twinmatch.description import Description
 from twinmatch.signals import FloatArray
 from twinmatch.views.events import Stretch
 from twinmatch.views.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
 
 __all__ = ["TimeCharts", "bands"]
-
-RIG = description_of(Peltier)
 
 BAND = 2.0
 """Width of the residual band on both sides, in RMS of the newest samples."""
@@ -38,9 +35,9 @@ def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 class TimeCharts:
     """The figures of one tab; they move together."""
 
-    def __init__(self, plant: ColumnDataSource, twin: ColumnDataSource) -> None:
-        """Draw these two sources."""
-        self._plant, self._twin = plant, twin
+    def __init__(self, plant: ColumnDataSource, twin: ColumnDataSource, said: Description) -> None:
+        """Draw these two sources; `said` names their signals."""
+        self._plant, self._twin, self._said = plant, twin, said
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
         self.output = self._output()
         self.control = self._control()
@@ -107,7 +104,7 @@ class TimeCharts:
         return chart
 
     def _output(self) -> Any:
-        chart = self._figure("output", 320, RIG.output.label)
+        chart = self._figure("output", 320, self._said.output.label)
         plant = chart.line("t", "output", source=self._plant, color=PLANT, line_width=2)
         closed = chart.line("t", "closed_output", source=self._twin, color=CLOSED, line_width=1.6)
         asked = chart.step(
@@ -116,21 +113,21 @@ class TimeCharts:
         asked.glyph.line_dash = [6, 4]
         self.time.renderers = [plant]
         _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@output{{0.00}} {RIG.output.unit}")])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@output{{0.00}} {self._said.output.unit}")])
         return chart
 
     def _control(self) -> Any:
-        chart = self._figure("control", 210, RIG.input.label)
+        chart = self._figure("control", 210, self._said.input.label)
         plant = chart.step("t", "input", source=self._plant, mode="after", color=PLANT, line_width=1.6)
         closed = chart.step(
             "t", "closed_input", source=self._twin, mode="after", color=CLOSED, line_width=1.2
         )
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@input{{0.0}} {RIG.input.unit}")])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@input{{0.0}} {self._said.input.unit}")])
         return chart
 
     def _residual(self) -> Any:
-        chart = self._figure("residual", 180, f"plant − twin / {RIG.output.unit}")
+        chart = self._figure("residual", 180, f"plant − twin / {self._said.output.unit}")
         band = chart.varea(
             "t",
             "driven_rms_y_low",
@@ -146,12 +143,15 @@ class TimeCharts:
         _hover(
             chart,
             driven,
-            [("time", "@t{0.0} s"), ("plant − driven twin", f"@driven_residual_y{{0.00}} {RIG.output.unit}")],
+            [
+                ("time", "@t{0.0} s"),
+                ("plant − driven twin", f"@driven_residual_y{{0.00}} {self._said.output.unit}"),
+            ],
         )
         return chart
 
     def _control_residual(self) -> Any:
-        chart = self._figure("control_residual", 180, f"plant − twin / {RIG.input.unit}")
+        chart = self._figure("control_residual", 180, f"plant − twin / {self._said.input.unit}")
         band = chart.varea(
             "t",
             "closed_rms_u_low",
@@ -163,7 +163,9 @@ class TimeCharts:
         line = chart.line("t", "closed_residual_u", source=self._twin, color=CLOSED, line_width=1.2)
         _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
         _hover(
-            chart, line, [("time", "@t{0.0} s"), ("residual", f"@closed_residual_u{{0.0}} {RIG.input.unit}")]
+            chart,
+            line,
+            [("time", "@t{0.0} s"), ("residual", f"@closed_residual_u{{0.0}} {self._said.input.unit}")],
         )
         return chart
 

@@ -70,7 +70,7 @@ class Dashboard(TwinmatchNode):
         Raises:
             DashboardError: the address or port cannot be used.
         """
-        self.state = DashboardState()
+        self.state = DashboardState(plant=self._settings.plant)
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._requests = Requests(self, self.state, self._asked.put, control=self.values["control"])
         self._hear(LoopSample, "plant/sample", self._on_sample, ALL)

@@ -48,7 +48,7 @@ class Page:
         self._state, self._clock = state, clock
         self._plant = Feed(state.plant)
         self._twin = Feed(state.twin, bands)
-        self._charts = TimeCharts(self._plant.source, self._twin.source)
+        self._charts = TimeCharts(self._plant.source, self._twin.source, state.described)
         self._matrix, self._thermal = Matrix(), Thermal()
         names = (
             "status",
@@ -66,7 +66,7 @@ class Page:
         self._every = Toggle(label="all orders", name="every", width=110)
         self._span = SpanButtons()
         self._player = PlayerButtons(actions)
-        self._rig = RigButtons(actions) if actions.control else None
+        self._rig = RigButtons(actions, state.described.reference.label) if actions.control else None
         if self._rig is not None:
             self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}

@@ -10,8 +10,6 @@ from twinmatch.dashboard.look import MARKS, SIGNS, text
 from twinmatch.dashboard.roster import Roster
 from twinmatch.dashboard.state import DashboardState
 from twinmatch.discrimination import TrustLevel, Verdict
-from twinmatch.plants import Peltier
-from twinmatch.plants.named import description_of
 from twinmatch.views import COLUMNS, row
 from twinmatch.views.criteria import computed, criterion_rows
 from twinmatch.views.quantities import number, quantity
@@ -30,8 +28,6 @@ __all__ = [
     "status",
     "tiles",
 ]
-
-RIG = description_of(Peltier)
 
 RECENT = 80
 """Events in the table."""
@@ -76,15 +72,15 @@ def headline(verdict: Verdict | None, period: float, sentence: str = "") -> str:
 
 def tiles(state: DashboardState) -> str:
     """Figures of the moment."""
-    now = state.plant.newest() or {}
+    now, said = state.plant.newest() or {}, state.described
     twin = state.twin.newest() or {}
     entries = [
-        (RIG.reference.label, number(now.get("reference"), 1)),
-        (f"plant / {RIG.output.unit}", number(now.get("output"), 2)),
-        (f"closed-loop twin / {RIG.output.unit}", number(twin.get("closed_output"), 2)),
-        (f"driven twin / {RIG.output.unit}", number(twin.get("driven_output"), 2)),
-        (f"plant's {RIG.input.label}", number(now.get("input"), 1)),
-        (f"twin's {RIG.input.label}", number(twin.get("closed_input"), 1)),
+        (said.reference.label, number(now.get("reference"), 1)),
+        (f"plant / {said.output.unit}", number(now.get("output"), 2)),
+        (f"closed-loop twin / {said.output.unit}", number(twin.get("closed_output"), 2)),
+        (f"driven twin / {said.output.unit}", number(twin.get("driven_output"), 2)),
+        (f"plant's {said.input.label}", number(now.get("input"), 1)),
+        (f"twin's {said.input.label}", number(twin.get("closed_input"), 1)),
     ]
     if state.drive is not None:
         entries.append(("applied / PWM", number(state.drive.pwm, 0)))

@@ -76,33 +76,35 @@ class Requests:
         if self._control:
             self._call(self._stop, Trigger.Request(), "pwm_bridge", self._tell_answer)
 
-    def set_point(self, celsius: float) -> None:
+    def set_point(self, level: float) -> None:
         """Ask the controller for a set-point, once it has said that it would follow one."""
         if not self._control:
             return
 
         def ask(answer: Any) -> None:
-            self._ask_for(celsius, answer.values)
+            self._ask_for(level, answer.values)
 
         self._call(self._limits, GetParameters.Request(names=list(SOURCE)), "the controller", ask)
 
-    def _ask_for(self, celsius: float, values: list[Any]) -> None:
+    def _ask_for(self, level: float, values: list[Any]) -> None:
         found = {name: value for name, value in zip(SOURCE, values, strict=False) if value.type}
         if len(found) < len(SOURCE):
             self._state.tell(False, "the controller does not say which set-points it follows")
             return
+        unit = self._state.described.reference.unit
         low, high = found["profile.lowest"].double_value, found["profile.highest"].double_value
         if found["reference_source"].string_value != "topic":
             self._state.tell(
                 False,
                 "the controller follows its own profile; it has to be started with reference_source: topic",
             )
-        elif not (math.isfinite(celsius) and low <= celsius <= high):
-            self._state.tell(False, f"{celsius:g} °C was not asked for: allowed is {low:g} to {high:g} °C")
+        elif not (math.isfinite(level) and low <= level <= high):
+            allowed = f"allowed is {low:g} to {high:g} {unit}"
+            self._state.tell(False, f"{level:g} {unit} was not asked for: {allowed}")
         else:
-            self._reference.publish(Float64(data=celsius))
+            self._reference.publish(Float64(data=level))
             self._state.tell(
-                True, f"asked for {celsius:g} °C; the set-point above follows with the next sample"
+                True, f"asked for {level:g} {unit}; the set-point above follows with the next sample"
             )
 
     def _call(self, client: Any, request: Any, whom: str, then: Callable[[Any], None]) -> None:

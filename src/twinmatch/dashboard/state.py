@@ -15,6 +15,9 @@ from twinmatch.dashboard.events import Event, EventLog, Lane, Mark
 from twinmatch.dashboard.history import History
 from twinmatch.dashboard.roster import Roster
 from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.dynamics import Plant
+from twinmatch.plants import Peltier
+from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.views.events import Event as Told
 from twinmatch.views.events import EventKind, Stretch, events
@@ -70,8 +73,9 @@ class DashboardState:
     or another recording is played.
     """
 
-    def __init__(self, capacity: int = CAPACITY) -> None:
-        """Begin with nothing heard; `capacity` samples are kept."""
+    def __init__(self, capacity: int = CAPACITY, plant: type[Plant] = Peltier) -> None:
+        """Begin with nothing heard of this plant; `capacity` samples are kept."""
+        self.described = description_of(plant)
         self.lock = threading.RLock()
         self.plant = History(("reference", "output", "input"), capacity)
         self.twin = History(TwinRow._fields, capacity)

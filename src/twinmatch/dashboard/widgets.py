@@ -66,10 +66,10 @@ class PlayerButtons:
 class RigButtons:
     """Set-point, clearing a fault and stop, for a page that may control."""
 
-    def __init__(self, actions: Actions) -> None:
-        """Ask `actions` for what is clicked."""
+    def __init__(self, actions: Actions, label: str) -> None:
+        """Ask `actions` for what is clicked; `label` names the set-point."""
         self._actions = actions
-        self._input = NumericInput(title="set-point / °C", mode="float", width=110)
+        self._input = NumericInput(title=label, mode="float", width=110)
         ask = Button(label="Set", width=70, button_type="primary")
         ask.on_click(self._on_ask)
         clear = Button(label="Clear fault", width=110, button_type="warning")

@@ -158,7 +158,16 @@ class Balance:
     @property
     def rough(self) -> bool:
         """Whether there is reason to try other parameters."""
-        return len(self._errors) >= TRIAL // 3 and self.roughness > _ROUGH * self.noise
+        return self._seasoned and self.roughness > _ROUGH * self.noise
+
+    @property
+    def smooth(self) -> bool:
+        """Whether it has proved to explain the plant well."""
+        return self._seasoned and self.roughness <= _ROUGH * self.noise
+
+    @property
+    def _seasoned(self) -> bool:
+        return len(self._errors) >= TRIAL // 3
 
     def tried(self, parameters: Parameters) -> Balance:
         """The balance to go on with: one of these parameters if, as they are, they explain the newest

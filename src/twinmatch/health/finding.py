@@ -77,6 +77,14 @@ class Words:
         )
         return Finding(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 
+    def weak(self, index: int, effect: Effect, lasts: int, *, sure: bool) -> Finding:
+        """A drive with too small an effect, for so many samples."""
+        reason = (
+            f"the drive does {max(effect.share, 0.0):.0%} of what it should to {self._output}, and that for "
+            f"{lasts * self._period:g} s: look at drive, wires and supply"
+        )
+        return Finding(Fault.DRIVE_WEAK, sure, index - effect.length - lasts, reason)
+
     def drifting(self, index: int, drift: Drift, *, sure: bool) -> Finding:
         """A slow change."""
         rate = f"{drift.rate:+.2g}{self._unit}/s"

@@ -18,6 +18,8 @@ __all__ = ["Monitor"]
 
 _CONFIRM: Final = 3
 """Samples in a row that have to show a drive without effect."""
+_WEAKLY: Final = 20.0
+"""Time for which a drive has to show too small an effect, s."""
 _MEND: Final = 15.0
 """Time without any trace after which a sensor counts as mended, s."""
 _PROVE: Final = 10.0
@@ -28,6 +30,12 @@ _SUSPICION: Final = 0.6
 """Share of the drift limit from which there is a suspicion, and nothing is learned any more."""
 _ACCEPT: Final = 600.0
 """Time after which a drift that was told is learned as how the plant is now, s."""
+
+_GRAVER: Final = {
+    Fault.DRIFT: frozenset(Fault) - {Fault.DRIFT},
+    Fault.DRIVE_WEAK: frozenset({Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}),
+}
+"""Faults that are told though another one is on, and take its place."""
 
 
 class Monitor:
@@ -53,6 +61,7 @@ class Monitor:
         self._before: Sample | None = None
         self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
         self._contrary = 0  # samples in a row without the drive's effect
+        self._feeble = 0  # samples in a row with too small a one
         self._quiet = 0  # samples in a row without any trace but a drift's
         self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: list[Alarm] = []
@@ -102,7 +111,7 @@ class Monitor:
     def _restart_traces(self) -> None:
         self._effect.restart()
         self._lag.restart()
-        self._contrary = 0
+        self._contrary = self._feeble = 0
 
     def _try(self) -> None:
         """Go over to the parameters given if the balance is rough and theirs is smoother."""
@@ -136,18 +145,28 @@ class Monitor:
     def _weigh(self, sample: Sample) -> Finding | None:
         if self._repeats.stands:
             return self._words.frozen(sample, self._repeats)
-        if self._effect.share < self.settings.lost and not self._repeats.unusual:
-            self._contrary += 1
-            lag = self._lag.seconds(self._effect.length)
-            sure = self._contrary >= _CONFIRM
-            if lag is not None:
-                return self._words.late(sample.index, self._effect, lag, sure=sure)
-            return self._words.lost(sample.index, self._effect, sure=sure)
-        self._contrary = 0
+        # What looks weak may be a twin that expects too much, so the balance has to have been good.
+        least = self.settings.weak if self._balance.smooth else self.settings.lost
+        if self._effect.share < least and not self._repeats.unusual:
+            return self._short_of_effect(sample.index)
+        self._contrary = self._feeble = 0
         if self._drifting:
             sure = self._drift.size >= self.settings.drift
             return self._words.drifting(sample.index, self._drift, sure=sure)
         return None
+
+    def _short_of_effect(self, index: int) -> Finding:
+        """A drive that is lost, or weak, or readings that only come late."""
+        lost = self._effect.share < self.settings.lost
+        self._contrary = self._contrary + 1 if lost else 0
+        self._feeble += 1
+        lag, sure = self._lag.seconds(self._effect.length), self._contrary >= _CONFIRM
+        if lag is not None:
+            return self._words.late(index, self._effect, lag, sure=sure)
+        weakly = self._balance.smooth and self._feeble * self.settings.period >= _WEAKLY
+        if lost and (sure or not weakly):
+            return self._words.lost(index, self._effect, sure=sure)
+        return self._words.weak(index, self._effect, self._feeble, sure=weakly)
 
     def _learn(self, index: int) -> None:
         """Take in a block once it is full, unless something was wrong in it."""
@@ -188,7 +207,7 @@ class Monitor:
     def _raise(self, index: int, finding: Finding) -> Alarm | None:
         earliest = self._begin
         if self._open:
-            if self._alarms[-1].fault is not Fault.DRIFT or finding.fault is Fault.DRIFT:
+            if finding.fault not in _GRAVER.get(self._alarms[-1].fault, ()):
                 return None
             earliest = index
             self._close(index - 1)
@@ -204,7 +223,7 @@ class Monitor:
         quiet, proven = self._quiet * self.settings.period, self._proofs * self.settings.period
         if fault is Fault.DRIFT:
             return not self._drifting
-        if fault in (Fault.DRIVE_LOST, Fault.SENSOR_LATE):
+        if fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK, Fault.SENSOR_LATE):
             return proven >= _PROVE or quiet >= _TACIT
         return quiet >= _MEND
 
@@ -223,7 +242,8 @@ class Monitor:
         if finding is None:
             return Health(index, State.HEALTHY, None, None, "", share, rate, news)
         # At the start a camera that is late looks like a dead drive, and is far more common.
-        fault = None if starting and finding.fault is Fault.DRIVE_LOST else finding.fault
+        short = finding.fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
+        fault = None if starting and short else finding.fault
         reason = f"only just begun: {finding.reason}" if starting else finding.reason
         first = max(finding.first, self._begin)
         return Health(index, State.SUSPECT, fault, first, reason, share, rate, news)

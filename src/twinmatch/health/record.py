@@ -22,6 +22,8 @@ class Fault(Enum):
 
     DRIVE_LOST = "drive-lost"
     """The input has no effect on the plant, or the contrary one."""
+    DRIVE_WEAK = "drive-weak"
+    """The input has an effect on the plant, but too small a one."""
     SENSOR_FROZEN = "sensor-frozen"
     """The output repeats one reading."""
     SENSOR_LATE = "sensor-late"

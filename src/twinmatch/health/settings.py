@@ -30,7 +30,7 @@ class HealthSettings:
     """When a trace in the signals becomes a fault; docs/health.md measures what each limit leaves.
 
     Raises:
-        HealthError: a value is not positive, or `lost` is no share.
+        HealthError: a value is not positive, or `lost` and `weak` are no shares.
     """
 
     period: float = 1.0
@@ -41,6 +41,8 @@ class HealthSettings:
     Peltier rig, if not given."""
     lost: float = 0.4
     """Share of the drive's expected effect below which it is lost. A healthy plant shows 0.65 and more."""
+    weak: float = 0.6
+    """The same below which it is weak, if that lasts."""
     jump: float = 8.0
     """Step of a reading within one sample that the plant cannot make, in the output's unit. Corrections of
     the rig's healthy camera make 3 °C."""
@@ -59,11 +61,14 @@ class HealthSettings:
         return cls(period=period, reference=_typical(plant), jump=_JUMP * plant.output.noise)
 
     def __post_init__(self) -> None:
-        for name in ("period", "lost", "jump", "frozen", "drift", "start"):
+        for name in ("period", "lost", "weak", "jump", "frozen", "drift", "start"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 msg = f"health: {name} is {value}; it must be positive"
                 raise HealthError(msg)
-        if self.lost >= 1:
-            msg = f"health: lost is {self.lost}; it is a share of the expected effect, between 0 and 1"
+        if not self.lost <= self.weak < 1:
+            msg = (
+                f"health: lost is {self.lost} and weak {self.weak}; they are shares of the expected effect "
+                "and must grow, up to 1"
+            )
             raise HealthError(msg)

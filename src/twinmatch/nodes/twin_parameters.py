@@ -287,6 +287,7 @@ def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
     )
     health = (
         ("lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
+        ("weak", "The same below which it is weak, if that lasts.", "", 0.01, 0.99),
         ("jump", "Step of a reading that no plant can make.", y, 1e-6, 1e6),
         ("frozen", "How long one reading has to be repeated.", "s", 1.0, 1e4),
         ("drift", "Unexplained slow movement, in its uncertainty.", "", 0.1, 1e3),

@@ -147,7 +147,7 @@ def match_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], per
         )
     columns = (
         "t / s",
-        "set / °C",
+        "set-point",
         "match",
         *(q.label for q in shown),
         "fit y / %",

@@ -25,6 +25,7 @@ from twinmatch.views.figures import (
     svg,
 )
 from twinmatch.views.standing import last_verdict
+from twinmatch.views.words import words_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,12 +76,12 @@ def pictures(judgement: Judgement, members: Sequence[Member]) -> dict[str, Pictu
         figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
         found.append(_picture("parameters", "Parameters of every match", _parameters_alt(j), figure))
     if members:
-        names = ", ".join(m.score.name for m in members)
+        names, words = ", ".join(m.score.name for m in members), words_of(j.settings.plant)
         found += [
             _picture(
                 "responses",
                 "The family on the measured data",
-                f"One panel for each candidate ({names}): set-point, measured temperature and control, "
+                f"One panel for each candidate ({names}): set-point, measured {words.output} and control, "
                 "the twin's answer and that of its Box–Jenkins model.",
                 draw_responses(members),
             ),
@@ -88,7 +89,7 @@ def pictures(judgement: Judgement, members: Sequence[Member]) -> dict[str, Pictu
                 "uncertainty",
                 "Uncertainty of the twin",
                 f"The twins of all candidates ({names}) on the nominal one's window, and how far each "
-                "differs from the nominal twin in temperature and control.",
+                f"differs from the nominal twin in {words.output} and control.",
                 draw_uncertainty(members),
             ),
         ]
@@ -141,12 +142,15 @@ def _picture(name: str, title: str, alt: str, figure: Figure) -> Picture:
 
 def _session_alt(j: Judgement) -> str:
     low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
-    base = f"Time series of set-point, measured temperature ({low:.1f} to {high:.1f} °C) and control"
+    words = words_of(j.settings.plant)
+    span = f"{low:.1f} to {high:.1f} {words.output_unit}"
+    base = f"Time series of set-point, measured {words.output} ({span}) and control"
     if j.summary.nominal is None:
         return f"{base}; there is no nominal twin to compare them with."
     return (
         f"{base}, with the closed-loop and the driven twin of {j.summary.nominal}; below, what is left "
-        f"between plant and twin. The closed-loop twin fits the temperature to {100 * j.summary.fit_y:.1f} %."
+        f"between plant and twin. The closed-loop twin fits the {words.output} to "
+        f"{100 * j.summary.fit_y:.1f} %."
     )
 
 

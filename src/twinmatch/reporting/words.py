@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from twinmatch.discrimination import CandidateScore, TrustLevel, Verdict
+from twinmatch.dynamics import Plant
 from twinmatch.judging.judgement import Judgement
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
@@ -13,6 +14,7 @@ from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.quantities import number
 from twinmatch.views.standing import last_verdict, nominal_score
 from twinmatch.views.summary import UNEXPLAINED
+from twinmatch.views.words import Words, words_of
 
 __all__ = ["as_sentence", "duration", "plain_words", "session_facts"]
 
@@ -33,13 +35,18 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     samples, period = judgement.samples, judgement.settings.period
     reference = [s.reference for s in samples]
     measured = [s.output for s in samples]
-    pwm = [s.input for s in samples]
+    given = [s.input for s in samples]
+    y, u = _words(judgement), _plant(judgement).drive
     facts = [
         ("samples", f"{len(samples)}, one every {period:g} s"),
         ("duration", duration((samples[-1].index - samples[0].index + 1) * period)),
-        ("set-point", f"{number(min(reference), 1)} to {number(max(reference), 1)} °C"),
-        ("temperature", f"{number(min(measured), 1)} to {number(max(measured), 1)} °C"),
-        ("control", f"{number(min(pwm), 0)} to {number(max(pwm), 0)} counts of PWM (limits −255 to 255)"),
+        ("set-point", f"{number(min(reference), 1)} to {number(max(reference), 1)} {y.output_unit}"),
+        (y.output, f"{number(min(measured), 1)} to {number(max(measured), 1)} {y.output_unit}"),
+        (
+            "control",
+            f"{number(min(given), 0)} to {number(max(given), 0)} {y.input_unit} "
+            f"(limits {number(u.limits[0], 0)} to {number(u.limits[1], 0)})",
+        ),
         ("set-point steps", f"{_steps(samples, judgement.settings)}"),
         ("matches", _matches(judgement)),
         ("verdicts", f"{len(judgement.verdicts)}, of which {judgement.summary.identified} identified models"),
@@ -73,11 +80,13 @@ def plain_words(judgement: Judgement) -> list[str]:
 def _what(judgement: Judgement) -> str:
     samples, period = judgement.samples, judgement.settings.period
     low, high = min(s.reference for s in samples), max(s.reference for s in samples)
-    asked = f"set-points from {low:g} to {high:g} °C" if high > low else f"a set-point of {low:g} °C"
+    plant, words = _plant(judgement), _words(judgement)
+    unit = words.output_unit
+    asked = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     time = duration((samples[-1].index - samples[0].index + 1) * period)
     return (
-        f"For {time} a thermal plate was held by its controller at {asked}; every {period:g} s its "
-        f"temperature and the control (the PWM of its driver) were recorded, {len(samples)} times in all."
+        f"For {time} a plant ({plant.title}) was held by its controller at {asked}; every {period:g} s its "
+        f"{words.output} and the control ({plant.drive.text}) were recorded, {len(samples)} times in all."
     )
 
 
@@ -91,7 +100,7 @@ def _matching(judgement: Judgement) -> str:
     joined = len(admitted(judgement.verdicts))
     refused = count - joined
     return (
-        f"After set-point steps a digital twin, a simulation of the plate with its controller, was fitted to "
+        f"After set-point steps a digital twin, a simulation of the plant with its controller, was fitted to "
         f"what had been measured: {count} time{_s(count)}, of which {joined} "
         f"{'was' if joined == 1 else 'were'} admitted to the family"
         + (f" and {refused} refused (section 2 says why)." if refused else ".")
@@ -102,7 +111,8 @@ def _nothing(judgement: Judgement) -> str:
     if judgement.matches:
         return "No fit stands, so there is no twin to trust."
     return (
-        f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} °C or more, some "
+        f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} "
+        f"{_words(judgement).output_unit} or more, some "
         "minutes apart; a recording of one or two set-points held for a few minutes each is enough."
     )
 
@@ -123,15 +133,16 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
 
 
 def _fit(judgement: Judgement, nominal: CandidateScore) -> str:
-    s = judgement.summary
+    s, words = judgement.summary, _words(judgement)
     parts = compare(judgement.samples, nominal.parameters, judgement.settings.gains)
     y = root_mean_square([p.closed_residual_y for p in parts])
     u = root_mean_square([p.closed_residual_u for p in parts])
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
-        "Given only the set-points, the nominal twin follows the measured temperature over the whole session "
-        f"to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; {number(y)} °C "
-        f"RMS) and the control to {number(100 * s.fit_u, 1)} % ({number(u, 1)} counts RMS)"
+        f"Given only the set-points, the nominal twin follows the measured {words.output} over the whole "
+        f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
+        f"{number(y)} {words.output_unit} RMS) and the control to {number(100 * s.fit_u, 1)} % "
+        f"({number(u, 1)} {words.input_unit} RMS)"
         f"{'; the time in which the plant was faulty is part of that' if faulty else ''}."
     )
 
@@ -139,7 +150,7 @@ def _fit(judgement: Judgement, nominal: CandidateScore) -> str:
 def _trust(judgement: Judgement) -> str:
     s = judgement.summary
     if s.range is None:
-        return "There is no range of temperatures in which it has been seen to hold."
+        return f"There is no range of the {_words(judgement).output} in which it has been seen to hold."
     held = f"It has been seen to hold between {s.range}"
     if s.level is TrustLevel.TRUSTED:
         return f"{held}, and at the end of the session it is to be trusted there."
@@ -158,7 +169,7 @@ def _health(judgement: Judgement) -> str:
         when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in faults)
         what = f" ({', '.join(named)})" if named else ""
         return (
-            f"The plant did what no twin explains{what}: {when}. Look at the plant (drive, camera, cables) "
+            f"The plant did what no twin explains{what}: {when}. Look at the plant (drive, sensor, cables) "
             "before anything else."
         )
     if doubts:
@@ -169,14 +180,20 @@ def _health(judgement: Judgement) -> str:
 
 def _fit_facts(judgement: Judgement, nominal: CandidateScore) -> list[tuple[str, str]]:
     parts = compare(judgement.samples, nominal.parameters, judgement.settings.gains)
-    s = judgement.summary
+    s, words = judgement.summary, _words(judgement)
     y = root_mean_square([p.closed_residual_y for p in parts])
     u = root_mean_square([p.closed_residual_u for p in parts])
     driven = root_mean_square([p.driven_residual_y for p in parts])
     return [
-        ("closed-loop twin, temperature", f"fit {number(100 * s.fit_y, 1)} %, {number(y, 3)} °C RMS"),
-        ("closed-loop twin, control", f"fit {number(100 * s.fit_u, 1)} %, {number(u, 1)} counts RMS"),
-        ("driven twin, temperature", f"{number(driven, 2)} °C RMS"),
+        (
+            f"closed-loop twin, {words.output}",
+            f"fit {number(100 * s.fit_y, 1)} %, {number(y, 3)} {words.output_unit} RMS",
+        ),
+        (
+            "closed-loop twin, control",
+            f"fit {number(100 * s.fit_u, 1)} %, {number(u, 1)} {words.input_unit} RMS",
+        ),
+        (f"driven twin, {words.output}", f"{number(driven, 2)} {words.output_unit} RMS"),
         ("trusted between", str(s.range) if s.range else "–"),
     ]
 
@@ -193,7 +210,15 @@ def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
     for sample in samples:
         if abs(sample.reference - anchor) >= least:
             count, anchor = count + 1, sample.reference
-    return f"{count} of {least:g} °C or more"
+    return f"{count} of {least:g} {settings.plant.output.unit} or more"
+
+
+def _plant(judgement: Judgement) -> type[Plant]:
+    return judgement.settings.plant
+
+
+def _words(judgement: Judgement) -> Words:
+    return words_of(judgement.settings.plant)
 
 
 def _s(count: int) -> str:

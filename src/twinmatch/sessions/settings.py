@@ -15,17 +15,13 @@ CANDIDATES = "twinmatch/candidates"
 """Record with the `text` of the file of candidates that the discriminator began with; empty: not readable."""
 
 
-RENAMED = {"noise.temperature": "noise.output", "noise.pwm": "noise.input"}
-"""Parameters that had other names when older sessions were recorded."""
-
-
 def parameters_record(node: str) -> str:
     """Name of the record with the parameters of a node, given by its full name; the values are JSON."""
     return PARAMETERS + node
 
 
 def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[str, Any] | None:
-    """The parameters of a node, given by its full name, under today's names; None if they were not recorded.
+    """The parameters of a node, given by its full name; None if they were not recorded.
 
     Raises:
         SessionError: a value is no JSON.
@@ -34,7 +30,7 @@ def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[s
     if found is None:
         return None
     try:
-        return {RENAMED.get(name, name): json.loads(value) for name, value in found.items()}
+        return {name: json.loads(value) for name, value in found.items()}
     except ValueError as error:
         msg = f"session: the recorded parameters of {node} cannot be read: {error}"
         raise SessionError(msg) from error

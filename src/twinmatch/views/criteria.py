@@ -39,10 +39,10 @@ CRITERIA: tuple[Criterion, ...] = (
     Criterion("mdl", "MDL", "", 4, False),
     Criterion("two_part_length", "two-part", "characters", 0, False),
 )
-"""The columns, in the order of the paper's table; MDL has the unit of the loss, °C² or counts²."""
+"""The columns, in the order of the paper's table; MDL has the unit of the loss: output or input, squared."""
 
 OUTPUTS: tuple[tuple[str, str], ...] = (
-    ("y", "temperature y/r"),
+    ("y", "output y/r"),
     ("u", "control u/r"),
     ("total", "both"),
 )

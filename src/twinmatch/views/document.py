@@ -31,7 +31,7 @@ def document(
             "parameters": parameters_document(summary.parameters) if summary.parameters else None,
             "fit": {"y": _finite(summary.fit_y), "u": _finite(summary.fit_u)},
             "order": summary.order,
-            "range": list(summary.range) if summary.range else None,
+            "range": [summary.range.low, summary.range.high] if summary.range else None,
             "sentence": sentence(summary),
             "notes": list(summary.notes),
         },

@@ -10,6 +10,7 @@ from twinmatch.discrimination import ADMITTED, REFUSED, TrustLevel, Verdict
 from twinmatch.matching import Status
 from twinmatch.twin import MatchReport
 from twinmatch.views.style import LEVEL_WORDS
+from twinmatch.views.words import apart
 
 __all__ = [
     "STATUS_WORDS",
@@ -143,8 +144,5 @@ def _level_event(verdict: Verdict) -> Event:
         return Event(verdict.sample, kind, f"fault: {verdict.fault}", f"{verdict.reason}{since}")
     why = LEVEL_WORDS[verdict.level]
     if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT}:
-        why += (
-            f": over the newest samples they are {verdict.driven_rms_y:.2f} °C "
-            f"and {verdict.closed_rms_u:.1f} counts apart"
-        )
+        why += f": over the newest samples they are {apart(verdict)} apart"
     return Event(verdict.sample, kind, verdict.level.value, why)

@@ -13,6 +13,7 @@ from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import TrustLimits, closed_loop_fit
 from twinmatch.views.quantities import number
 from twinmatch.views.trust_range import TrustRange, trust_range
+from twinmatch.views.words import words_of
 
 __all__ = ["UNEXPLAINED", "Summary", "sentence", "summarise"]
 
@@ -94,7 +95,8 @@ def sentence(summary: Summary) -> str:
         )
     parts = [f"Nominal: {summary.nominal} set", f"orders {summary.order}"]
     if math.isfinite(summary.fit_y):
-        parts.append(f"temperature fit {number(100 * summary.fit_y, 1)} %")
+        output = words_of(summary.parameters.model.plant).output if summary.parameters else "output"
+        parts.append(f"{output} fit {number(100 * summary.fit_y, 1)} %")
     return f"{'; '.join([*parts, _trust(summary)])}."
 
 

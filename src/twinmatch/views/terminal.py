@@ -21,6 +21,7 @@ from twinmatch.views.quantities import number
 from twinmatch.views.standing import nominal_score
 from twinmatch.views.style import LEVEL_WORDS
 from twinmatch.views.table import STYLES
+from twinmatch.views.words import apart
 
 __all__ = ["Screen", "view_on"]
 
@@ -173,8 +174,7 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
         since = "" if verdict.fault_since is None else f" since {number(verdict.fault_since * period, 0)} s"
         grid.add_row("fault", Text(f"{verdict.fault}{since}", style=STYLES[TrustLevel.FAULT]))
     if verdict.nominal is not None:
-        apart = f"{number(verdict.driven_rms_y, 2)} °C, {number(verdict.closed_rms_u, 1)} counts of PWM (RMS)"
-        grid.add_row("plant − twin", Text(apart))
+        grid.add_row("plant − twin", Text(f"{apart(verdict)} (RMS)"))
     grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
     return grid
 

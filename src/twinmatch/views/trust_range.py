@@ -29,14 +29,15 @@ _NEIGHBOURS = 1.0
 
 
 class TrustRange(NamedTuple):
-    """Lowest and highest temperature, °C."""
+    """Lowest and highest output."""
 
     low: float
     high: float
+    unit: str = "°C"
 
     def __str__(self) -> str:
-        """Whole degrees, rounded to the inside."""
-        return f"{math.ceil(self.low)} and {math.floor(self.high)} °C"
+        """Whole numbers, rounded to the inside."""
+        return f"{math.ceil(self.low)} and {math.floor(self.high)} {self.unit}".rstrip()
 
 
 def trust_range(
@@ -59,7 +60,8 @@ def trust_range(
     matched = [s.output for s in samples if nominal.first <= s.index <= nominal.last]
     spans = list(_held(samples, nominal, gains, limits, stride))
     home = (min(matched), max(matched)) if matched else _nearest(spans, nominal.operating_point)
-    return None if home is None else _joined(home, spans)
+    unit = nominal.parameters.model.plant.output.unit
+    return None if home is None else _joined(home, spans, unit)
 
 
 def _held(
@@ -79,7 +81,7 @@ def _nearest(spans: Sequence[tuple[float, float]], temperature: float) -> tuple[
     return min(spans, key=lambda s: max(s[0] - temperature, temperature - s[1], 0.0), default=None)
 
 
-def _joined(home: tuple[float, float], spans: Sequence[tuple[float, float]]) -> TrustRange:
+def _joined(home: tuple[float, float], spans: Sequence[tuple[float, float]], unit: str) -> TrustRange:
     """`home` and all that hangs together with it."""
     low, high = home
     for span in sorted(spans):
@@ -88,4 +90,4 @@ def _joined(home: tuple[float, float], spans: Sequence[tuple[float, float]]) -> 
     for span in sorted(spans, key=lambda s: -s[1]):
         if span[1] >= low - _NEIGHBOURS and span[0] <= high:
             low = min(low, span[0])
-    return TrustRange(low, high)
+    return TrustRange(low, high, unit)

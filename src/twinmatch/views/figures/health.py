@@ -11,6 +11,7 @@ from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.figures.drawing import empty, new_figure, stack, styled, time_axis
 from twinmatch.views.style import LEVELS, PLANT, TEXT
+from twinmatch.views.words import with_unit, words_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,10 +38,11 @@ def draw_health(
     draw_levels(axes[0], verdicts, period, first)
     limits = settings.limits
     _draw_residual(axes[1], verdicts, "driven_rms_y", period, limits.doubtful_y)
-    axes[1].set_ylabel("temperature\nRMS / °C")
+    words = words_of(settings.plant)
+    axes[1].set_ylabel(f"{words.output}\n{with_unit('RMS', words.output_unit)}")
     _draw_residual(axes[2], verdicts, "closed_rms_u", period, limits.doubtful_u)
-    axes[2].set_ylabel("control\nRMS / counts")
-    _draw_matches(axes[3], matches, admitted(verdicts), period)
+    axes[2].set_ylabel(f"{words.input}\n{with_unit('RMS', words.input_unit)}")
+    _draw_matches(axes[3], matches, admitted(verdicts), period, words.output_unit)
     time_axis(axes[-1], period, first, samples[-1].index)
     figure.align_ylabels(axes)
     return figure
@@ -91,7 +93,9 @@ def _draw_residual(
     axes.set_ylim(0, top)
 
 
-def _draw_matches(axes: Axes, matches: Sequence[MatchReport], joined: Collection[int], period: float) -> None:
+def _draw_matches(
+    axes: Axes, matches: Sequence[MatchReport], joined: Collection[int], period: float, unit: str
+) -> None:
     for inside, marker, colour in (
         (True, "o", LEVELS[TrustLevel.TRUSTED]),
         (False, "x", LEVELS[TrustLevel.FAULT]),
@@ -110,4 +114,4 @@ def _draw_matches(axes: Axes, matches: Sequence[MatchReport], joined: Collection
         )
     axes.set_ylim(-0.6, 2.0)
     axes.set_yticks([0, 1], ["refused", "admitted"])
-    axes.set_ylabel("matches\n(°C)")
+    axes.set_ylabel(f"matches\n({unit})" if unit else "matches")

@@ -12,6 +12,7 @@ from twinmatch.signals import FloatArray, Window
 from twinmatch.views.family import Member
 from twinmatch.views.figures.drawing import new_figure, stack, styled
 from twinmatch.views.style import CLOSED, FAMILY_MAP, MODEL, PLANT, SET_POINT
+from twinmatch.views.words import with_unit, words_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["draw_responses", "draw_uncertainty", "family_colours"]
 
 _SKIPPED = 2
-_LABELS = ("temperature / °C", "control / counts", "minus nominal / °C", "minus nominal\n/ counts")
 
 
 @styled
@@ -36,8 +36,9 @@ def draw_responses(members: Sequence[Member]) -> Figure:
         control = figure.add_subplot(inner[1], sharex=temperature)
         _draw_member(temperature, control, member)
         if k % columns == 0:
-            temperature.set_ylabel("temperature / °C")
-            control.set_ylabel("control / counts")
+            words = words_of(member.settings.plant)
+            temperature.set_ylabel(words.output_label)
+            control.set_ylabel(words.input_label)
         if k // columns == rows - 1 or k + columns >= len(members):
             control.set_xlabel("time / s")
         if k == 0:
@@ -88,8 +89,11 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     for place, name in ((2, "output"), (3, "input")):
         table = np.stack([getattr(answer, name) for answer in answers])
         _draw_spread(axes[place], time, table, members)
-    for each, label in zip(axes, _LABELS, strict=True):
-        each.set_ylabel(label)
+    words = words_of(nominal.settings.plant)
+    for each, unit in zip(axes[2:], (words.output_unit, words.input_unit), strict=True):
+        each.set_ylabel(with_unit("minus nominal", unit))
+    axes[0].set_ylabel(words.output_label)
+    axes[1].set_ylabel(words.input_label)
     axes[-1].set_xlabel("time since the session began / s")
     axes[0].margins(x=0.005)
     figure.align_ylabels(axes)

@@ -14,6 +14,7 @@ from twinmatch.views.comparison import Comparison, compare, rolling_rms
 from twinmatch.views.figures.drawing import new_figure, stack, styled, time_axis
 from twinmatch.views.standing import last_verdict, nominal_score
 from twinmatch.views.style import CLOSED, DRIVEN, PLANT, SET_POINT
+from twinmatch.views.words import with_unit, words_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +30,7 @@ _SHOWN = 0.99
 
 @styled
 def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings) -> Figure:
-    """Temperature and control of plant and nominal twins, and the residuals with their 95 % band."""
+    """Output and control of plant and nominal twins, and the residuals with their 95 % band."""
     nominal = nominal_score(last_verdict(verdicts))
     parts = compare(samples, nominal.parameters, settings.gains) if nominal else ()
     rows = 4 if parts else 2
@@ -40,11 +41,12 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     for number, part in enumerate(parts):
         _draw_twins(axes[0], axes[1], part, first=number == 0)
         _draw_residuals(axes[2], axes[3], part, first=number == 0)
-    axes[0].set_ylabel("temperature / °C")
-    axes[1].set_ylabel("control / counts")
+    words = words_of(settings.plant)
+    axes[0].set_ylabel(words.output_label)
+    axes[1].set_ylabel(words.input_label)
     if parts:
-        axes[2].set_ylabel("plant − twin / °C")
-        axes[3].set_ylabel("plant − twin / counts")
+        axes[2].set_ylabel(with_unit("plant − twin", words.output_unit))
+        axes[3].set_ylabel(with_unit("plant − twin", words.input_unit))
         _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
         _limit(axes[3], [p.closed_residual_u for p in parts])
     for each in axes:

@@ -15,6 +15,7 @@ from twinmatch.views.figures.drawing import new_figure, save, styled, time_axis
 from twinmatch.views.figures.health import draw_levels
 from twinmatch.views.standing import last_verdict, nominal_score
 from twinmatch.views.style import CLOSED, PLANT, SET_POINT
+from twinmatch.views.words import Words, words_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +42,7 @@ def draw_verdict(
     for number, stretch in enumerate(unbroken(samples)):
         window = Window.from_samples(stretch, settings.period)
         _draw_signals(temperature, control, window, nominal, settings, label=number == 0)
-    _dress(temperature, control, nominal)
+    _dress(temperature, control, nominal, words_of(settings.plant))
     draw_levels(trust, verdicts, settings.period, samples[0].index)
     time_axis(trust, settings.period, samples[0].index, samples[-1].index)
     if last is not None:
@@ -75,11 +76,11 @@ def _draw_signals(
     control.plot(time[2:], twin.input, color=CLOSED, lw=0.8)
 
 
-def _dress(temperature: Axes, control: Axes, nominal: CandidateScore | None) -> None:
+def _dress(temperature: Axes, control: Axes, nominal: CandidateScore | None, words: Words) -> None:
     if nominal is not None:
         temperature.set_title(f"Nominal: {nominal.name}, order {nominal.chosen_order}")
-    temperature.set_ylabel("temperature / °C")
+    temperature.set_ylabel(words.output_label)
     temperature.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-    control.set_ylabel("control / counts")
+    control.set_ylabel(words.input_label)
     for axes in (temperature, control):
         axes.tick_params(labelbottom=False)
