@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +13,6 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
-from hypothesis import given
-from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
 from twinmatch.cli import main
@@ -35,7 +31,6 @@ from twinmatch.sessions.settings import CANDIDATES, parameters_of, parameters_re
 from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin, TwinSettings
-from twinmatch.verify_trees import differences, match_tree, verdict_tree
 from twinmatch.views import summarise
 
 pytestmark = pytest.mark.ros
@@ -101,41 +96,6 @@ def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Ca
         return tmp_path / "run"
 
     return write
-
-
-def test_trees_are_those_of_the_messages(outcomes: list[Outcome]) -> None:
-    """The second wording of the messages against the first."""
-    verdicts = [verdict for outcome in outcomes for verdict in outcome.verdicts]
-    matches = [outcome.match for outcome in outcomes if outcome.match is not None]
-    assert any(verdict.candidates for verdict in verdicts)
-
-    for verdict in verdicts:
-        assert not list(differences(normal(score_message(verdict, 5)), verdict_tree(verdict, 5)))
-    for report in matches:
-        assert not list(differences(normal(match_message(report, 5)), match_tree(report, 5)))
-
-
-def normal(message: Any) -> Any:
-    """A message of ROS 2 as a tree, by its own list of fields."""
-    if not hasattr(message, "get_fields_and_field_types"):
-        return (
-            [normal(v) for v in message]
-            if hasattr(message, "__len__") and not isinstance(message, str)
-            else message
-        )
-    tree = {name: normal(getattr(message, name)) for name in message.get_fields_and_field_types()}
-    for name in ("level", "status"):
-        tree.pop(name, None)
-    if "units" in tree:
-        names, values = tree.pop("names"), tree.pop("values")
-        del tree["units"]
-        tree |= dict(zip(names, values, strict=True))
-    if "start_values" in tree:
-        tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
-    if "header" in tree:
-        stamp = tree.pop("header")["stamp"]
-        tree["stamp"] = stamp["sec"] * 10**9 + stamp["nanosec"]
-    return tree
 
 
 def test_a_recorded_session_is_identical(record: Callable[..., Path], capsys: Any) -> None:
@@ -276,14 +236,3 @@ def test_files_stand_in_for_what_was_not_recorded(record: Callable[..., Path], t
 def test_recorded_parameters_have_to_be_json() -> None:
     with pytest.raises(SessionError, match="the recorded parameters of /matcher cannot be read"):
         parameters_of({parameters_record("/matcher"): {"seed": "seven"}}, "/matcher")
-
-
-@given(st.floats(), st.floats())
-def test_floats_are_compared_by_their_bits(one: float, other: float) -> None:
-    same = struct.pack("<d", one) == struct.pack("<d", other) or (math.isnan(one) and math.isnan(other))
-    assert (not list(differences({"a": [one]}, {"a": [other]}))) is same
-
-
-def test_missing_fields_are_differences() -> None:
-    assert list(differences({"a": 1}, {"b": 1})) == [("a", 1, None), ("b", None, 1)]
-    assert list(differences([1], [1, 2], "a")) == [("a", [1], [1, 2])]

@@ -35,7 +35,7 @@ def test_a_good_window_is_accepted(record: Recorder) -> None:
     assert np.all(np.diag(result.correlation) == pytest.approx(1.0))
     assert np.all(np.abs(result.correlation) <= 1.0 + 1e-12)
     assert np.all(result.eigenvalues > 0.0)
-    assert result.sink_start is None
+    assert not result.starts
 
 
 def test_parameters_that_are_not_free_stay(record: Recorder) -> None:
@@ -58,8 +58,8 @@ def test_a_moving_sink_brings_its_unknown_start(record: Recorder) -> None:
     assert result.accepted
     assert result.free[-1] == SINK_START
     assert result.covariance.shape == (4, 4)
-    assert result.sink_start is not None
-    assert 285.0 < result.sink_start < 300.0
+    assert set(result.starts) == {"sink"}
+    assert 285.0 < result.starts["sink"] < 300.0
 
 
 def test_without_a_step_there_is_no_excitation(record: Recorder) -> None:

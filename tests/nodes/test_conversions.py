@@ -21,8 +21,6 @@ from twinmatch.discrimination import ADMITTED, REFUSED, Criteria, OrderScore, Tr
 from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.matching import Fit, Match, Status
 from twinmatch.nodes.conversions import (
-    LEVELS,
-    STATUSES,
     candidate_message,
     match_from,
     match_message,
@@ -37,6 +35,7 @@ from twinmatch.nodes.request_messages import request_from, request_message
 from twinmatch.nodes.sample_messages import one_of, sample_from, sample_message
 from twinmatch.plant import PlantError, RigParameters
 from twinmatch.plant.named import RIG
+from twinmatch.record import object_of, tree_of_message
 from twinmatch.signals import Sample, SignalError, Window
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
@@ -121,7 +120,7 @@ def reports(draw: st.DrawFn) -> MatchReport:
         match = Match(
             parameters=draw(PARAMETERS),
             free=tuple(names),
-            sink_start=draw(st.none() | NUMBERS),
+            starts=draw(st.dictionaries(TEXTS, ANY, max_size=2)),
             covariance=np.array(draw(square), dtype=np.float64).reshape(size, size),
             fisher=np.array(draw(square), dtype=np.float64).reshape(size, size),
             eigenvalues=np.array(draw(st.lists(ANY, max_size=4)), dtype=np.float64),
@@ -217,13 +216,10 @@ def test_verdict(verdict: Verdict, stamp: int) -> None:
     same(verdict_from(message), verdict)
 
 
-@given(verdicts().filter(lambda verdict: verdict.candidates))
-def test_candidate_carries_its_row(verdict: Verdict) -> None:
-    for row, candidate in enumerate(verdict.candidates):
-        message = there_and_back(candidate_message(verdict, row))
-        assert message.name == candidate.name
-        assert repr(tuple(message.nu_gap)) == repr(verdict.nu_gap[row])
-        assert parameters_from(message.parameters) == candidate.parameters
+@given(CANDIDATES)
+def test_candidate(candidate: CandidateScore) -> None:
+    message = there_and_back(candidate_message(candidate))
+    same(object_of(CandidateScore, tree_of_message(message)), candidate)
 
 
 STATES = st.lists(ANY, min_size=3, max_size=3).map(tuple)
@@ -304,8 +300,13 @@ def test_a_description_is_carried_whole() -> None:
         description_from(message)
 
 
-def test_every_status_and_level_has_a_number_of_its_own() -> None:
-    assert set(STATUSES) == set(Status)
-    assert set(LEVELS) == set(TrustLevel)
-    for table in (STATUSES, LEVELS):
-        assert sorted(table.values()) == list(range(len(table)))
+@pytest.mark.parametrize("kind", [messages.Match, messages.ModelScore])
+def test_every_word_has_a_number_of_its_own(kind: Any) -> None:
+    words: Any = {messages.Match: Status, messages.ModelScore: TrustLevel}[kind]
+    assert sorted(getattr(kind, word.value.upper()) for word in words) == list(range(len(words)))
+
+
+def test_a_words_number_is_beside_it() -> None:
+    verdict = Verdict(0, 0, 0, TrustLevel.DOUBTFUL, True, None, "", 2, (), None, (), 0.0, 0.0)
+    message = score_message(verdict, 0)
+    assert (message.level, message.level_name) == (messages.ModelScore.DOUBTFUL, "doubtful")

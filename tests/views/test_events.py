@@ -42,7 +42,7 @@ def report(sample: int, status: Status) -> MatchReport:
     match = Match(
         parameters=RigParameters(),
         free=("seebeck",),
-        sink_start=None,
+        starts={},
         covariance=unknown,
         fisher=unknown,
         eigenvalues=unknown[0],

@@ -65,12 +65,11 @@ def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, sam
     entry = json.loads(json.dumps(document("s", verdicts, summary, matches), allow_nan=False))
     (match,) = entry["matches"]
     assert match["status"] == "accepted"
-    assert [f["name"] for f in match["fitted"]] == ["seebeck", "conductance", "heat_capacity"]
-    for fitted in match["fitted"]:
-        assert fitted["value"] == match["parameters"][fitted["name"]]
-        low, high = fitted["interval"]
-        assert low is None or low <= fitted["value"]
-        assert high is None or fitted["value"] <= high
+    assert match["free"] == ["seebeck", "conductance", "heat_capacity"]
+    for name, (low, high) in zip(match["free"], match["intervals"], strict=True):
+        value = match["parameters"][name]
+        assert low is None or low <= value
+        assert high is None or value <= high
     assert entry["summary"]["sentence"] == sentence(summary)
 
 

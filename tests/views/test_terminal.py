@@ -118,7 +118,7 @@ def test_level_progress_fault_and_events_are_told(judged: Judgement) -> None:
     told = next(v for v in judged.verdicts if v.fault)
     assert f"fault drive-lost since {told.fault_since} s" in text
     assert f"{told.sample} s ! fault: drive-lost" in text
-    assert "match at 70 °C accepted" in text
+    assert "match admitted: candidate 70 °C" in text
     assert f"{nominal_score(told).name} is nominal" in text  # type: ignore[union-attr]
     assert re.search(r"\x1b\[[0-9;]*31[0-9;]*m FAULT ", written)
 

@@ -108,7 +108,7 @@ def test_the_document_is_strict_json() -> None:
     back = json.loads(json.dumps(entry, allow_nan=False))
     assert (back["verdicts"][0]["driven_rms_y"], back["verdicts"][0]["closed_rms_u"]) == (None, None)
     assert back["verdicts"][1]["candidates"][0]["parameters"]["sink_heat_capacity"] is None
-    assert back["verdicts"][1]["candidates"][0]["orders"][0]["information_gain"]["total"] == 1200
+    assert back["verdicts"][1]["candidates"][0]["orders"][0]["total"]["gain"] == 1200
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])

@@ -126,15 +126,10 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
         rows.append(
             {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
             | {key: value for key, value in known.items() if key != "orders"}
-            | {"criteria": {key: _total(value) for key, value in chosen.items() if key != "order"}}
+            | {"criteria": chosen["total"] | {key: chosen[key] for key in ("aic_difference", "weight")}}
             | {"fit": {output: _finite(value) for output, value in zip("yu", fit, strict=True)}}
         )
     return rows
-
-
-def _total(value: Any) -> Any:
-    """A criterion of both outputs together; what a model has only one of, as it is."""
-    return value["total"] if isinstance(value, dict) else value
 
 
 def _finite(value: float) -> float | None:

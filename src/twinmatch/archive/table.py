@@ -57,7 +57,7 @@ def cells(row: dict[str, Any]) -> tuple[str, ...]:
         f"{p['conductance']:.3f}",
         f"{p['heat_capacity']:.1f}",
         row["chosen_order"],
-        _number(row["criteria"]["information_gain"], ".0f"),
+        _number(row["criteria"]["gain"], ".0f"),
         _number(row["nu_gap_sum"], ".3f"),
         _number(row["nu_gap_to_plant"], ".3f"),
         _number(fit["y"], ".1%"),

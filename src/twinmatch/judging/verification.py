@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twinmatch.discrimination import Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Judgement, Watch, judge
 from twinmatch.judging.terms import prefix_of, recorded_terms
+from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
 from twinmatch.sessions import Session, Topic, read_session
-from twinmatch.verify_trees import Tree, differences, match_tree, message_tree, verdict_tree
+from twinmatch.twin import MatchReport
 
 __all__ = ["Difference", "Verification", "VerifyError", "compare", "holds_verdicts", "verify_session"]
 
@@ -113,8 +115,8 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     """
     prefix, stamps = prefix_of(session), {sample.index: sample.stamp for sample in session.samples}
     matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
-    computed_matches = [match_tree(m, stamps[m.sample]) for m in judgement.matches]
-    computed_scores = [verdict_tree(v, stamps[v.sample]) for v in judgement.verdicts]
+    computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]
+    computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]
     last = session.samples[-1].index
     apart: set[str] = set()
     difference = _compare("match", matches, computed_matches, last, apart) or _compare(
@@ -137,16 +139,17 @@ def _recorded(session: Session, name: str) -> list[Tree]:
     if topic is None:
         return []
     decode = _decoder(topic, session.name)
-    return [message_tree(decode(message.data)) for message in session.messages([name])]
+    return [comparable(tree_of_message(decode(message.data))) for message in session.messages([name])]
+
+
+def _computed(record: Verdict | MatchReport, stamp: int) -> Tree:
+    return comparable({"stamp": stamp, **tree_of(record)})
 
 
 def _once(matches: list[Tree]) -> list[Tree]:
     """Without those that say what the one before says: one asked for twice is answered twice."""
-    return [
-        m
-        for m, before in zip(matches, [None, *matches], strict=False)
-        if before is None or _differ(m, before)
-    ]
+    pairs: Iterator[tuple[Tree, Tree]] = zip(matches, [{}, *matches], strict=False)
+    return [match for match, before in pairs if _differ(match, before)]
 
 
 def _differ(one: Tree, other: Tree) -> bool:

@@ -139,11 +139,12 @@ def _with_fit(problem: Problem, split: int, rival: RigParameters, limits: Limits
         incumbent_chi2=float(np.mean(np.square(standing))),
         kept=_kept_words(problem, found),
     )
+    sink = problem.sink_start_at(final.values)
     status, reason = judge(evidence, limits)
     return Match(
         parameters=problem.parameters_at(final.values),
         free=problem.free,
-        sink_start=problem.sink_start_at(final.values),
+        starts={} if sink is None else {"sink": sink},
         covariance=known.covariance,
         fisher=known.fisher,
         eigenvalues=known.eigenvalues,

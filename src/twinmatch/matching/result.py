@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -35,15 +36,18 @@ class Match:
     the fit are NaN.
     """
 
+    DERIVED: ClassVar = ("standard_errors",)
+    """Recorded beside the fields."""
+
     parameters: RigParameters
     free: tuple[str, ...]
     """Names of the fitted parameters in canonical order; arrays below are in this order. For a sink
     with mass the last is `sink_start`, the sink's temperature at the window's third sample."""
-    sink_start: float | None
-    """That temperature, K; None for a sink without mass."""
-    covariance: FloatArray
+    starts: Mapping[str, float]
+    """That temperature as `sink`, K; empty for a sink without mass."""
+    covariance: FloatArray = field(metadata={"columns": -1})
     """Of the fitted parameters, shape (n, n), their own units."""
-    fisher: FloatArray
+    fisher: FloatArray = field(metadata={"columns": -1})
     """Information JᵀJ of the weighed residuals, shape (n, n)."""
     eigenvalues: FloatArray
     """Of the information in units of the parameters' scales, ascending, shape (n,)."""
@@ -61,10 +65,10 @@ class Match:
     status: Status
     reason: str
     """One sentence on the status."""
-    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)), metadata={"columns": -1})
     """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
     to `eigenvalues[j]`, so column 0 is the combination of parameters that the window shows least."""
-    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2})
     """Profile-likelihood interval (95 %) of each parameter, its own unit, shape (n, 2); an end is
     infinite where a bound of the search cuts the interval off, zero where physics does, and NaN where no
     fit was made or it does not explain the window."""
@@ -102,7 +106,7 @@ def without_fit(
     return Match(
         parameters=start,
         free=free,
-        sink_start=start.ambient if SINK_START in free else None,
+        starts={"sink": start.ambient} if SINK_START in free else {},
         covariance=unknown,
         fisher=unknown,
         eigenvalues=np.full(n, np.nan),

@@ -110,10 +110,10 @@ class DiscriminatorNode(SampleNode):
         self.health.set("level", verdict.level.value)
         self.health.set("nominal", verdict.nominal or "none")
         self._scores.publish(score_message(verdict, self._stamps.get(verdict.sample, 0)))
-        names = [candidate.name for candidate in verdict.candidates]
-        if verdict.nominal is None:
+        chosen = next((c for c in verdict.candidates if c.name == verdict.nominal), None)
+        if chosen is None:
             return
-        nominal = candidate_message(verdict, names.index(verdict.nominal))
+        nominal = candidate_message(chosen)
         if self._nominal is None or _identity(nominal) != _identity(self._nominal):
             self._nominal = nominal
             self._nominals.publish(nominal)

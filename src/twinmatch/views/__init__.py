@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from twinmatch.views.comparison import Comparison, compare, rolling_rms, root_mean_square
 from twinmatch.views.criteria import CRITERIA, OUTPUTS, Criterion, CriterionRow, criterion_rows
-from twinmatch.views.document import document, verdict_entry
+from twinmatch.views.document import document
 from twinmatch.views.events import STATUS_WORDS, Event, EventKind, Stretch, admitted, events, level_stretches
 from twinmatch.views.family import Member, family
 from twinmatch.views.intervals import Interval, interval, value_of
@@ -63,5 +63,4 @@ __all__ = [
     "summarise",
     "trust_range",
     "value_of",
-    "verdict_entry",
 ]

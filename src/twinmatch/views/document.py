@@ -1,4 +1,4 @@
-"""Verdicts as plain dictionaries, for JSON: the shape other programs read."""
+"""A judged session as a plain dictionary, for JSON: the shape other programs read."""
 
 from __future__ import annotations
 
@@ -6,28 +6,29 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, Verdict
-from twinmatch.matching import Match
-from twinmatch.plant import PARAMETER_NAMES, RigParameters
+from twinmatch.discrimination import Verdict
+from twinmatch.record import document_of, parameters_document
 from twinmatch.twin import MatchReport
-from twinmatch.views.intervals import interval, value_of
 from twinmatch.views.summary import Summary, sentence
 
-__all__ = ["document", "match_entry", "parameters_entry", "verdict_entry"]
+__all__ = ["document"]
 
 
 def document(
     session: str, verdicts: Sequence[Verdict], summary: Summary, matches: Sequence[MatchReport] = ()
 ) -> dict[str, Any]:
-    """A whole judged session; every value is a string, finite number, boolean, None, list or dict."""
+    """A whole judged session; every value is a string, finite number, boolean, None, list or dict.
+
+    Matches and verdicts have the fields of their messages.
+    """
     return {
         "session": session,
-        "matches": [match_entry(m) for m in matches],
-        "verdicts": [verdict_entry(v) for v in verdicts],
+        "matches": [document_of(m) for m in matches],
+        "verdicts": [document_of(v) for v in verdicts],
         "summary": {
             "nominal": summary.nominal,
             "level": summary.level.value,
-            "parameters": parameters_entry(summary.parameters) if summary.parameters else None,
+            "parameters": parameters_document(summary.parameters) if summary.parameters else None,
             "fit": {"y": _finite(summary.fit_y), "u": _finite(summary.fit_u)},
             "order": summary.order,
             "range": list(summary.range) if summary.range else None,
@@ -35,112 +36,6 @@ def document(
             "notes": list(summary.notes),
         },
     }
-
-
-def verdict_entry(verdict: Verdict) -> dict[str, Any]:
-    """One verdict."""
-    return {
-        "sample": verdict.sample,
-        "window": [verdict.first, verdict.last],
-        "level": verdict.level.value,
-        "stands": verdict.stands,
-        "nominal": verdict.nominal,
-        "reason": verdict.reason,
-        "match": verdict.match,
-        "dismissed": list(verdict.dismissed),
-        "decided": verdict.decided,
-        "certainty": verdict.certainty,
-        "fault": verdict.fault,
-        "fault_since": verdict.fault_since,
-        "structure": verdict.structure,
-        "structure_parameters": (
-            parameters_entry(verdict.structure_parameters) if verdict.structure_parameters else None
-        ),
-        "decimals": verdict.decimals,
-        "driven_rms_y": _finite(verdict.driven_rms_y),
-        "closed_rms_u": _finite(verdict.closed_rms_u),
-        "candidates": [_candidate_entry(c) for c in verdict.candidates],
-        "order": verdict.order,
-        "nu_gap": [list(row) for row in verdict.nu_gap],
-    }
-
-
-def match_entry(report: MatchReport) -> dict[str, Any]:
-    """One match, accepted or refused, with how well its window knows each fitted parameter."""
-    match = report.match
-    return {
-        "sample": report.sample,
-        "operating_point": report.operating_point,
-        "window": list(match.samples),
-        "status": match.status.value,
-        "reason": match.reason,
-        "parameters": parameters_entry(match.parameters),
-        "fit": {"y": _finite(match.fit.y), "u": _finite(match.fit.u)},
-        "fitted": [_fitted_entry(match, name) for name in match.free],
-        "determined": match.determined,
-        "suggestion": match.suggestion,
-    }
-
-
-def _fitted_entry(match: Match, name: str) -> dict[str, Any]:
-    """A fitted parameter in its own unit; an end of the interval that is open or not known is None."""
-    known = interval(match, name)
-    return {
-        "name": name,
-        "value": _finite(value_of(match, name)),
-        "standard_error": _finite(known.error),
-        "interval": [_finite(known.low), _finite(known.high)],
-        "profile": known.profile,
-        "believed": name in match.believed,
-    }
-
-
-def parameters_entry(parameters: RigParameters) -> dict[str, float | None]:
-    """Rig parameters by name in their own units (V/K, Ω, W/K, J/K, K …); what has no bound is None: a sink
-    held at ambient has no heat capacity."""
-    return {name: _finite(getattr(parameters, name)) for name in PARAMETER_NAMES}
-
-
-def _candidate_entry(candidate: CandidateScore) -> dict[str, Any]:
-    return {
-        "name": candidate.name,
-        "operating_point": candidate.operating_point,
-        "window": [candidate.first, candidate.last],
-        "parameters": parameters_entry(candidate.parameters),
-        "orders": [_order_entry(o) for o in candidate.orders],
-        "chosen_order": candidate.chosen_order,
-        "nu_gap_sum": candidate.nu_gap_sum,
-        "nu_gap_to_plant": candidate.nu_gap_to_plant,
-        "nu_gap_sum_interval": [_finite(candidate.nu_gap_sum_low), _finite(candidate.nu_gap_sum_high)],
-        "nu_gap_low": list(candidate.nu_gap_low),
-        "nu_gap_high": list(candidate.nu_gap_high),
-        "nominal_probability": _finite(candidate.nominal_probability),
-        "margin": candidate.margin,
-        "plant_gap_to_nominal": candidate.plant_gap_to_nominal,
-        "newest_gain": candidate.newest.gain if candidate.newest else None,
-    }
-
-
-def _order_entry(order: OrderScore) -> dict[str, Any]:
-    outputs: dict[str, Criteria] = {"y": order.y, "u": order.u, "total": order.total}
-    names = {
-        "trivial_length": "trivial_length",
-        "model_length": "model_length",
-        "information_gain": "gain",
-        "explanation": "explanation",
-        "naic": "naic",
-        "bic": "bic",
-        "mdl": "mdl",
-        "two_part_length": "two_part_length",
-    }
-    entry: dict[str, Any] = {
-        "order": order.order,
-        "aic_difference": _finite(order.aic_difference),
-        "weight": _finite(order.weight),
-    }
-    for key, attribute in names.items():
-        entry[key] = {output: _finite(getattr(criteria, attribute)) for output, criteria in outputs.items()}
-    return entry
 
 
 def _finite(value: float) -> float | None:

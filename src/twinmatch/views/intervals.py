@@ -47,5 +47,5 @@ def interval(match: Match, name: str) -> Interval:
 def value_of(match: Match, name: str) -> float:
     """The value of a fitted parameter in its own unit; NaN for a sink that starts at ambient."""
     if name == SINK_START:
-        return math.nan if match.sink_start is None else match.sink_start
+        return match.starts.get("sink", math.nan)
     return float(getattr(match.parameters, name))

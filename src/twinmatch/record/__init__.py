@@ -1,0 +1,37 @@
+"""What is recorded of a run: verdicts, matches and their parts, described once.
+
+The description is the dataclasses themselves: names and kinds of their fields are read off them, and from
+that are made the fields of a message (`tree_of`, `fill`), the object again (`tree_of_message`, `object_of`),
+JSON (`document_of`) and the bit for bit comparison (`differences`). Whoever adds a field adds it to the
+dataclass, and its line to the message; a test compares the two. Nothing here knows ROS: a message is whatever
+has the fields.
+
+What is absent (`None`) is NaN, −1 or an empty text in a message and null in JSON; a level or status is a word
+there, and a number beside it in a message.
+"""
+
+from twinmatch.record.differences import differences
+from twinmatch.record.document import document_of
+from twinmatch.record.fields import Field, Form, RecordError, fields_of
+from twinmatch.record.messages import fill, tree_of_message
+from twinmatch.record.named import parameters_document, parameters_of, parameters_tree
+from twinmatch.record.older import comparable
+from twinmatch.record.tree import Tree, object_of, tree_of
+
+__all__ = [
+    "Field",
+    "Form",
+    "RecordError",
+    "Tree",
+    "comparable",
+    "differences",
+    "document_of",
+    "fields_of",
+    "fill",
+    "object_of",
+    "parameters_document",
+    "parameters_of",
+    "parameters_tree",
+    "tree_of",
+    "tree_of_message",
+]

@@ -1,0 +1,139 @@
+"""The fields of a recorded dataclass or named tuple, read off its type hints."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+from enum import Enum, auto
+from functools import cache
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.plant import RigParameters
+
+__all__ = ["Field", "Form", "RecordError", "fields_of", "values_name"]
+
+
+class RecordError(TwinmatchError):
+    """A record that does not hold what it should."""
+
+
+class Form(Enum):
+    """How a field is written."""
+
+    PLAIN = auto()
+    """A number, a truth value or a text."""
+    WORD = auto()
+    """One of an `Enum`: its word under the name with `_name`, its number under the name."""
+    LIST = auto()
+    """Numbers or texts."""
+    ROWS = auto()
+    """A square matrix as rows of numbers; row by row in a message."""
+    ARRAY = auto()
+    """A numpy array; row by row in a message."""
+    SPAN = auto()
+    """First and last sample, under these names."""
+    NAMED = auto()
+    """Numbers by name: the names, and the values under the name in the singular with `_values`."""
+    PARAMETERS = auto()
+    """Parameters of a plant."""
+    PART = auto()
+    """A recorded object of its own."""
+    PARTS = auto()
+    """Several of one kind."""
+    INLINE = auto()
+    """A recorded object whose fields stand beside this one's owner's."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """One field."""
+
+    name: str
+    """In the core, and in message and JSON unless its form says otherwise."""
+    form: Form
+    kind: Any
+    """Type of the value, or of one of several."""
+    optional: bool = False
+    """Whether it may be None."""
+    columns: int = 0
+    """Of an array; 0: it has one dimension, −1: as many as rows."""
+    prefix: str = ""
+    """Before the names of an inline object's fields."""
+    made: bool = False
+    """Whether it follows from the others, so that it is written and never read."""
+
+
+def fields_of(owner: type) -> tuple[Field, ...]:
+    """The fields of a class, in order; last the properties that its `DERIVED` names.
+
+    Raises:
+        RecordError: a field has a type that is not recorded.
+    """
+    return _fields_of(owner)
+
+
+@cache
+def _fields_of(owner: Any) -> tuple[Field, ...]:
+    hints = get_type_hints(owner)
+    columns: dict[str, int] = dict.fromkeys(getattr(owner, "_fields", ()), 0)
+    if dataclasses.is_dataclass(owner):
+        columns = {f.name: f.metadata.get("columns", 0) for f in dataclasses.fields(owner)}
+    found = [_field(owner, name, hints[name], wide) for name, wide in columns.items()]
+    for name in getattr(owner, "DERIVED", ()):
+        returned = get_type_hints(getattr(owner, name).fget)["return"]
+        found.append(dataclasses.replace(_field(owner, name, returned, 0), made=True))
+    return tuple(found)
+
+
+def values_name(name: str) -> str:
+    """Under which name the values of a `NAMED` field stand."""
+    return f"{name.removesuffix('s')}_values"
+
+
+def _field(owner: type, name: str, hint: Any, columns: int) -> Field:
+    kind, optional = _unless_none(hint)
+    origin, inside = get_origin(kind), get_args(kind)
+    form, prefix = None, ""
+    if kind in (bool, int, float, str):
+        form = Form.PLAIN
+    elif kind is RigParameters:
+        form = Form.PARAMETERS
+    elif origin is np.ndarray:
+        form, kind = Form.ARRAY, float
+    elif origin is tuple and inside == (int, int):
+        form, kind = Form.SPAN, int
+    elif origin is tuple and inside[1:] == (...,):
+        form, kind = _several(inside[0])
+    elif inside == (str, float):
+        form = Form.NAMED
+    elif isinstance(kind, type) and issubclass(kind, Enum):
+        form = Form.WORD
+    elif _is_named_tuple(kind):
+        form, prefix = Form.INLINE, f"{name}_"
+    elif dataclasses.is_dataclass(kind):
+        form = Form.INLINE if _is_named_tuple(owner) else Form.PART
+    if form is None:
+        msg = f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded"
+        raise RecordError(msg)
+    return Field(name, form, kind, optional, columns, prefix)
+
+
+def _several(inside: Any) -> tuple[Form, Any]:
+    if inside in (int, float, str):
+        return Form.LIST, inside
+    return (Form.ROWS, float) if get_origin(inside) is tuple else (Form.PARTS, inside)
+
+
+def _unless_none(hint: Any) -> tuple[Any, bool]:
+    """A type, and whether None is said beside it."""
+    if get_origin(hint) in (Union, types.UnionType):
+        inside = [kind for kind in get_args(hint) if kind is not type(None)]
+        return inside[0], len(inside) < len(get_args(hint))
+    return hint, False
+
+
+def _is_named_tuple(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")

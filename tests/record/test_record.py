@@ -1,0 +1,200 @@
+"""Records against what they are made of: messages, the page on the method, and themselves."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.matching import Status
+from twinmatch.matching.result import without_fit
+from twinmatch.plant import RigParameters
+from twinmatch.record import (
+    Form,
+    RecordError,
+    comparable,
+    differences,
+    document_of,
+    fields_of,
+    object_of,
+    tree_of,
+)
+from twinmatch.record.fields import values_name
+from twinmatch.signals import Window
+from twinmatch.twin import MatchReport
+
+PROJECT = Path(__file__).resolve().parents[2]
+METHOD = (PROJECT / "docs" / "method.md").read_text()
+RECORDS = {
+    "ModelScore": Verdict,
+    "Candidate": CandidateScore,
+    "OrderScore": OrderScore,
+    "Criteria": Criteria,
+    "Match": MatchReport,
+}
+OF_THE_MESSAGE = {"header"}
+CRITERIA = Criteria(100, 90, 10, 0.1, 1.0, 2.0, 3.0, 4.0)
+CANDIDATE = CandidateScore(
+    name="50 °C",
+    operating_point=50.0,
+    parameters=RigParameters(),
+    first=0,
+    last=99,
+    orders=(OrderScore("22221", CRITERIA, CRITERIA, CRITERIA + CRITERIA, math.nan, 1.0),),
+    chosen_order="22221",
+    nu_gap_sum=0.5,
+    newest=None,
+    nu_gap_to_plant=None,
+    nu_gap_low=(0.0, 0.25),
+)
+VERDICT = Verdict(
+    sample=7,
+    first=0,
+    last=7,
+    level=TrustLevel.DOUBTFUL,
+    stands=False,
+    nominal="50 °C",
+    reason="so it is",
+    decimals=2,
+    candidates=(CANDIDATE, replace(CANDIDATE, name="70 °C", newest=CRITERIA, margin=0.25)),
+    order=None,
+    nu_gap=((0.0, 0.5), (0.5, 0.0)),
+    driven_rms_y=1.0,
+    closed_rms_u=math.inf,
+)
+
+
+def report() -> MatchReport:
+    """One without a fit, so full of NaN, and one direction that is known."""
+    window = Window(np.full(9, 50.0), np.full(9, 50.0), np.full(9, 90.0))
+    match = without_fit(window, ("a", "b"), RigParameters(), Status.NO_EXCITATION, "nothing moved")
+    known = replace(
+        match, starts={"sink": 296.0}, directions=np.array([[1.0, 2.0], [3.0, 4.0]]), believed=("b",)
+    )
+    return MatchReport(8, 50.0, known)
+
+
+def entries(kind: type) -> set[str]:
+    """Names of the fields of the message."""
+    names: set[str] = set()
+    for field in fields_of(kind):
+        if field.form is Form.WORD:
+            names |= {field.name, f"{field.name}_name"}
+        elif field.form is Form.SPAN:
+            names |= {"first", "last"}
+        elif field.form is Form.NAMED:
+            names |= {field.name, values_name(field.name)}
+        elif field.form is Form.INLINE:
+            names |= {f"{field.prefix}{name}" for name in entries(field.kind)}
+        else:
+            names.add(field.name)
+    return names
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_the_message_has_the_fields_of_the_record(name: str) -> None:
+    """A field of the one that the other lacks is found here, whichever it is."""
+    text = (PROJECT / "src" / "twinmatch_msgs" / "msg" / f"{name}.msg").read_text()
+    lines = (line.partition("#")[0].split() for line in text.splitlines())
+    told = {words[1] for words in lines if len(words) == 2 and "=" not in words[1]}
+    assert told - OF_THE_MESSAGE == entries(RECORDS[name])
+
+
+@pytest.mark.parametrize("name", ["ModelScore", "Candidate", "OrderScore", "Criteria", "Match"])
+def test_the_method_says_how_to_read_every_field(name: str) -> None:
+    said = set(re.findall(r"`(\w+)`", METHOD))
+    missing = {entry.removesuffix("_name") for entry in entries(RECORDS[name])} - said
+    assert not missing, f"docs/method.md does not say how to read {sorted(missing)} of {name}"
+
+
+def test_there_and_back() -> None:
+    assert repr(object_of(Verdict, tree_of(VERDICT))) == repr(VERDICT)
+    again = object_of(MatchReport, tree_of(report()))
+    assert repr(again) == repr(report())
+    assert again.match.directions.shape == (2, 2)
+    assert again.match.intervals.shape == (2, 2)
+
+
+def test_what_is_absent_is_null_in_json() -> None:
+    entry = json.loads(json.dumps(document_of(VERDICT), allow_nan=False))
+    first, second = entry["candidates"]
+    assert entry["level"] == "doubtful"
+    assert entry["nu_gap"] == [[0.0, 0.5], [0.5, 0.0]]
+    assert (entry["order"], entry["closed_rms_u"], first["newest"], first["margin"]) == (
+        None,
+        None,
+        None,
+        None,
+    )
+    assert first["orders"][0]["aic_difference"] is None
+    assert second["newest"]["gain"] == 10
+    match = document_of(report())
+    assert (match["first"], match["last"], match["fit_y"]) == (0, 8, None)
+    assert match["directions"] == [[1.0, 2.0], [3.0, 4.0]]
+    assert match["standard_errors"] == [None, None]
+    assert match["starts"] == {"sink": 296.0}
+    assert match["parameters"]["sink_heat_capacity"] is None
+
+
+def test_a_record_of_another_version_is_refused() -> None:
+    tree = tree_of(VERDICT)
+    with pytest.raises(RecordError, match="a Verdict without reason; it is of another version"):
+        object_of(Verdict, {name: value for name, value in tree.items() if name != "reason"})
+    with pytest.raises(RecordError, match="'certain' is none of unknown, trusted, doubtful, fault"):
+        object_of(Verdict, tree | {"level_name": "certain"})
+
+
+def test_a_type_that_is_not_recorded_is_refused() -> None:
+    @dataclass
+    class Odd:
+        when: complex
+
+    with pytest.raises(RecordError, match=r"Odd\.when is of type"):
+        fields_of(Odd)
+
+
+def test_what_an_older_version_recorded_is_compared_as_far_as_both_know_it() -> None:
+    tree = comparable(tree_of(VERDICT))
+    older = {**tree, "residual_y": tree["driven_rms_y"], "gone": 1}
+    del older["driven_rms_y"], older["certainty"]
+    apart: set[str] = set()
+    assert not list(differences(comparable(older), tree, apart=apart))
+    assert apart == {"gone", "certainty"}
+    older["residual_y"] += 1.0
+    assert [place for place, _, _ in differences(comparable(older), tree, apart=set())] == ["driven_rms_y"]
+
+
+def test_every_bit_counts() -> None:
+    tree, other = tree_of(VERDICT), tree_of(VERDICT)
+    assert not list(differences(tree, other))
+    was = other["candidates"][1]["orders"][0]["total"]["bic"]
+    now = float(np.nextafter(was, np.inf))
+    other["candidates"][1]["orders"][0]["total"]["bic"] = now
+    assert list(differences(tree, other)) == [("candidates[1].orders[0].total.bic", was, now)]
+
+
+@given(st.floats(), st.floats())
+def test_floats_are_compared_by_their_bits(one: float, other: float) -> None:
+    same = struct.pack("<d", one) == struct.pack("<d", other) or (math.isnan(one) and math.isnan(other))
+    assert (not list(differences({"a": [one]}, {"a": [other]}))) is same
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "found"),
+    [
+        ({"a": 1}, {"b": 1}, [("a", 1, None), ("b", None, 1)]),
+        ([1], [1, 2], [("", [1], [1, 2])]),
+    ],
+)
+def test_missing_fields_are_differences(one: Any, other: Any, found: Any) -> None:
+    assert list(differences(one, other)) == found
