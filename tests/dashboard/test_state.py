@@ -169,7 +169,6 @@ def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
                 verdict = judged.verdicts[k // 20 % len(judged.verdicts)]
                 level = list(TrustLevel)[k // 20 % 4]
                 state.push_verdict(replace(verdict, sample=k, first=max(0, k - 20), level=level))
-                state.push_match(judged.matches[k // 20 % len(judged.matches)])
                 state.push_drive(Drive(0.0, 0.5, "stopped: as asked" if k % 40 else ""))
                 state.push_health(
                     f"node {k % 1000}: health", k % 3, f"message {k}", {"key": "value"}, 0.1 * k

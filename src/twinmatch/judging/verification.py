@@ -117,14 +117,12 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
     computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]
     computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]
-    last, apart = session.samples[-1].index, set[str]()
+    last = session.samples[-1].index
+    apart: set[str] = set()
     difference = _compare("match", matches, computed_matches, last, apart) or _compare(
         "verdict", scores, computed_scores, last, apart
     )
-    notes = list(session.notes)
-    if apart:
-        told = ", ".join(sorted(apart))
-        notes.append(f"recorded by another version; what only one of the two knows was not compared: {told}")
+    notes = [*session.notes, *_another_form(apart)]
     if difference is None and len(scores) < len(computed_scores):
         notes.append(
             f"{len(computed_scores) - len(scores)} verdicts at the very end were not recorded any more"
@@ -171,12 +169,24 @@ def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
     return result
 
 
+def _another_form(apart: set[str]) -> list[str]:
+    """A note on fields that recorded and computed do not share."""
+    if not apart:
+        return []
+    fields = ", ".join(sorted(apart))
+    return [f"recorded in another form; only what both forms have was compared, which leaves out {fields}"]
+
+
 def _compare(
     what: str, recorded: list[Tree], computed: list[Tree], last: int, apart: set[str]
 ) -> Difference | None:
-    """The first difference of two lists; fields that only one of them knows are put into `apart`."""
+    """The first difference; fields that only one form has go into `apart`."""
     for number, (one, other) in enumerate(zip(recorded, computed, strict=False), 1):
-        for field, was, now in differences(one, other, apart=apart):
+        missing: set[str] = set()
+        found = next(differences(one, other, apart=missing), None)
+        apart |= {field.removeprefix("candidates.") for field in missing}
+        if found is not None:
+            field, was, now = found
             return Difference(what, number, one["sample"], _owner(one, field), field, was, now)
     number = min(len(recorded), len(computed))
     if len(recorded) > number:

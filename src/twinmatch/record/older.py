@@ -26,7 +26,7 @@ def comparable(tree: Tree) -> Tree:
         # Before structures had names, the values said which parts there were.
         structure = {"structure": tree["structure"]} if tree["structure"] or not held else {}
         return {"plant": tree["plant"], **structure, **held}
-    if "seebeck" in tree and "plant" not in tree:
+    if "seebeck" in tree:  # the rig's own message, before there were other plants
         absent = math.isnan(tree["seebeck"])
         return {"plant": "", "structure": ""} if absent else {"plant": "peltier", **tree}
     if "start_values" in tree:
