@@ -28,6 +28,7 @@ from twinmatch.judging.judgement import Judgement
 from twinmatch.nodes.conversions import score_message, state_message
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import RELIABLE
+from twinmatch.plants import Peltier
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, TwinSettings
@@ -64,7 +65,7 @@ class Graph:
         mirror = Mirror(TwinSettings().start, TwinSettings().gains)
         for sample in samples:
             self.publish("plant/sample", sample_message(sample))
-            self.publish("twin/state", state_message(mirror.push(sample), ""))
+            self.publish("twin/state", state_message(mirror.push(sample), "", Peltier.states))
             for verdict in judged.verdicts if judged else ():
                 if verdict.sample == sample.index:
                     self.publish("twin/model_score", score_message(verdict, sample.stamp))
