@@ -118,8 +118,6 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         state.push_sample(sample, 0.0)
         if k % 37 == 0:
             early.update()
-    for match in judged.matches:
-        state.push_match(match)
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
         early.update()

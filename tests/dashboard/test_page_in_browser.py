@@ -25,13 +25,14 @@ from sensor_msgs.msg import Image, Temperature
 from tests.support.processes import Process, Processes
 from twinmatch.discrimination import ADMITTED
 from twinmatch.judging.judgement import Judgement
-from twinmatch.nodes.conversions import match_message, score_message, state_message
+from twinmatch.nodes.conversions import score_message, state_message
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import RELIABLE
+from twinmatch.plants import Peltier
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, TwinSettings
-from twinmatch_msgs.msg import LoopSample, Match, ModelScore, PwmApplied, TwinState
+from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, TwinState
 
 pytestmark = pytest.mark.ros
 
@@ -45,7 +46,6 @@ class Graph:
             "plant/sample": LoopSample,
             "twin/state": TwinState,
             "twin/model_score": ModelScore,
-            "twin/match": Match,
             "plant/pwm_applied": PwmApplied,
         }
         self._publishers = {
@@ -65,10 +65,7 @@ class Graph:
         mirror = Mirror(TwinSettings().start, TwinSettings().gains)
         for sample in samples:
             self.publish("plant/sample", sample_message(sample))
-            self.publish("twin/state", state_message(mirror.push(sample), ""))
-            for match in judged.matches if judged else ():
-                if match.sample == sample.index:
-                    self.publish("twin/match", match_message(match, sample.stamp))
+            self.publish("twin/state", state_message(mirror.push(sample), "", Peltier.states))
             for verdict in judged.verdicts if judged else ():
                 if verdict.sample == sample.index:
                     self.publish("twin/model_score", score_message(verdict, sample.stamp))
@@ -98,7 +95,7 @@ def graph(ros: None) -> Iterator[Graph]:  # noqa: ARG001
 def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
     started = page_process()
     browser.open(started.url)
-    for name in ("plant/sample", "twin/state", "twin/model_score", "twin/match", "plant/pwm_applied"):
+    for name in ("plant/sample", "twin/state", "twin/model_score", "plant/pwm_applied"):
         browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
     return started
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -220,7 +221,8 @@ def test_candidate(candidate: CandidateScore) -> None:
     same(object_of(CandidateScore, tree_of_message(message)), candidate)
 
 
-STATES = st.lists(ANY, min_size=3, max_size=3).map(tuple)
+NAMES = ("plate", "sink", "sensor")
+STATES = st.dictionaries(st.sampled_from(NAMES), ANY)
 
 
 @given(
@@ -232,13 +234,14 @@ STATES = st.lists(ANY, min_size=3, max_size=3).map(tuple)
 )
 def test_state(state: MirrorState) -> None:
     """Every figure of the mirror is in the message under its own name."""
-    message = there_and_back(state_message(state, "50 °C"))
+    message = there_and_back(state_message(state, "50 °C", NAMES))
     assert (message.index, message.nominal) == (state.sample.index, "50 °C")
     assert repr(list(message.reference)) == repr([state.sample.reference])
     for field in dataclasses.fields(state):
         value = getattr(state, field.name)
-        if isinstance(value, tuple):
-            assert repr(tuple(getattr(message, field.name))) == repr(value)
+        if field.name.endswith("_states"):
+            held = [value.get(name, math.nan) for name in NAMES]
+            assert repr(list(getattr(message, field.name))) == repr(held)
         elif field.name != "sample":
             assert repr(one_of(message, field.name)) == repr(value)
 

@@ -84,7 +84,7 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
     assert (found[0].title, found[0].why) == ("match admitted", "matched on these samples")
     assert (found[3].title, found[3].why) == ("match refused", "on its bound")
     assert found[7].title == "50 °C dismissed"
-    assert "8.00 °C and 60.0 counts" in found[5].why
+    assert "8.00 °C and 60.0 PWM apart" in found[5].why
     assert found[6] == Event(
         260, EventKind.FAULT, "fault: drive-lost", "why it is so (it shows since sample 255)"
     )

@@ -66,7 +66,7 @@ class Parameters(Mapping[str, float]):
         return self.model.key == other.model.key and self._values == other._values
 
     def __repr__(self) -> str:
-        values = ", ".join(f"{name}={value:g}" for name, value in self._values.items())
+        values = ", ".join(f"{name}={value!r}" for name, value in self._values.items())
         return f"<{self.model.title}: {values}>"
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -38,7 +38,7 @@ class Words:
     def impossible(self, sample: Sample) -> Finding:
         """A sample that is none."""
         reason = (
-            f"{self._output} is {sample.output:g}{self._unit} at {self._input} {sample.input:g} and "
+            f"{self._output} is {sample.output:g}{self._unit} at {sample.input:g} {self._input} and "
             f"set-point {sample.reference:g}{self._unit}, which cannot be: {self._sensor}"
         )
         return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
@@ -56,7 +56,7 @@ class Words:
         reason = (
             f"{self._output} stands still at {sample.output:g}{self._unit} for "
             f"{repeats.count * self._period:g} s, in which the plant should have moved "
-            f"{repeats.expected:+.2g}{self._unit} and the reading shown its noise: {self._sensor}"
+            f"{_signed(repeats.expected)}{self._unit} and the reading shown its noise: {self._sensor}"
         )
         return Finding(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
 
@@ -67,13 +67,11 @@ class Words:
 
     def lost(self, index: int, effect: Effect, *, sure: bool) -> Finding:
         """A drive without effect."""
-        moved, shown = (
-            f"{effect.expected:+.3g}{self._unit}",
-            f"{effect.share * effect.expected:+.2g}{self._unit}",
-        )
+        moved, shown = _signed(effect.expected), _signed(effect.share * effect.expected)
         reason = (
-            f"the drive should have moved {self._output} by {moved} in {effect.length * self._period:g} s, "
-            f"but what it did shows {shown} of that: look at drive, wires and supply"
+            f"the drive should have moved {self._output} by {moved}{self._unit} in "
+            f"{effect.length * self._period:g} s, but what it did shows {shown}{self._unit} of that: "
+            "look at drive, wires and supply"
         )
         return Finding(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 
@@ -87,9 +85,14 @@ class Words:
 
     def drifting(self, index: int, drift: Drift, *, sure: bool) -> Finding:
         """A slow change."""
-        rate = f"{drift.rate:+.2g}{self._unit}/s"
+        rate = f"{_signed(drift.rate)}{self._unit}/s"
         reason = (
             f"{self._output} moves by {rate} that neither drive nor surroundings explain, "
             f"{drift.size:.1f} times what is uncertain: {self._surroundings}"
         )
         return Finding(Fault.DRIFT, sure, index - round(DRIFT_TIME / self._period), reason)
+
+
+def _signed(value: float) -> str:
+    """As many digits as can be meant."""
+    return f"{value:+.0f}" if abs(value) >= 100 else f"{value:+.2g}"

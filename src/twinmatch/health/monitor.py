@@ -16,6 +16,8 @@ from twinmatch.signals import Sample
 
 __all__ = ["Monitor"]
 
+_REACH: Final = 1.2
+"""How much further than the twin says the plant may be moved by the drive or by all else in one sample."""
 _CONFIRM: Final = 3
 """Samples in a row that have to show a drive without effect."""
 _WEAKLY: Final = 20.0
@@ -138,7 +140,9 @@ class Monitor:
         self._lag.push(movement)
         self._effect.push(movement, self._balance.roughness)
         self._learn(sample.index)
-        if abs(movement.unexplained) > self.settings.jump * max(1.0, self.settings.period):
+        # A plant that goes far in one sample may as well not have gone: that is the drive's to tell.
+        reach = _REACH * (abs(movement.drive) + abs(movement.passive))
+        if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.period), reach):
             return self._words.leaping(before, sample, movement.unexplained)
         return self._weigh(sample)
 

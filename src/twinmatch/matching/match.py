@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
@@ -181,5 +182,6 @@ def _fit(problem: Problem, residuals: FloatArray) -> Fit:
     for measured, left, weight in zip(problem.measured, residuals, problem.weights[:, 0], strict=True):
         values = measured[-count:]
         spread = float(np.linalg.norm(values - np.mean(values)))
-        figures.append(1.0 - float(np.linalg.norm(left)) / weight / spread if spread > 0 else float("nan"))
+        found = 1.0 - np.linalg.norm(left) / weight / spread if spread > 0 else math.nan
+        figures.append(float(found))
     return Fit(*figures, *[float("nan")] * (2 - len(figures)))

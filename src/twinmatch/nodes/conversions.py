@@ -5,6 +5,8 @@ What is recorded of verdicts and matches is described in `twinmatch.record`; her
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from typing import Any
 
 from twinmatch.discrimination import Verdict
@@ -47,14 +49,21 @@ STATE_FIGURES = (
 )
 
 
-def state_message(state: MirrorState, nominal: str) -> messages.TwinState:
-    """Where the twins are, as `TwinState`; `nominal` names the candidate whose parameters they have."""
+def state_message(state: MirrorState, nominal: str, states: Iterable[str]) -> messages.TwinState:
+    """Where the twins are, as `TwinState`.
+
+    Args:
+        state: the twins at one tick.
+        nominal: names the candidate whose parameters they have.
+        states: names of all states of the plant, in the order of its description.
+    """
+    order = list(states)
     message = messages.TwinState(
         index=state.sample.index,
         nominal=nominal,
         reference=[state.sample.reference],
-        closed_states=list(state.closed_states),
-        driven_states=list(state.driven_states),
+        closed_states=[state.closed_states.get(name, math.nan) for name in order],
+        driven_states=[state.driven_states.get(name, math.nan) for name in order],
         **{name: [getattr(state, name)] for name in STATE_FIGURES},
     )
     stamp_header(message.header, state.sample.stamp)

@@ -39,7 +39,8 @@ class TwinSimulatorNode(SampleNode):
     def work(self, item: Sample | Candidate) -> None:
         """Mirror one sample, or take over the parameters of a new nominal candidate."""
         if isinstance(item, Sample):
-            self._publisher.publish(state_message(self._mirror.push(item), self._nominal))
+            state = self._mirror.push(item)
+            self._publisher.publish(state_message(state, self._nominal, self.settings.plant.states))
             return
         self._mirror.parameters = parameters_from(item.parameters)
         self._nominal = item.name
