@@ -166,7 +166,7 @@ class Experiment:
         The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, when rows weigh by 1/√(1 + r²);
         infinite where the plant is too fast for the period.
         """
-        found: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(self._posed, values)
+        found: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(self._posed, values, np.inf)
         return found
 
     def descend(  # noqa: PLR0917 (as the search itself)
@@ -205,6 +205,7 @@ class Experiment:
             posed.weights,
             posed.robust,
             True,
+            np.inf,
         )
         return Tangents(*found[:6])
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.derived import (
-    N_CONSTANTS,
     N_QUANTITIES,
     N_STATES,
     N_SWITCHES,
     N_UNKNOWN,
     branch,
     combined,
+    held,
     output,
     output_slopes,
     packed,
@@ -73,14 +73,14 @@ MOST_SWITCHES = 6
 """Kinks of which all combinations are looked at."""
 
 
-@compiled
-def _crossed(a: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any) -> bool:
+@compiled(innermost=True)
+def _crossed(a: Any, u: float, d: Any, p: Any, c: Any, b: Any) -> bool:
     """Whether some states lie beyond a kink."""
     return N_SWITCHES > 0 and switches(a, u, d, p, c) != b
 
 
-@compiled
-def _runge_kutta(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> Any:
+@compiled(innermost=True)
+def _runge_kutta(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> Any:
     """States after one step with the switches held, and whether a kink lies on the way.
 
     The stages are asked too: beyond a kink the equations of this side may mean nothing.
@@ -97,8 +97,8 @@ def _runge_kutta(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any,
     return there, crossed or _crossed(x3, u, d, p, c, b) or _crossed(x2, u, d, p, c, b)
 
 
-@compiled
-def _reach(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> float:
+@compiled(inside=True)
+def _reach(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> float:
     """Length of the step that ends just beyond the first kink on the way of a step by h."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
@@ -110,8 +110,8 @@ def _reach(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: fl
     return high
 
 
-@compiled
-def _tick(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int) -> Any:
+@compiled(innermost=True)
+def _tick(x: Any, u: float, d: Any, p: Any, c: Any, period: float, steps: int) -> Any:
     """States one period later."""
     for _ in range(steps):
         left = period / steps
@@ -129,9 +129,9 @@ def _tick(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float,
     return x
 
 
-@compiled
+@compiled(innermost=True)
 def _tick_with_tangents(
-    x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int,
+    x: Any, u: float, d: Any, p: Any, c: Any, period: float, steps: int,
     which: Any, columns: FloatArray, du: FloatArray, fp: FloatArray,
 ) -> Any:  # fmt: skip
     """States one period later, in the same steps as `_tick`.
@@ -170,20 +170,24 @@ def _tick_with_tangents(
 
 
 @compiled
-def advance(p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int) -> FloatArray:
+def advance(
+    vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+) -> FloatArray:
     """The states one period later, the drive and the disturbances held, shape (N_STATES,)."""
-    c, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
-    prepare(p, c)
+    after = np.zeros(N_STATES)
+    p = held(vector)
+    c = prepare(p)
     unpack(_tick(packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps), after)
     return after
 
 
 @compiled
-def begin(p: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def begin(vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """States where a window begins, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
-    c, x = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
+    x = np.zeros(N_STATES)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
     start(y, given, p, c, x)
     start_slopes(y, given, p, c, xy, xp)
@@ -191,10 +195,11 @@ def begin(p: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 @compiled
-def look(p: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
+def look(vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
     """The output, and the plant's other quantities, shape (N_QUANTITIES,)."""
-    c, q = np.zeros(N_CONSTANTS), np.zeros(N_QUANTITIES)
-    prepare(p, c)
+    q = np.zeros(N_QUANTITIES)
+    p = held(vector)
+    c = prepare(p)
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
     quantities(at, u, given, p, c, switches(at, u, given, p, c), q)
     return output(at, given, p, c), q
@@ -202,7 +207,7 @@ def look(p: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, 
 
 @compiled
 def parts(
-    p: FloatArray,
+    vector: FloatArray,
     y: float,
     before: FloatArray,
     u: float,
@@ -215,9 +220,10 @@ def parts(
 
     States that the output does not show begin where they are `before`, unless that is NaN.
     """
-    c, x, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES), np.zeros(N_STATES)
+    x, after = np.zeros(N_STATES), np.zeros(N_STATES)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
     start(y, given, p, c, x)
     start_slopes(y, given, p, c, xy, xp)
@@ -233,12 +239,13 @@ def parts(
 
 @compiled
 def slopes_at(
-    p: FloatArray, x: FloatArray, u: float, d: FloatArray
+    vector: FloatArray, x: FloatArray, u: float, d: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters."""
-    c, fp = np.zeros(N_CONSTANTS), np.zeros((1, N_STATES, N_UNKNOWN))
+    fp = np.zeros((1, N_STATES, N_UNKNOWN))
     hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
     f, fx, fu = rates_and_slopes(at, u, given, p, c, switches(at, u, given, p, c), fp, 0)
     output_slopes(at, given, p, c, hx, hp)
@@ -246,15 +253,18 @@ def slopes_at(
 
 
 @compiled
-def step_count(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float) -> int:
+def step_count(
+    vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float
+) -> int:
     """Runge–Kutta steps per sample, more than MOST_STEPS where the plant is too fast.
 
     The fastest rate decides: over some states, shape (m, N_STATES), and drives, on every side of
     the kinks, the least of three norms of df/dx (rows, columns, Frobenius); no eigenvalue is above any of
     them.
     """
-    c, fp = np.zeros(N_CONSTANTS), np.zeros((1, N_STATES, N_UNKNOWN))
-    prepare(p, c)
+    fp = np.zeros((1, N_STATES, N_UNKNOWN))
+    p = held(vector)
+    c = prepare(p)
     given, fastest = row(d.reshape((1, d.size)), 0), 0.0
     for k in range(corners.shape[0]):
         at = packed(corners[k])
@@ -276,11 +286,12 @@ def step_count(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatA
 
 @compiled
 def tick_slopes(
-    p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+    vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """States one period later, and their derivatives by the states and by the drive."""
-    c, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
-    prepare(p, c)
+    after = np.zeros(N_STATES)
+    p = held(vector)
+    c = prepare(p)
     columns, du = np.zeros((N_STATES, N_STATES + 1)), np.zeros(N_STATES + 1)
     for i in range(N_STATES):
         columns[i, i] = 1.0
@@ -295,7 +306,7 @@ def tick_slopes(
 
 @compiled
 def run(
-    p: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray, given: FloatArray,
+    vector: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray, given: FloatArray,
     disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
     integral: float, previous_error: float, period: float, steps: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
@@ -305,8 +316,8 @@ def run(
     """
     size = disturbances.shape[0]
     y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, N_STATES))
-    c = np.zeros(N_CONSTANTS)
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     at = packed(x)
     last = 0.0
     for k in range(size):
@@ -327,10 +338,10 @@ def run(
 
 @compiled
 def run_with_tangents(
-    p: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
+    vector: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
     reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
     previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
-    robust: bool, stored: bool,
+    robust: bool, stored: bool, limit: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """The run with its derivatives; either its arrays are stored, or the normal equations summed up.
 
@@ -340,7 +351,8 @@ def run_with_tangents(
     of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
     of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
     (N,), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1);
-    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²).
+    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²). A run
+    whose sum comes above `limit` ends there.
     """
     size, n = disturbances.shape[0], columns.shape[1]
     kept = size if stored else 0
@@ -350,12 +362,13 @@ def run_with_tangents(
     by_state, by_drive = np.empty((kept, N_STATES, N_STATES)), np.empty((kept, N_STATES))
     free_all = np.empty(kept)
     normal, dy = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
-    c, fp = np.zeros(N_CONSTANTS), np.zeros((4, N_STATES, N_UNKNOWN))
+    fp = np.zeros((4, N_STATES, N_UNKNOWN))
     hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
     all_columns, du, of_u = np.zeros((N_STATES, m)), np.zeros(m), np.zeros(n + 1)
     all_columns[:, :n] = columns
     d_integral, d_error = np.zeros(n), np.zeros(n)
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     at = packed(x)
     for k in range(size):
         d = row(disturbances, k)
@@ -389,6 +402,8 @@ def run_with_tangents(
                     of_u[j] = du[j]
                 of_u[n] = u - measured[1, k]
                 add_row(normal, of_u, weights[1, k], robust)
+            if normal[n, n] > limit:
+                break
         at = _tick_with_tangents(at, u, d, p, c, period, steps, which, all_columns, du, fp)
         if stored:
             for i in range(N_STATES):
@@ -423,8 +438,9 @@ def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, 
 
 
 @compiled
-def normal_at(posed: Posed, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Sum, gradient Jᵀr and JᵀJ of the weighed residuals; the sum is infinite where the plant is too fast."""
+def normal_at(posed: Posed, values: FloatArray, limit: float) -> tuple[float, FloatArray, FloatArray]:
+    """Sum, gradient Jᵀr and JᵀJ of the weighed residuals, as far as the sum does not come above `limit`; it
+    is infinite where the plant is too fast."""
     n = values.size
     p, x, columns, steps = start_at(posed, values)
     if steps > MOST_STEPS:
@@ -432,7 +448,7 @@ def normal_at(posed: Posed, values: FloatArray) -> tuple[float, FloatArray, Floa
     normal = run_with_tangents(
         p, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
         posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
-        posed.weights, posed.robust, False,
+        posed.weights, posed.robust, False, limit,
     )[6]  # fmt: skip
     return normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
 
@@ -440,6 +456,7 @@ def normal_at(posed: Posed, values: FloatArray) -> tuple[float, FloatArray, Floa
 @compiled
 def search(posed: Posed, on_its_way: Search) -> None:
     """Let a search run to its end."""
-    cost, gradient, hessian = normal_at(posed, on_its_way.tried)
+    cost, gradient, hessian = normal_at(posed, on_its_way.tried, np.inf)
     while told(on_its_way, cost, gradient, hessian):
-        cost, gradient, hessian = normal_at(posed, on_its_way.tried)
+        # A point that is no better than the best one need not be followed to the end.
+        cost, gradient, hessian = normal_at(posed, on_its_way.tried, on_its_way.best[0])

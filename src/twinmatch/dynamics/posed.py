@@ -48,7 +48,7 @@ class Posed(NamedTuple):
     period: float
 
 
-@compiled
+@compiled(innermost=True)
 def add_row(normal: FloatArray, of: FloatArray, weight: float, robust: bool) -> None:
     """Add one residual, the last entry of `of`, and its derivatives to the lower half of the equations."""
     if weight == 0.0:
