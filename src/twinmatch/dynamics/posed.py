@@ -46,6 +46,8 @@ class Posed(NamedTuple):
     previous: float
     """The controller's memory."""
     period: float
+    rate_limit: float
+    """Longest Runge–Kutta step in units of the fastest time constant."""
 
 
 @compiled(innermost=True)

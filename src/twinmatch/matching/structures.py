@@ -133,6 +133,7 @@ def _runs(windows: Sequence[Window], model: Model, noise: Noise, gains: PidGains
                 weights=(1.0 / noise.output, 1.0 / noise.input),
                 robust=True,
                 settle=SETTLE,
+                coarse=True,
             )
         )
     return runs
