@@ -35,10 +35,14 @@ def compiled(function: _Function, /) -> _Function: ...
 
 
 @overload
-def compiled(*, inside: bool = False, inlined: bool = False) -> Callable[[_Function], _Function]: ...
+def compiled(
+    *, inside: bool = False, inlined: bool = False, innermost: bool = False
+) -> Callable[[_Function], _Function]: ...
 
 
-def compiled(function: Any = None, /, *, inside: bool = False, inlined: bool = False) -> Any:
+def compiled(
+    function: Any = None, /, *, inside: bool = False, inlined: bool = False, innermost: bool = False
+) -> Any:
     """Compile a function at its first call, and keep the result on disk; the interpreter lock is released.
 
     No `fastmath`: the same input gives the same bits every time. Division follows IEEE, it does not raise.
@@ -49,14 +53,18 @@ def compiled(function: Any = None, /, *, inside: bool = False, inlined: bool = F
             get, is half of what there is to compile; and it is kept as a part of those that call it.
         inlined: as `inside`, and its code becomes part of its callers before they are compiled. For what
             has one caller: what is linked instead is optimised anew at every level above.
+        innermost: as `inside`, and its machine code becomes part of its callers', whatever its size: where
+            a call costs as much as what is called.
     """
     if function is None:
-        return functools.partial(compiled, inside=inside, inlined=inlined)
+        return functools.partial(compiled, inside=inside, inlined=inlined, innermost=innermost)
     options: dict[str, Any] = {}
-    if inside or inlined:
+    if inside or inlined or innermost:
         options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     if inlined:
         options["inline"] = "always"
+    if innermost:
+        options["forceinline"] = True
     kernel = numba.njit(nogil=True, error_model="numpy", **options)(function)
     kernel._compiler.compile = functools.partial(_vectorised, kernel._compiler.compile)
     if not (inside or inlined):

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares, lsq_linear
-from twinmatch.matching.descent import Descended, box_step, descend
+
+from twinmatch.dynamics import Descended, box_step, descend
 
 
 class Curve:
@@ -36,7 +37,7 @@ def search(
     found: Descended | None = None,
 ) -> Descended:
     arrays = (np.array(v, dtype=float) for v in (start, lower, upper))
-    return descend(evaluate, *arrays, np.ones(len(start)), most, found)
+    return descend(lambda x: evaluate(x).normal, *arrays, np.ones(len(start)), most, found)
 
 
 @pytest.mark.parametrize("start", [(-1.2, 1.0), (3.0, -4.0), (0.0, 0.0)])

@@ -161,7 +161,7 @@ def test_the_jacobian_is_the_derivative(record: Recorder) -> None:
 def test_what_is_not_seen_has_infinite_covariance() -> None:
     window = Window(np.full(60, 296.0 - KELVIN), np.full(60, 296.0 - KELVIN), np.zeros(60))
     posed = problem(window)
-    found = Estimate(posed.values_of(TRUTH), posed.residuals(posed.values_of(TRUTH)).reshape(2, -1), True)
+    found = Estimate(posed, posed.values_of(TRUTH), converged=True)
     known = uncertainty(posed, found)
     assert known.condition == np.inf
     assert np.isinf(known.covariance).all()

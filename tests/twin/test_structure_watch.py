@@ -22,7 +22,7 @@ SETTINGS = StructureSettings(TWO, least=300, every=300, longest=300)
 def hour() -> Window:
     reference = np.repeat([50.0, 30.0, 75.0, 45.0, 60.0], 200)
     sensor = Peltier.sensor.realise(reference.size, 1.0, 8)
-    run = simulate_closed_loop(PLAIN, reference, states=begin(PLAIN, 22.0), sensor=sensor)
+    run = simulate_closed_loop(PLAIN, reference, states=begin(PLAIN, 21.85), sensor=sensor)
     return Window(reference, run.output, run.input)
 
 

@@ -79,15 +79,13 @@ class _Writer:
                 f"quantities({known}, q)", {f"q[{i}]": e for i, e in enumerate(d.quantities.values())}
             ),
             self._switches(),
-            _tuple_functions(n, len(d.switches)),
+            _tuple_functions(n, len(d.switches), len(d.parameters)),
             self._tangents(by_state, by_drive),
         ]
-        constants = {str(kept): e for e, kept in self._constants.items()}
-        functions.append(self._function("prepare(p, c)", constants, keep=False))
+        functions.append(self._function("prepare(p)", {}, [list(self._constants)], keep=False))
         counts = {
             "N_STATES": n,
             "N_UNKNOWN": len(d.unknown),
-            "N_CONSTANTS": len(self._constants),
             "N_QUANTITIES": len(d.quantities),
             "N_SWITCHES": len(d.switches),
         }
@@ -96,11 +94,11 @@ class _Writer:
 
     def _row(self) -> str:
         row = _tuple(f"disturbances[k, {i}]" for i in range(len(self._derived.disturbances)))
-        return f"@compiled\ndef row(disturbances, k):\n    return {row}"
+        return f"@compiled(innermost=True)\ndef row(disturbances, k):\n    return {row}"
 
     def _switches(self) -> str:
         """One after the other: the condition of a switch may use the switches before it."""
-        lines = ["@compiled", "def switches(x, u, d, p, c):"]
+        lines = ["@compiled(innermost=True)", "def switches(x, u, d, p, c):"]
         conditions = [self._kept(e.xreplace(self._names)) for e in self._derived.conditions]
         used = set().union(*(e.free_symbols for e in conditions)) if conditions else set()
         lines += self._loads(s for s in used if not str(s).startswith("b"))
@@ -114,7 +112,7 @@ class _Writer:
         n = self._derived.n_states
         moved = [any(e.diff(s) != 0 for s in self._derived.unknown) for e in self._derived.rates]
         text = [
-            "@compiled",
+            "@compiled(innermost=True)",
             "def tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4):",
         ]
         for columns, with_parameter in (("which.size", True), ("du.size", False)):
@@ -167,7 +165,7 @@ class _Writer:
             expressions, symbols=self._sympy.numbered_symbols("t"), order="none"
         )
         used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
-        lines = ["@compiled", f"def {head}:", *self._loads(used)]
+        lines = ["@compiled(innermost=True)", f"def {head}:", *self._loads(used)]
         lines += [f"    {name} = {self._printer.doprint(e)}" for name, e in common]
         codes = [self._printer.doprint(e if e.free_symbols else self._sympy.Float(e)) for e in reduced]
         for place, code in zip(places, codes, strict=False):
@@ -218,18 +216,21 @@ def _tuple(entries: Iterable[str]) -> str:
     return f"({', '.join(held)}{',' if len(held) == 1 else ''})"
 
 
-def _tuple_functions(n: int, switches: int) -> str:
+def _tuple_functions(n: int, switches: int, parameters: int) -> str:
     """What is done with tuples of states; numba unrolls no loop over them by itself."""
     packed = _tuple(f"array[{i}]" for i in range(n))
     shifted = _tuple(f"x[{i}] + h * k[{i}]" for i in range(n))
     weighed = "k1[{0}] + 2.0 * k2[{0}] + 2.0 * k3[{0}] + k4[{0}]"
     combined = _tuple(f"x[{i}] + h / 6.0 * ({weighed.format(i)})" for i in range(n))
     sides = _tuple(f"float(code >> {i} & 1)" for i in range(switches))
+    values = _tuple(f"vector[{i}]" for i in range(parameters))
+    unpacked = "\n".join(f"    array[{i}] = x[{i}]" for i in range(n))
     lines = [
-        "@compiled\ndef branch(code):\n    return " + sides,
-        "@compiled\ndef packed(array):\n    return " + packed,
-        "@compiled\ndef shifted(x, k, h):\n    return " + shifted,
-        "@compiled\ndef combined(x, k1, k2, k3, k4, h):\n    return " + combined,
-        "@compiled\ndef unpack(x, array):\n" + "\n".join(f"    array[{i}] = x[{i}]" for i in range(n)),
+        "@compiled(innermost=True)\ndef held(vector):\n    return " + values,
+        "@compiled(innermost=True)\ndef branch(code):\n    return " + sides,
+        "@compiled(innermost=True)\ndef packed(array):\n    return " + packed,
+        "@compiled(innermost=True)\ndef shifted(x, k, h):\n    return " + shifted,
+        "@compiled(innermost=True)\ndef combined(x, k1, k2, k3, k4, h):\n    return " + combined,
+        "@compiled(innermost=True)\ndef unpack(x, array):\n" + unpacked,
     ]
     return "\n\n\n".join(lines)

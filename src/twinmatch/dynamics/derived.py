@@ -4,8 +4,8 @@
 
 The kernels are written against this module. For any other plant `code.py` writes the same functions with that
 plant's equations, and they take this module's place. States x, disturbances d and switches b (1 or 0) are
-tuples, so that they stay in registers; parameters p and what `prepare` computed of them, c, are arrays. Other
-arrays are filled; entries that are always zero are left to whoever made the array.
+tuples, so that they stay in registers; so are the parameters p and what `prepare` computed of them, c. Arrays
+are filled; entries that are always zero are left to whoever made the array.
 """
 
 # ruff: noqa: ARG001, D103, PLR0917 (the form of the code that is written)
@@ -19,32 +19,36 @@ from twinmatch.compiled import compiled
 
 N_STATES = 1
 N_UNKNOWN = 2
-N_CONSTANTS = 1
 N_QUANTITIES = 0
 N_SWITCHES = 0
 
 
-@compiled
+@compiled(innermost=True)
 def row(disturbances: Any, k: Any) -> Any:
     return ()
 
 
-@compiled
-def prepare(p: Any, c: Any) -> Any:
-    c[0] = 1 / p[1]
+@compiled(innermost=True)
+def held(vector: Any) -> Any:
+    return (vector[0], vector[1])
 
 
-@compiled
+@compiled(innermost=True)
+def prepare(p: Any) -> Any:
+    return (1 / p[1],)
+
+
+@compiled(innermost=True)
 def switches(x: Any, u: Any, d: Any, p: Any, c: Any) -> Any:
     return ()
 
 
-@compiled
+@compiled(innermost=True)
 def rates(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any) -> Any:
     return (c[0] * (p[0] * u - x[0]),)
 
 
-@compiled
+@compiled(innermost=True)
 def rates_and_slopes(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any, fp: Any, stage: Any) -> Any:
     """Rates, their derivatives by states (row by row) and by the drive; those by parameters go to
     fp[stage]."""
@@ -54,58 +58,58 @@ def rates_and_slopes(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any, fp: Any, st
     return (rate,), (-c[0],), (c[0] * p[0],)
 
 
-@compiled
+@compiled(innermost=True)
 def output(x: Any, d: Any, p: Any, c: Any) -> Any:
     return x[0]
 
 
-@compiled
+@compiled(innermost=True)
 def output_slopes(x: Any, d: Any, p: Any, c: Any, hx: Any, hp: Any) -> Any:
     hx[0] = 1.0
 
 
-@compiled
+@compiled(innermost=True)
 def start(y: Any, d: Any, p: Any, c: Any, x: Any) -> Any:
     x[0] = y
 
 
-@compiled
+@compiled(innermost=True)
 def start_slopes(y: Any, d: Any, p: Any, c: Any, xy: Any, xp: Any) -> Any:
     xy[0] = 1.0
 
 
-@compiled
+@compiled(innermost=True)
 def quantities(x: Any, u: Any, d: Any, p: Any, c: Any, b: Any, q: Any) -> Any:
     pass
 
 
-@compiled
+@compiled(innermost=True)
 def branch(code: Any) -> Any:
     """The switches as the bits of a number."""
     return ()
 
 
-@compiled
+@compiled(innermost=True)
 def packed(array: Any) -> Any:
     return (array[0],)
 
 
-@compiled
+@compiled(innermost=True)
 def unpack(x: Any, array: Any) -> Any:
     array[0] = x[0]
 
 
-@compiled
+@compiled(innermost=True)
 def shifted(x: Any, k: Any, h: Any) -> Any:
     return (x[0] + h * k[0],)
 
 
-@compiled
+@compiled(innermost=True)
 def combined(x: Any, k1: Any, k2: Any, k3: Any, k4: Any, h: Any) -> Any:
     return (x[0] + h / 6.0 * (k1[0] + 2.0 * k2[0] + 2.0 * k3[0] + k4[0]),)
 
 
-@compiled
+@compiled(innermost=True)
 def tangents(
     columns: Any,
     du: Any,

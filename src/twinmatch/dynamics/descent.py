@@ -36,7 +36,7 @@ _NEAR, _ALIKE = 0.5, 0.5
 """Largest rise above a minimum found before, and largest error of its quadratic model, within its valley."""
 LEAST_DAMPING: Final = 1e-12
 
-_COST, _DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MOST, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(10)
+_DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MOST, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(9)
 
 
 class Descended(NamedTuple):
@@ -58,6 +58,8 @@ class Search(NamedTuple):
     """The point asked for, shape (n,)."""
     values: FloatArray
     """The best point so far."""
+    best: FloatArray
+    """The sum there, shape (1,)."""
     gradient: FloatArray
     hessian: FloatArray
     lower: FloatArray
@@ -67,7 +69,7 @@ class Search(NamedTuple):
     """A minimum found before, shape (n,), and its JᵀJ."""
     known_hessian: FloatArray
     figures: FloatArray
-    """Sum, damping, its growth, decrease expected, evaluations so far and at most, whether it converged, sum
+    """Damping, its growth, decrease expected, evaluations so far and at most, whether it converged, sum
     at the known minimum (NaN without one), whether the search came into its valley."""
 
 
@@ -88,6 +90,7 @@ def begun(
     return Search(
         tried=start.copy(),
         values=start.copy(),
+        best=np.full(1, np.inf),
         gradient=np.empty(n),
         hessian=np.empty((n, n)),
         lower=lower,
@@ -106,7 +109,7 @@ def ended(search: Search, found: Descended | None) -> Descended:
         return found
     return Descended(
         search.values,
-        float(figures[_COST]),
+        float(search.best[0]),
         bool(figures[_CONVERGED]),
         int(figures[_EVALUATIONS]),
         search.hessian,
@@ -140,15 +143,15 @@ def told(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray)
     lower, upper = search.lower, search.upper
     first = figures[_EVALUATIONS] == 0.0
     figures[_EVALUATIONS] += 1.0
-    if first or cost < figures[_COST]:
+    if first or cost < search.best[0]:
         if not first:
             # How far the quadratic model was right decides how far the next one is followed.
-            fell, expected = figures[_COST] - cost, figures[_EXPECTED]
+            fell, expected = search.best[0] - cost, figures[_EXPECTED]
             trusted = fell / expected if expected > 0.0 else 0.0
             less = max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3)
             figures[_DAMPING] = max(figures[_DAMPING] * less, LEAST_DAMPING)
             figures[_GROWTH] = 2.0
-        figures[_COST] = cost
+        search.best[0] = cost
         values[:], search.gradient[:], search.hessian[:, :] = search.tried, gradient, hessian
         if _in_valley(search, cost):
             figures[_CAME_BACK] = figures[_CONVERGED] = 1.0
@@ -172,7 +175,7 @@ def told(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray)
         there = lower[i] if there < lower[i] + near else there
         search.tried[i] = upper[i] if there > upper[i] - near else there
     if not moved:
-        figures[_CONVERGED] = 1.0 if np.isfinite(figures[_COST]) else 0.0
+        figures[_CONVERGED] = 1.0 if np.isfinite(search.best[0]) else 0.0
     return moved
 
 

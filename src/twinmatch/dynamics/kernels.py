@@ -1,7 +1,7 @@
 """The compiled arithmetic of every plant: steps, loops and their exact tangents.
 
 Written against `derived`, whose functions are those of one plant; the store puts the functions made of
-another plant's equations in their place and keeps the whole as a module of its own.
+another plant's equations in their place and keeps the whole, with `runs`, as a module of its own.
 
 A sample is `steps` Runge–Kutta steps of order 4, none of which crosses a kink: where a condition changes sign
 within a step, its moment is bisected and the step ends just behind it. Tangents are carried through the same
@@ -9,7 +9,7 @@ stages. They need nothing at a kink, because the rates are continuous there and 
 them.
 """
 
-# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
+# ruff: noqa: PLR0917 (kernels are long and take arrays in a row)
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ import numpy as np
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.derived import (
-    N_CONSTANTS,
     N_QUANTITIES,
     N_STATES,
     N_SWITCHES,
     N_UNKNOWN,
     branch,
     combined,
+    held,
     output,
     output_slopes,
     packed,
@@ -41,26 +41,20 @@ from twinmatch.dynamics.derived import (
     tangents,
     unpack,
 )
-from twinmatch.dynamics.descent import Search, told
-from twinmatch.dynamics.pid_step import Gains, loop_step, pid_step
-from twinmatch.dynamics.posed import Posed, add_row
-from twinmatch.dynamics.sensor_step import reading
 from twinmatch.signals import FloatArray
 
 __all__ = [
     "MOST_STEPS",
+    "RATE_LIMIT",
     "advance",
     "begin",
     "look",
-    "normal_at",
     "parts",
-    "run",
-    "run_with_tangents",
-    "search",
     "slopes_at",
-    "start_at",
     "step_count",
+    "tick",
     "tick_slopes",
+    "tick_with_tangents",
 ]
 
 RATE_LIMIT = 0.06
@@ -73,14 +67,14 @@ MOST_SWITCHES = 6
 """Kinks of which all combinations are looked at."""
 
 
-@compiled
-def _crossed(a: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any) -> bool:
+@compiled(innermost=True)
+def _crossed(a: Any, u: float, d: Any, p: Any, c: Any, b: Any) -> bool:
     """Whether some states lie beyond a kink."""
     return N_SWITCHES > 0 and switches(a, u, d, p, c) != b
 
 
-@compiled
-def _runge_kutta(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> Any:
+@compiled(innermost=True)
+def _runge_kutta(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> Any:
     """States after one step with the switches held, and whether a kink lies on the way.
 
     The stages are asked too: beyond a kink the equations of this side may mean nothing.
@@ -97,8 +91,8 @@ def _runge_kutta(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any,
     return there, crossed or _crossed(x3, u, d, p, c, b) or _crossed(x2, u, d, p, c, b)
 
 
-@compiled
-def _reach(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: float) -> float:
+@compiled(inside=True)
+def _reach(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> float:
     """Length of the step that ends just beyond the first kink on the way of a step by h."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
@@ -110,8 +104,8 @@ def _reach(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, b: Any, h: fl
     return high
 
 
-@compiled
-def _tick(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int) -> Any:
+@compiled(innermost=True)
+def tick(x: Any, u: float, d: Any, p: Any, c: Any, period: float, steps: int) -> Any:
     """States one period later."""
     for _ in range(steps):
         left = period / steps
@@ -129,12 +123,12 @@ def _tick(x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float,
     return x
 
 
-@compiled
-def _tick_with_tangents(
-    x: Any, u: float, d: Any, p: FloatArray, c: FloatArray, period: float, steps: int,
+@compiled(innermost=True)
+def tick_with_tangents(
+    x: Any, u: float, d: Any, p: Any, c: Any, period: float, steps: int,
     which: Any, columns: FloatArray, du: FloatArray, fp: FloatArray,
 ) -> Any:  # fmt: skip
-    """States one period later, in the same steps as `_tick`.
+    """States one period later, in the same steps as `tick`.
 
     Their derivatives `columns`, shape (N_STATES, m), move in place.
     """
@@ -170,20 +164,24 @@ def _tick_with_tangents(
 
 
 @compiled
-def advance(p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int) -> FloatArray:
+def advance(
+    vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+) -> FloatArray:
     """The states one period later, the drive and the disturbances held, shape (N_STATES,)."""
-    c, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
-    prepare(p, c)
-    unpack(_tick(packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps), after)
+    after = np.zeros(N_STATES)
+    p = held(vector)
+    c = prepare(p)
+    unpack(tick(packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps), after)
     return after
 
 
 @compiled
-def begin(p: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def begin(vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """States where a window begins, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
-    c, x = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
+    x = np.zeros(N_STATES)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
     start(y, given, p, c, x)
     start_slopes(y, given, p, c, xy, xp)
@@ -191,10 +189,11 @@ def begin(p: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 @compiled
-def look(p: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
+def look(vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
     """The output, and the plant's other quantities, shape (N_QUANTITIES,)."""
-    c, q = np.zeros(N_CONSTANTS), np.zeros(N_QUANTITIES)
-    prepare(p, c)
+    q = np.zeros(N_QUANTITIES)
+    p = held(vector)
+    c = prepare(p)
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
     quantities(at, u, given, p, c, switches(at, u, given, p, c), q)
     return output(at, given, p, c), q
@@ -202,7 +201,7 @@ def look(p: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, 
 
 @compiled
 def parts(
-    p: FloatArray,
+    vector: FloatArray,
     y: float,
     before: FloatArray,
     u: float,
@@ -215,9 +214,10 @@ def parts(
 
     States that the output does not show begin where they are `before`, unless that is NaN.
     """
-    c, x, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES), np.zeros(N_STATES)
+    x, after = np.zeros(N_STATES), np.zeros(N_STATES)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
     start(y, given, p, c, x)
     start_slopes(y, given, p, c, xy, xp)
@@ -225,20 +225,21 @@ def parts(
         if xy[i] == 0.0 and not np.isnan(before[i]):
             x[i] = before[i]
     at = packed(x)
-    driven = _tick(at, u, given, p, c, period, steps)
-    idle = output(_tick(at, rest, given, p, c, period, steps), given, p, c)
+    driven = tick(at, u, given, p, c, period, steps)
+    idle = output(tick(at, rest, given, p, c, period, steps), given, p, c)
     unpack(driven, after)
     return output(driven, given, p, c) - idle, idle - output(at, given, p, c), after
 
 
 @compiled
 def slopes_at(
-    p: FloatArray, x: FloatArray, u: float, d: FloatArray
+    vector: FloatArray, x: FloatArray, u: float, d: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters."""
-    c, fp = np.zeros(N_CONSTANTS), np.zeros((1, N_STATES, N_UNKNOWN))
+    fp = np.zeros((1, N_STATES, N_UNKNOWN))
     hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
-    prepare(p, c)
+    p = held(vector)
+    c = prepare(p)
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
     f, fx, fu = rates_and_slopes(at, u, given, p, c, switches(at, u, given, p, c), fp, 0)
     output_slopes(at, given, p, c, hx, hp)
@@ -246,15 +247,19 @@ def slopes_at(
 
 
 @compiled
-def step_count(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float) -> int:
-    """Runge–Kutta steps per sample, more than MOST_STEPS where the plant is too fast.
+def step_count(
+    vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float, limit: float
+) -> int:
+    """Runge–Kutta steps per sample, none longer than `limit` times the fastest time constant; more than
+    MOST_STEPS where the plant is too fast.
 
     The fastest rate decides: over some states, shape (m, N_STATES), and drives, on every side of
     the kinks, the least of three norms of df/dx (rows, columns, Frobenius); no eigenvalue is above any of
     them.
     """
-    c, fp = np.zeros(N_CONSTANTS), np.zeros((1, N_STATES, N_UNKNOWN))
-    prepare(p, c)
+    fp = np.zeros((1, N_STATES, N_UNKNOWN))
+    p = held(vector)
+    c = prepare(p)
     given, fastest = row(d.reshape((1, d.size)), 0), 0.0
     for k in range(corners.shape[0]):
         at = packed(corners[k])
@@ -270,176 +275,25 @@ def step_count(p: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatA
                         squares += fx[i * N_STATES + m] ** 2
                     rows, columns = max(rows, in_row), max(columns, in_column)
                 fastest = max(fastest, min(rows, columns, np.sqrt(squares)))
-    count = np.ceil(period * fastest / RATE_LIMIT)
+    count = np.ceil(period * fastest / limit)
     return int(max(count, 1.0)) if count <= MOST_STEPS else MOST_STEPS + 1
 
 
 @compiled
 def tick_slopes(
-    p: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+    vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """States one period later, and their derivatives by the states and by the drive."""
-    c, after = np.zeros(N_CONSTANTS), np.zeros(N_STATES)
-    prepare(p, c)
+    after = np.zeros(N_STATES)
+    p = held(vector)
+    c = prepare(p)
     columns, du = np.zeros((N_STATES, N_STATES + 1)), np.zeros(N_STATES + 1)
     for i in range(N_STATES):
         columns[i, i] = 1.0
     du[N_STATES] = 1.0
-    there = _tick_with_tangents(
+    there = tick_with_tangents(
         packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps, np.zeros(0, dtype=np.int64),
         columns, du, np.zeros((4, N_STATES, N_UNKNOWN)),
     )  # fmt: skip
     unpack(there, after)
     return after, columns[:, :N_STATES].copy(), columns[:, N_STATES].copy()
-
-
-@compiled
-def run(
-    p: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray, given: FloatArray,
-    disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
-    integral: float, previous_error: float, period: float, steps: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Output, input, both shape (N,), and states before each tick, shape (N + 1, N_STATES).
-
-    The loop over the reference if `closed`, else the plant under the inputs given.
-    """
-    size = disturbances.shape[0]
-    y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, N_STATES))
-    c = np.zeros(N_CONSTANTS)
-    prepare(p, c)
-    at = packed(x)
-    last = 0.0
-    for k in range(size):
-        d = row(disturbances, k)
-        for i in range(N_STATES):
-            states[k, i] = at[i]
-        last = reading(output(at, d, p, c), noise[k], frozen[k] and k > 0, resolution, last)
-        y[k] = last
-        if closed:
-            u[k], integral, previous_error = pid_step(gains, integral, previous_error, reference[k], last)
-        else:
-            u[k] = given[k]
-        at = _tick(at, u[k], d, p, c, period, steps)
-    for i in range(N_STATES):
-        states[size, i] = at[i]
-    return y, u, states
-
-
-@compiled
-def run_with_tangents(
-    p: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
-    reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
-    previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
-    robust: bool, stored: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """The run with its derivatives; either its arrays are stored, or the normal equations summed up.
-
-    `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`,
-    counted among UNKNOWN, then
-    others (starts) that act only through x. `measured` holds output and input, shape (2, N), and `weights`
-    of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
-    of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
-    (N,), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1);
-    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²).
-    """
-    size, n = disturbances.shape[0], columns.shape[1]
-    kept = size if stored else 0
-    extra = N_STATES + 1 if stored else 0
-    m = n + extra
-    y_all, u_all, by = np.empty(kept), np.empty(kept), np.empty((2, kept, n))
-    by_state, by_drive = np.empty((kept, N_STATES, N_STATES)), np.empty((kept, N_STATES))
-    free_all = np.empty(kept)
-    normal, dy = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
-    c, fp = np.zeros(N_CONSTANTS), np.zeros((4, N_STATES, N_UNKNOWN))
-    hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
-    all_columns, du, of_u = np.zeros((N_STATES, m)), np.zeros(m), np.zeros(n + 1)
-    all_columns[:, :n] = columns
-    d_integral, d_error = np.zeros(n), np.zeros(n)
-    prepare(p, c)
-    at = packed(x)
-    for k in range(size):
-        d = row(disturbances, k)
-        y = output(at, d, p, c)
-        output_slopes(at, d, p, c, hx, hp)
-        for j in range(n):
-            slope = hp[which[j]] if j < which.size else 0.0
-            for i in range(N_STATES):
-                slope += hx[i] * all_columns[i, j]
-            dy[j] = slope
-        u, free = 0.0, 0.0
-        if closed:
-            u, integral, previous_error, free = loop_step(
-                gains, integral, previous_error, reference[k], y, dy, d_integral, d_error, du, n
-            )
-        else:
-            u = given[k]
-        if stored:
-            y_all[k], u_all[k], free_all[k] = y, u, free
-            for j in range(n):
-                by[0, k, j], by[1, k, j] = dy[j], du[j]
-            for i in range(N_STATES):
-                for q in range(extra):
-                    all_columns[i, n + q] = 1.0 if i == q else 0.0
-            du[m - 1] = 1.0
-        else:
-            dy[n] = y - measured[0, k]
-            add_row(normal, dy, weights[0, k], robust)
-            if closed:
-                for j in range(n):
-                    of_u[j] = du[j]
-                of_u[n] = u - measured[1, k]
-                add_row(normal, of_u, weights[1, k], robust)
-        at = _tick_with_tangents(at, u, d, p, c, period, steps, which, all_columns, du, fp)
-        if stored:
-            for i in range(N_STATES):
-                by_drive[k, i] = all_columns[i, m - 1]
-                for q in range(N_STATES):
-                    by_state[k, i, q] = all_columns[i, n + q]
-    for i in range(n + 1):
-        for j in range(i):
-            normal[j, i] = normal[i, j]
-    return y_all, u_all, by, by_state, by_drive, free_all, normal
-
-
-@compiled
-def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
-    n = posed.which.size
-    p = posed.base.copy()
-    for j in range(n):
-        p[posed.places[j]] = values[j]
-    given = posed.disturbances[0]
-    x, _, by_parameters = begin(p, posed.first, given)
-    columns = np.zeros((N_STATES, values.size))
-    for i in range(N_STATES):
-        for j in range(n):
-            columns[i, j] = by_parameters[i, posed.which[j]]
-    for k in range(posed.started.size):
-        i = posed.started[k]
-        x[i] = values[n + k]
-        columns[i, :n] = 0.0
-        columns[i, n + k] = 1.0
-    return p, x, columns, step_count(p, posed.corners, posed.drives, posed.usual, posed.period)
-
-
-@compiled
-def normal_at(posed: Posed, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Sum, gradient Jᵀr and JᵀJ of the weighed residuals; the sum is infinite where the plant is too fast."""
-    n = values.size
-    p, x, columns, steps = start_at(posed, values)
-    if steps > MOST_STEPS:
-        return np.inf, np.zeros(n), np.zeros((n, n))
-    normal = run_with_tangents(
-        p, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
-        posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
-        posed.weights, posed.robust, False,
-    )[6]  # fmt: skip
-    return normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
-
-
-@compiled
-def search(posed: Posed, on_its_way: Search) -> None:
-    """Let a search run to its end."""
-    cost, gradient, hessian = normal_at(posed, on_its_way.tried)
-    while told(on_its_way, cost, gradient, hessian):
-        cost, gradient, hessian = normal_at(posed, on_its_way.tried)

@@ -130,7 +130,10 @@ class Model:
         """
         if not (math.isfinite(period) and period > 0):
             raise PlantError(f"{self.title}: the period is {period} s; it must be finite and positive")
-        count = self.kernels.step_count(vector, self.corners, self.drives, self.disturbances, float(period))
+        kernels = self.kernels
+        count = kernels.step_count(
+            vector, self.corners, self.drives, self.disturbances, float(period), kernels.RATE_LIMIT
+        )
         if not count <= self.kernels.MOST_STEPS:
             msg = (
                 f"{self.title}: its shortest time constant is too short for a period of {period:g} s; "

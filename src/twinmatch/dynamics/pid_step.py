@@ -38,7 +38,7 @@ def pid_step(
     return u, integral, moved
 
 
-@compiled
+@compiled(innermost=True)
 def loop_step(
     gains: Gains, integral: float, previous_error: float, reference: float, y: float, dy: FloatArray,
     d_integral: FloatArray, d_error: FloatArray, du: FloatArray, n: int,

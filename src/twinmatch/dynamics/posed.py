@@ -46,9 +46,11 @@ class Posed(NamedTuple):
     previous: float
     """The controller's memory."""
     period: float
+    rate_limit: float
+    """Longest Runge–Kutta step in units of the fastest time constant."""
 
 
-@compiled
+@compiled(innermost=True)
 def add_row(normal: FloatArray, of: FloatArray, weight: float, robust: bool) -> None:
     """Add one residual, the last entry of `of`, and its derivatives to the lower half of the equations."""
     if weight == 0.0:

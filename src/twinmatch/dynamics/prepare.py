@@ -68,6 +68,7 @@ def _use(parameters: Parameters) -> None:
     experiment = Experiment(parameters, structure.free, window, free_starts=structure.free_starts)
     values = experiment.values_of(parameters)
     experiment.normal(values)
+    experiment.descend(values, values, values, np.ones(values.size), 1)
     tangents = experiment.tangents(values)
     weighed = np.ones((2, _SAMPLES - 2, experiment.size))
     noise_scores(experiment, tangents, weighed, (1.0, 1.0))

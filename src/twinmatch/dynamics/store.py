@@ -1,7 +1,7 @@
 """Where what is made of a plant's equations is kept: one Python module per plant and set of parts.
 
-The module is `kernels.py` with the plant's derived functions in the place of `derived.py`. Its file name
-carries a hash of everything it is made from: the plant's source, the generator's own sources, the versions of
+The module is `kernels.py` and `runs.py` with the plant's derived functions in the place of `derived.py`. Its
+name carries a hash of everything it is made from: the plant's source, the generator's own, the versions of
 the programs that take part. So a change of any of them makes a new module, and an old one is never run by
 mistake. The folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder; numba keeps its machine
 code there too.
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["cache_folder", "kernels_of"]
 
 _HERE = Path(__file__).parent
-_GENERATOR = ("code.py", "declarations.py", "equations.py", "kernels.py", "plant.py", "store.py")
+_GENERATOR = ("code.py", "declarations.py", "equations.py", "kernels.py", "plant.py", "runs.py", "store.py")
+_JOINED = ("__future__", "twinmatch.dynamics.derived", "twinmatch.dynamics.kernels")
 _PROGRAMS = ("numba", "numpy", "sympy")
 
 
@@ -82,16 +83,22 @@ def _module_text(plant: type[Plant], parts: frozenset[str], unknown: frozenset[s
         "QUANTITIES": derived.quantities,
     }
     names = "".join(f"{name} = {tuple(map(str, what))}\n" for name, what in held.items())
-    head = f'"""Made from the equations of {plant.name}; made again when they change."""\n\nimport math\n\n'
-    text = (_HERE / "kernels.py").read_text(encoding="utf-8")
-    tree = ast.parse(text)
+    head = (
+        f'"""Made from the equations of {plant.name}; made again when they change."""\n\n'
+        "import math\n\nfrom twinmatch.compiled import compiled\n\n"
+    )
+    body = "\n".join([names, derived_source(derived), *map(_template, ("kernels.py", "runs.py"))])
+    return "from __future__ import annotations\n\n" + head + body + "\n"
+
+
+def _template(file: str) -> str:
+    """The text of one of the files, without what it takes from files that stand in the same module."""
+    text = (_HERE / file).read_text(encoding="utf-8")
     lines = text.splitlines()
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and node.module == "twinmatch.dynamics.derived":
-            lines[node.lineno - 1 : node.end_lineno] = [derived_source(derived)]
-            break
-    body = "\n".join(lines).replace("from __future__ import annotations\n", "")
-    return "from __future__ import annotations\n\n" + head + names + "\n" + body + "\n"
+    for node in reversed(ast.parse(text).body):
+        if isinstance(node, ast.ImportFrom) and node.module in _JOINED:
+            del lines[node.lineno - 1 : node.end_lineno]
+    return "\n".join(lines)
 
 
 def _keep(path: Path, text: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -22,11 +23,15 @@ _ON_BOUND = 1e-4
 class Estimate:
     """Where least squares ended."""
 
+    problem: Problem
     values: FloatArray
-    """The free parameters, shape (n,)."""
-    residuals: FloatArray
-    """Weighed residuals of the signals compared, shape (outputs, N − 2)."""
+    """The unknowns, shape (n,)."""
     converged: bool
+
+    @cached_property
+    def residuals(self) -> FloatArray:
+        """Weighed residuals of the signals compared, shape (outputs, N − 2)."""
+        return self.problem.residuals(self.values).reshape(self.problem.outputs, -1)
 
     @property
     def chi2(self) -> float:
@@ -57,8 +62,7 @@ def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
     if best is None:
         msg = "solve: no start was given"
         raise ValueError(msg)
-    residuals = problem.residuals(best.values)
-    return Estimate(best.values, residuals.reshape(problem.outputs, -1), best.converged)
+    return Estimate(problem, best.values, best.converged)
 
 
 def on_bounds(problem: Problem, values: FloatArray) -> tuple[str, ...]:

@@ -126,7 +126,7 @@ def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, st
         base=problem.parameters_at(found.values).replace(**{name: value}),
     )
     rest = solve(others, [np.delete(found.values, place), *starts_for(others, others.base)])
-    return Estimate(np.insert(rest.values, place, value), rest.residuals, rest.converged)
+    return Estimate(problem, np.insert(rest.values, place, value), rest.converged)
 
 
 def _determined(

@@ -30,7 +30,7 @@ was put there, and the sensor its first readings."""
 
 _SKIPPED = 2
 """A twin starts at the third sample, where the controller's memory is known."""
-_LOOK = 6
+_LOOK = 8
 """Evaluations after which only the best of several starts goes on."""
 _MOST_EVALUATIONS = 40
 
@@ -133,6 +133,7 @@ def _runs(windows: Sequence[Window], model: Model, noise: Noise, gains: PidGains
                 weights=(1.0 / noise.output, 1.0 / noise.input),
                 robust=True,
                 settle=SETTLE,
+                coarse=True,
             )
         )
     return runs

@@ -119,7 +119,7 @@ class Peltier(Plant, name="peltier"):
         text="convection from the sink to the room",
     )  # fmt: skip
     sensor_lag = Parameter(
-        unit="s", default=1.0, bounds=(0.05, 20.0), scale=2.0, positive=True, symbol="τ",
+        unit="s", default=1.0, bounds=(0.2, 20.0), scale=2.0, positive=True, symbol="τ",
         text="lag of what the camera sees",
     )  # fmt: skip
     seebeck_slope = Parameter(

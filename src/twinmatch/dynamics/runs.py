@@ -1,0 +1,201 @@
+"""Compiled runs of every plant: over a record, with exact tangents, and searched for least squares.
+
+The store puts this file behind `kernels`, so that all is written against one plant's functions.
+"""
+
+# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twinmatch.compiled import compiled
+from twinmatch.dynamics.derived import (
+    N_STATES,
+    N_UNKNOWN,
+    held,
+    output,
+    output_slopes,
+    packed,
+    prepare,
+    row,
+)
+from twinmatch.dynamics.descent import Search, told
+from twinmatch.dynamics.kernels import (
+    MOST_STEPS,
+    begin,
+    step_count,
+    tick,
+    tick_with_tangents,
+)
+from twinmatch.dynamics.pid_step import Gains, loop_step, pid_step
+from twinmatch.dynamics.posed import Posed, add_row
+from twinmatch.dynamics.sensor_step import reading
+from twinmatch.signals import FloatArray
+
+__all__ = ["normal_at", "run", "run_with_tangents", "search", "start_at"]
+
+
+@compiled
+def run(
+    vector: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray, given: FloatArray,
+    disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
+    integral: float, previous_error: float, period: float, steps: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Output, input, both shape (N,), and states before each tick, shape (N + 1, N_STATES).
+
+    The loop over the reference if `closed`, else the plant under the inputs given.
+    """
+    size = disturbances.shape[0]
+    y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, N_STATES))
+    p = held(vector)
+    c = prepare(p)
+    at = packed(x)
+    last = 0.0
+    for k in range(size):
+        d = row(disturbances, k)
+        for i in range(N_STATES):
+            states[k, i] = at[i]
+        last = reading(output(at, d, p, c), noise[k], frozen[k] and k > 0, resolution, last)
+        y[k] = last
+        if closed:
+            u[k], integral, previous_error = pid_step(gains, integral, previous_error, reference[k], last)
+        else:
+            u[k] = given[k]
+        at = tick(at, u[k], d, p, c, period, steps)
+    for i in range(N_STATES):
+        states[size, i] = at[i]
+    return y, u, states
+
+
+@compiled
+def run_with_tangents(
+    vector: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
+    reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
+    previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
+    robust: bool, stored: bool, limit: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """The run with its derivatives; either its arrays are stored, or the normal equations summed up.
+
+    `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`,
+    counted among UNKNOWN, then
+    others (starts) that act only through x. `measured` holds output and input, shape (2, N), and `weights`
+    of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
+    of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
+    (N,), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1);
+    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²). A run
+    whose sum comes above `limit` ends there.
+    """
+    size, n = disturbances.shape[0], columns.shape[1]
+    kept = size if stored else 0
+    extra = N_STATES + 1 if stored else 0
+    m = n + extra
+    y_all, u_all, by = np.empty(kept), np.empty(kept), np.empty((2, kept, n))
+    by_state, by_drive = np.empty((kept, N_STATES, N_STATES)), np.empty((kept, N_STATES))
+    free_all = np.empty(kept)
+    normal, dy = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
+    fp = np.zeros((4, N_STATES, N_UNKNOWN))
+    hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
+    all_columns, du, of_u = np.zeros((N_STATES, m)), np.zeros(m), np.zeros(n + 1)
+    all_columns[:, :n] = columns
+    d_integral, d_error = np.zeros(n), np.zeros(n)
+    p = held(vector)
+    c = prepare(p)
+    at = packed(x)
+    for k in range(size):
+        d = row(disturbances, k)
+        y = output(at, d, p, c)
+        output_slopes(at, d, p, c, hx, hp)
+        for j in range(n):
+            slope = hp[which[j]] if j < which.size else 0.0
+            for i in range(N_STATES):
+                slope += hx[i] * all_columns[i, j]
+            dy[j] = slope
+        u, free = 0.0, 0.0
+        if closed:
+            u, integral, previous_error, free = loop_step(
+                gains, integral, previous_error, reference[k], y, dy, d_integral, d_error, du, n
+            )
+        else:
+            u = given[k]
+        if stored:
+            y_all[k], u_all[k], free_all[k] = y, u, free
+            for j in range(n):
+                by[0, k, j], by[1, k, j] = dy[j], du[j]
+            for i in range(N_STATES):
+                for q in range(extra):
+                    all_columns[i, n + q] = 1.0 if i == q else 0.0
+            du[m - 1] = 1.0
+        else:
+            dy[n] = y - measured[0, k]
+            add_row(normal, dy, weights[0, k], robust)
+            if closed:
+                for j in range(n):
+                    of_u[j] = du[j]
+                of_u[n] = u - measured[1, k]
+                add_row(normal, of_u, weights[1, k], robust)
+            if normal[n, n] > limit:
+                break
+        at = tick_with_tangents(at, u, d, p, c, period, steps, which, all_columns, du, fp)
+        if stored:
+            for i in range(N_STATES):
+                by_drive[k, i] = all_columns[i, m - 1]
+                for q in range(N_STATES):
+                    by_state[k, i, q] = all_columns[i, n + q]
+    for i in range(n + 1):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return y_all, u_all, by, by_state, by_drive, free_all, normal
+
+
+@compiled
+def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+    """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
+    n = posed.which.size
+    p = posed.base.copy()
+    for j in range(n):
+        p[posed.places[j]] = values[j]
+    given = posed.disturbances[0]
+    x, _, by_parameters = begin(p, posed.first, given)
+    columns = np.zeros((N_STATES, values.size))
+    for i in range(N_STATES):
+        for j in range(n):
+            columns[i, j] = by_parameters[i, posed.which[j]]
+    for k in range(posed.started.size):
+        i = posed.started[k]
+        x[i] = values[n + k]
+        columns[i, :n] = 0.0
+        columns[i, n + k] = 1.0
+    return (
+        p,
+        x,
+        columns,
+        step_count(p, posed.corners, posed.drives, posed.usual, posed.period, posed.rate_limit),
+    )
+
+
+@compiled
+def normal_at(posed: Posed, values: FloatArray, limit: float) -> tuple[float, FloatArray, FloatArray]:
+    """Sum, gradient Jᵀr and JᵀJ of the weighed residuals, as far as the sum does not come above `limit`; it
+    is infinite where the plant is too fast."""
+    n = values.size
+    p, x, columns, steps = start_at(posed, values)
+    if steps > MOST_STEPS:
+        return np.inf, np.zeros(n), np.zeros((n, n))
+    normal = run_with_tangents(
+        p, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
+        posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
+        posed.weights, posed.robust, False, limit,
+    )[6]  # fmt: skip
+    return normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
+
+
+@compiled
+def search(posed: Posed, on_its_way: Search) -> None:
+    """Let a search run to its end."""
+    cost, gradient, hessian = normal_at(posed, on_its_way.tried, np.inf)
+    while told(on_its_way, cost, gradient, hessian):
+        # A point that is no better than the best one need not be followed to the end.
+        cost, gradient, hessian = normal_at(posed, on_its_way.tried, on_its_way.best[0])
