@@ -145,7 +145,7 @@ def test_what_is_absent_is_null_in_json() -> None:
     assert match["directions"] == [[1.0, 2.0], [3.0, 4.0]]
     assert match["standard_errors"] == [None, None]
     assert match["starts"] == {"sink": 296.0}
-    assert match["parameters"]["sink_heat_capacity"] is None
+    assert match["parameters"]["ambient"] == 296.0
 
 
 def test_a_record_of_another_version_is_refused() -> None:
