@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.support.rig import rig, run
+from twinmatch.discrimination import ADMITTED
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
 from twinmatch.reporting import Report, build_report, make_report, write_pictures
@@ -246,9 +247,11 @@ def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> No
             writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
     report = make_report(tmp_path / "odd")
     document = parse(report.html())
-    assert report.judged.judgement.matches
-    assert not any(m.match.accepted for m in report.judged.judgement.matches)
-    assert "refused" in tables_of(document)["Every match of the session"].text
+    told = [v for v in report.judged.judgement.verdicts if v.match]
+    assert told
+    assert not any(v.match == ADMITTED for v in told)
+    assert "match refused" in tables_of(document)["What happened"].text
+    assert f"of {len(told)} window" in next(document.all("main")).text
     assert "indices step from" in next(document.all("main")).text
 
 

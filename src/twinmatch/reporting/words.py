@@ -91,7 +91,7 @@ def _what(judgement: Judgement) -> str:
 
 
 def _matching(judgement: Judgement) -> str:
-    count = len(judgement.matches)
+    count = sum(1 for v in judgement.verdicts if v.match)
     if not count:
         return (
             "No set-point step was found that a digital twin could be fitted to, so there was no match and "
@@ -100,15 +100,15 @@ def _matching(judgement: Judgement) -> str:
     joined = len(admitted(judgement.verdicts))
     refused = count - joined
     return (
-        f"After set-point steps a digital twin, a simulation of the plant with its controller, was fitted to "
-        f"what had been measured: {count} time{_s(count)}, of which {joined} "
+        f"After set-point steps a digital twin, a simulation of the plant with its controller, is fitted to "
+        f"what was measured: of {count} window{_s(count)}, {joined} "
         f"{'was' if joined == 1 else 'were'} admitted to the family"
         + (f" and {refused} refused (section 2 says why)." if refused else ".")
     )
 
 
 def _nothing(judgement: Judgement) -> str:
-    if judgement.matches:
+    if any(v.match for v in judgement.verdicts):
         return "No fit stands, so there is no twin to trust."
     return (
         f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} "
