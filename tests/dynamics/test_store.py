@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -10,6 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.plants import Lag, Motor
+from twinmatch.dynamics import Plant
+from twinmatch.dynamics.prepare import prepare
+
+SOURCE = Path(__file__).resolve().parents[2] / "src" / "twinmatch"
 Start = Callable[..., subprocess.Popen[str]]
 
 PLANT = """
@@ -82,21 +88,15 @@ def test_a_changed_plant_is_derived_anew(start: Start, tmp_path: Path) -> None:
     assert "preparing the equations of: Tank" in said
 
 
-def test_every_kernel_is_there_after_preparing(start: Start, tmp_path: Path) -> None:
-    """Whatever else is asked of the plant compiles nothing more."""
-    ended(start("from tank import Tank\nfrom twinmatch.dynamics.prepare import prepare\nlist(prepare(Tank))"))
-    kept = sorted(path.name for path in (tmp_path / "cache" / "__pycache__").iterdir())
-    assert any("run_with_tangents" in name for name in kept)
-    ended(
-        start(
-            RUN
-            + "from twinmatch.dynamics import linearised, quantities, read, simulate_driven\n"
-            + "x = begin(tank, 2.0)\n"
-            + "simulate_driven(tank, [1.0, 2.0], states=x)\n"
-            + "quantities(tank, x, 1.0), read(tank, x)\n"
-        )
-    )
-    assert sorted(path.name for path in (tmp_path / "cache" / "__pycache__").iterdir()) == kept
+@pytest.mark.parametrize("plant", [Lag, Motor], ids=lambda plant: plant.name)
+def test_every_kernel_is_compiled_by_preparing(plant: type[Plant]) -> None:
+    """With a loop and without one: what is asked of the plant later compiles nothing more."""
+    source = "".join(path.read_text(encoding="utf-8") for path in SOURCE.rglob("*.py"))
+    asked = set(re.findall(r"kernels\.([a-z_]+)\(", source))
+    assert len(asked) > 8
+    for model in prepare(plant):
+        kernels = {name: getattr(model.kernels, name) for name in asked}
+        assert [name for name, kernel in kernels.items() if not kernel.signatures] == []
 
 
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from std_msgs.msg import Float64
 
 from tests.support.places import SHIPPED
 from tests.support.processes import Process
+from twinmatch.sessions import read_session, write_session
 from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore
 
 pytestmark = pytest.mark.ros
@@ -122,7 +123,7 @@ def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_w
     viewer.wait(rig.is_heard, "its reader")
     sent = [rig.sample(k) for k in range(3)]
     score = ModelScore(sample=7, level=1, level_name="trusted", nominal="60 °C", decided=True)
-    score.candidates = [Candidate(name="60 °C", nu_gap=[0.0, 0.25])]
+    score.candidates = [Candidate(name="60 °C", nu_gap_low=[0.0, 0.25])]
     score.candidates[0].orders = [OrderScore(order="22221", y=Criteria(gain=12.5))]
     image = Image(height=2, width=3, encoding="32FC1", step=12, data=bytes(range(24)))
     raw = serialize_message(score)  # published as it is: what is between the fields is not always the same
@@ -135,17 +136,17 @@ def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_w
     seen = decode(viewer.channels["/plant/sample"], viewer.heard("/plant/sample")[0].data)
     assert (list(seen.output), list(seen.input)) == ([25.5 + seen.index], [-85.0])
     seen = decode(viewer.channels["/twin/model_score"], viewer.heard("/twin/model_score")[-1].data)
-    assert (seen.nominal, seen.decided, list(seen.candidates[0].nu_gap)) == ("60 °C", True, [0.0, 0.25])
+    assert (seen.nominal, seen.decided, list(seen.candidates[0].nu_gap_low)) == ("60 °C", True, [0.0, 0.25])
     assert seen.candidates[0].orders[0].y.gain == 12.5
     seen = decode(viewer.channels["/thermal/image"], viewer.heard("/thermal/image")[-1].data)
     assert bytes(seen.data) == bytes(range(24))
 
 
 def test_definitions_are_those_of_an_imported_session_and_there_before_the_graph(
-    serve: Callable[..., Any], view: Callable[[str], Any]
+    serve: Callable[..., Any], view: Callable[[str], Any], tmp_path: Path
 ) -> None:
     viewer = view(serve().url)
-    [path] = SHIPPED.glob("*.mcap")
+    [path] = write_session(tmp_path / "today", read_session(SHIPPED).samples).glob("*.mcap")
     recorded = definitions(path)
     assert {"/plant/sample", "/plant/reference", "/plant/temperature"} <= set(recorded)
     viewer.wait(lambda: set(recorded) <= set(viewer.channels), "the topics")

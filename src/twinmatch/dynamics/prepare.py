@@ -53,6 +53,17 @@ def _use(parameters: Parameters) -> None:
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)
     quantities(parameters, advance(parameters, states, rest, period), rest)
+    # What the energy balance asks, sample by sample.
+    model.kernels.parts(
+        parameters.vector,
+        output,
+        states,
+        float(rest),
+        float(rest),
+        model.disturbances,
+        period,
+        parameters.steps(period),
+    )
     observer = Observer(
         parameters, output, period=period, drift=np.ones(states.size), start=np.ones(states.size)
     )

@@ -119,9 +119,8 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]
     last = session.samples[-1].index
     apart: set[str] = set()
-    difference = _compare("match", matches, computed_matches, last, apart) or _compare(
-        "verdict", scores, computed_scores, last, apart
-    )
+    other_match = _compare("match", matches, computed_matches, last, apart)
+    difference = other_match or _compare("verdict", scores, computed_scores, last, apart)
     notes = [*session.notes, *_another_form(apart)]
     if difference is None and len(scores) < len(computed_scores):
         notes.append(
@@ -183,10 +182,10 @@ def _compare(
     """The first difference; fields that only one form has go into `apart`."""
     for number, (one, other) in enumerate(zip(recorded, computed, strict=False), 1):
         missing: set[str] = set()
-        found = next(differences(one, other, apart=missing), None)
+        found = list(differences(one, other, apart=missing))
         apart |= {field.removeprefix("candidates.") for field in missing}
-        if found is not None:
-            field, was, now = found
+        if found:
+            field, was, now = found[0]
             return Difference(what, number, one["sample"], _owner(one, field), field, was, now)
     number = min(len(recorded), len(computed))
     if len(recorded) > number:
