@@ -19,6 +19,8 @@ import numpy as np
 import pytest
 import scipy.io
 
+from tests.support.places import PROJECT, SHIPPED
+from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost
 from twinmatch.cli import main
 from twinmatch.judging.interrupt import held_interrupts
@@ -28,15 +30,12 @@ from twinmatch.sessions import open_any, samples_of, write_session
 from twinmatch.signals import Window
 from twinmatch.twin import Outcome
 
-PROJECT = Path(__file__).resolve().parents[1]
 TERMINAL_VARIABLES = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Of whoever runs the tests; they would change what a terminal is shown."""
-SHIPPED = PROJECT / "bags" / "four_setpoints"
 
 
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "twinmatch.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, timeout=120)
+    return run_twinmatch(*arguments, folder=cwd)
 
 
 @pytest.fixture

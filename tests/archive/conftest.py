@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.processes import run_twinmatch as run_command
 from tests.support.rig import rig, run
 from twinmatch.sessions import samples_of, write_session
 from twinmatch.signals import Window
 
 CAMERA = 0.1  # °C, noise of the temperature
-
-
-def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "twinmatch.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
 
 
 def _make(folder: Path, *, seed: int, seebeck: float) -> Path:
@@ -33,7 +28,7 @@ def _make(folder: Path, *, seed: int, seebeck: float) -> Path:
 @pytest.fixture(scope="session")
 def run_twinmatch() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run the command line: `run_twinmatch("replay", folder)`."""
-    return _run
+    return run_command
 
 
 @pytest.fixture(scope="session")

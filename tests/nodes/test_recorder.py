@@ -83,6 +83,26 @@ def messages_of(session: Session, topic: str, kind: Any) -> list[Any]:
     return [deserialize_message(message.data, kind) for message in session.messages([topic])]
 
 
+def written(folder: Path) -> Session | None:
+    """What is in the file of a recorder that runs; None before the first sample."""
+    try:
+        return read_session(folder)
+    except SessionError:
+        return None
+
+
+def wait_for_recorded(folder: Path, **counts: int) -> None:
+    """Until so many messages of some topics are in the file; the recorder writes it out every half second."""
+
+    def enough() -> bool:
+        found = written(folder)
+        return found is not None and all(
+            found.counts.get(f"/{name.replace('__', '/')}", 0) >= count for name, count in counts.items()
+        )
+
+    wait_for(enough, lambda: str(written(folder)))
+
+
 def test_everything_is_recorded_as_it_was_sent(record: Record, rig: Rig, tmp_path: Path) -> None:
     rig.references.publish(Float64(data=40.0))
     process = record()
@@ -102,7 +122,7 @@ def test_everything_is_recorded_as_it_was_sent(record: Record, rig: Rig, tmp_pat
     late = rig.listener.node.create_publisher(String, "notes", 10)
     rig.listener.spin_until(late.get_subscription_count, "the recorder at the new topic")
     late.publish(String(data="seen"))
-    time.sleep(0.3)
+    wait_for_recorded(tmp_path / "run", notes=1, plant__sample=300, plant__temperature=300)
     assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.notes == []
@@ -132,7 +152,7 @@ def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Record, rig: Rig, tm
         if k % 9 == 0:
             rig.sample(k // 9)
         time.sleep(max(0.0, begun + (k + 1) / 180 - time.monotonic()))
-    time.sleep(0.3)
+    wait_for_recorded(tmp_path / "run", plant__sample=100, plant__temperature=900)
     assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.counts["/thermal/image_raw"] == session.counts["/plant/temperature"] == 900
@@ -176,7 +196,7 @@ def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
     mine.sample(0)
     other.sample(5)
     weather.publish(Float64(data=18.0))
-    time.sleep(0.5)
+    wait_for_recorded(tmp_path / "run", weather=1, one__plant__sample=1)
     assert mine.images.get_subscription_count() == 0
     assert other.samples.get_subscription_count() == 0
     assert process.end() == 0
@@ -190,17 +210,17 @@ def test_a_publisher_that_offers_less_is_heard_too(
     record: Record, listener: Listener, rig: Rig, tmp_path: Path
 ) -> None:
     process = record()
+    rig.wait_for_reader()
+    rig.sample(0)
     first = listener.node.create_publisher(Float64, "extra", RELIABLE)
     listener.spin_until(first.get_subscription_count, "the recorder")
     first.publish(Float64(data=1.0))
-    time.sleep(0.3)
+    wait_for_recorded(tmp_path / "run", extra=1)
     quiet = PublisherEventCallbacks(use_default_callbacks=False)  # at first the recorder asks for more
     second = listener.node.create_publisher(Float64, "extra", SENSOR, event_callbacks=quiet)
     listener.spin_until(second.get_subscription_count, "the recorder")
     second.publish(Float64(data=2.0))
-    rig.wait_for_reader()
-    rig.sample(0)
-    time.sleep(0.5)
+    wait_for_recorded(tmp_path / "run", extra=2, plant__sample=1)
     assert process.end() == 0
     extra = messages_of(read_session(tmp_path / "run"), "/extra", Float64)
     assert extra == [Float64(data=1.0), Float64(data=2.0)]
@@ -216,11 +236,9 @@ def test_parameters_of_the_nodes_are_in_the_session(
     start("discriminator", "-p", "seed:=7", "-p", f"candidates:={family}")
 
     def recorded() -> bool:
-        try:
-            records = read_session(tmp_path / "run").records
-        except SessionError:  # nothing was brought to the disk yet
-            return False
-        return {"twinmatch/parameters/discriminator", "twinmatch/parameters/matcher"} <= set(records)
+        found = written(tmp_path / "run")
+        names = {"twinmatch/parameters/discriminator", "twinmatch/parameters/matcher"}
+        return found is not None and names <= set(found.records)
 
     rig.wait_for_reader()
     rig.sample(0)
@@ -250,7 +268,7 @@ def test_a_recorded_run_of_the_twin_verifies(
     start("player", "-p", f"session:={session}", "-p", "rate:=200.0", "-p", "wait_for:=3")
     scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     listener.spin_until(lambda: scores and scores[-1].sample >= 910 - 60, "the verdicts")
-    time.sleep(1.0)
+    wait_for_recorded(tmp_path / "run", twin__model_score=len(scores), plant__sample=920)
     assert process.end() == 0
     found = verify_session(tmp_path / "run")
     assert found.identical, found.difference
@@ -413,7 +431,7 @@ def test_with_simulated_time_the_times_are_those_of_the_clock(
 
     rig.listener.spin_until(tick, "the recorder at the samples")
     rig.sample(0)
-    time.sleep(0.5)
+    wait_for_recorded(tmp_path / "run", plant__sample=1)
     assert process.end() == 0
     (message,) = read_session(tmp_path / "run").messages(["/plant/sample"])
     assert message.log_time == 5000 * 10**9

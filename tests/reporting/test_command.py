@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from .conftest import SHIPPED
+from tests.support.places import SHIPPED
+from tests.support.processes import run_twinmatch
 
 
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-W", "error", "-m", "twinmatch.cli", "report", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, timeout=300)
+    return run_twinmatch("report", *arguments, folder=cwd)
 
 
 def test_report_and_figures_are_written_and_named(tmp_path: Path) -> None:

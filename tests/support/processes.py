@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -160,6 +161,17 @@ class Processes:
             process.send(number)
         ended = [(process, process.finish()) for process in self._started]
         return [(code, process.text) for process, code in ended if not process.shot]
+
+    def dismiss(self, patience: float = 15.0) -> None:
+        """End what still runs and shoot what does not go: for programs of others, not under test."""
+        for process in reversed(self._started):
+            process.send(signal.SIGTERM)
+            process.thaw()
+        with suppress(subprocess.TimeoutExpired):
+            for process in self._started:
+                process._process.wait(patience)
+        for process in self._started:
+            process.kill()
 
 
 def run_twinmatch(

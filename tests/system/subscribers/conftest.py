@@ -47,7 +47,7 @@ class Programs:
         return program
 
     def end(self) -> None:
-        self._processes.end()
+        self._processes.dismiss()
 
 
 @pytest.fixture(scope="session")
