@@ -12,6 +12,7 @@ import pytest
 
 from twinmatch.discrimination import TrustLevel
 from twinmatch.judging.judgement import Judgement, judge_samples, judge_session
+from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings, choose_structure
@@ -88,5 +89,5 @@ def test_structures_are_compared_where_controller_and_twins_are_at_their_end(
 ) -> None:
     """The lost drive of recording 27: for minutes the twin's control is the recorded one exactly."""
     window = recorded_hour(LOST_DRIVE).part(2100, 2399)
-    choice = choose_structure(window, thorough=False)
+    choice = choose_structure(window, [Peltier.model("held sink")], thorough=False)
     assert all(np.isfinite(score.loss).all() for score in choice.scores)
