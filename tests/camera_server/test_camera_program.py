@@ -77,10 +77,10 @@ def test_a_killed_server_is_found_again(camera: Callable[..., CameraProgram]) ->
     first = camera("emulated", "--plate", "60", listen=address)
     with ThermalClient("127.0.0.1", first.port, SETTINGS) as client:
         next_news(client)
+        before = client.status.connections
         first.process.kill()
         second = camera("emulated", "--plate", "60", listen=address)
         assert second.port == first.port
-        before = client.status.connections
         while client.status.restarts == 0:
             next_news(client)
         assert client.status.connections == before + 1

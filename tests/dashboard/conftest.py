@@ -60,7 +60,7 @@ def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterato
         processes.python("-m", "twinmatch.cli", "dashboard", "--port", "0", *options)
     )
     ended = processes.end()
-    assert all(code == 0 and "Traceback" not in text for code, text in ended), ended
+    assert all(Process.well(code) and "Traceback" not in text for code, text in ended), ended
 
 
 class Browser:

@@ -63,6 +63,8 @@ def test_pages_of_other_sites_may_not_speak_to_it(server: PageServer, origin: st
         except HTTPClientError as error:
             return error.code
         connection.close()
+        while await connection.read_message() is not None:  # until the other side has closed too
+            pass
         return 101
 
     # Whoever is let in still needs the token that only the page itself has.

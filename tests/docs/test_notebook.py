@@ -18,9 +18,9 @@ ASK = """
 import json
 print(json.dumps({
     "status": result.status.value,
-    "parameters": {n: getattr(result.parameters, n) for n in result.free},
+    "parameters": {n: result.parameters[n] for n in result.free},
     "intervals": {n: list(interval(result, n)[:2]) for n in result.free},
-    "energy": flows.plate + flows.sink + flows.voltage * flows.current,
+    "energy": now["from_plate"] + now["from_sink"] + now["voltage"] * now["current"],
     "gains": [s.total.gain for s in scores],
     "recorded_gains": [
         o.total.gain for c in verdict.candidates if c.first == window.first for o in c.orders

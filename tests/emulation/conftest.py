@@ -16,6 +16,7 @@ import pytest
 from tests.support.processes import Process, Processes
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.dynamics import Pid
+from twinmatch.dynamics.store import cache_folder
 from twinmatch.emulation.lepton import PLATE
 from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
 from twinmatch.emulation.virtual_rig_control import tell
@@ -55,6 +56,7 @@ class RigProcess:
 def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The simulator is compiled into a cache of the test run."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TWINMATCH_CACHE", str(cache_folder()))  # the plants' equations are ready where they are
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
 

@@ -113,7 +113,7 @@ def test_two_rigs_leave_each_other_alone(rig: Start) -> None:
 def test_it_ends_when_its_duration_is_over(rig: Start) -> None:
     running = rig("--speed", "100", "--duration", "5", "--board", "python")
     assert running.said("ended:").startswith("5.0 s of plant time")
-    assert running.process.end() == 0
+    assert running.process.wait() == 0
 
 
 def test_the_clock_tells_plant_time_and_never_runs_ahead(rig: Start) -> None:

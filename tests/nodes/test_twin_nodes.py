@@ -200,5 +200,5 @@ def test_three_in_one_process_have_nothing_to_say(start: Callable[..., Process],
     process = start("twin")
     names = {"matcher", "discriminator", "twin_simulator"}
     listener.spin_until(lambda: names <= set(listener.node.get_node_names()), "the nodes")
-    assert process.end() == 0
+    assert process.well(process.end())
     assert process.text == ""

@@ -12,7 +12,6 @@ closes, and the gate's module in which order it asks. `fit_structure` fits any s
 window or several, without a gate.
 """
 
-from twinmatch.dynamics import Structure
 from twinmatch.matching.bounds import Bounds, MatchingError
 from twinmatch.matching.gate import Limits, Status
 from twinmatch.matching.match import match
@@ -28,7 +27,6 @@ __all__ = [
     "MatchingError",
     "Noise",
     "Status",
-    "Structure",
     "StructureFit",
     "fit_structure",
     "match",

@@ -34,7 +34,9 @@ def _written(field: Field, value: Any) -> dict[str, Any]:
     elif field.form is Form.ARRAY:
         shown = _finite(value.tolist())
     elif field.form is Form.PARAMETERS:
-        shown = parameters_document(value)
+        plant, structure = value.model.key
+        named = {} if field.name != "parameters" else {"plant": plant, "structure": structure}
+        return {**named, field.name: parameters_document(value)}
     elif field.form is Form.NAMED:
         shown = {key: _finite(item) for key, item in value.items()}
     elif field.form is Form.PART:
