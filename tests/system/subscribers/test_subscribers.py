@@ -180,9 +180,10 @@ def last_verdict(lasting_programs: Any, session: Path) -> Any:
     )
     namespace = ("-r", "__ns:=/late")
     start("-m", "twinmatch.nodes.twin", "--ros-args", *namespace)
+    # The player waits for the twin, nobody for the reader: at this rate it has seconds to find the twin.
     player = start(
         *("-m", "twinmatch.nodes.player", "--ros-args", *namespace, "-p", f"session:={session}"),
-        *("-p", "rate:=0.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0", "-p", "clock:=false"),
+        *("-p", "rate:=100.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0", "-p", "clock:=false"),
     )
     assert player.wait() == 0, player.text
     last = 599  # the last sample on which there is something to say
