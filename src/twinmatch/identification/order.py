@@ -36,11 +36,6 @@ class Order(NamedTuple):
         return max(self.nf + max(self.nc, self.nd), self.nd + self.nb + self.nk - 1)
 
     @property
-    def process_state(self) -> int:
-        """Initial conditions of B/F: what the inputs and outputs before the window leave behind."""
-        return max(self.nf, self.nb + self.nk - 1)
-
-    @property
     def coefficients(self) -> int:
         """Free coefficients of B, C, D and F together."""
         return self.nb + self.nc + self.nd + self.nf
