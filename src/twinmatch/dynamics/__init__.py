@@ -13,7 +13,7 @@ from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Paramete
 from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.equations import Equations
 from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.experiment import Experiment, Tangents
+from twinmatch.dynamics.experiment import Experiment, Known, Tangents
 from twinmatch.dynamics.functions import limited, magnitude, maximum, minimum
 from twinmatch.dynamics.linear import Linear, Rest, linearised, rest_at
 from twinmatch.dynamics.model import Model
@@ -43,6 +43,7 @@ __all__ = [
     "Drive",
     "Equations",
     "Experiment",
+    "Known",
     "Linear",
     "Model",
     "Observer",

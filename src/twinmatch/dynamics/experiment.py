@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,11 +17,20 @@ from twinmatch.dynamics.posed import Posed
 from twinmatch.dynamics.simulation import NO_GAINS, SKIPPED, Response, gains_of
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Experiment", "Tangents"]
+__all__ = ["Experiment", "Known", "Tangents"]
 
 
 _COARSE = 0.5
 """Longest step of a coarse run, in units of the fastest time constant."""
+
+
+class Known(NamedTuple):
+    """What is known of a parameter before anything was recorded."""
+
+    expected: float
+    """In its unit."""
+    pull: float
+    """What its square distance from that adds to the cost, in 1/unit²."""
 
 
 class Tangents(NamedTuple):
@@ -62,6 +71,7 @@ class Experiment:
         robust: bool = False,
         settle: int = 0,
         coarse: bool = False,
+        beforehand: Mapping[str, Known] | None = None,
     ) -> None:
         """Set up.
 
@@ -77,6 +87,7 @@ class Experiment:
             settle: samples after the start that count nothing.
             coarse: take steps as long as half the fastest time constant, which costs a hundredth of a per
                 cent of what that one contributes: for structures with something fast in them.
+            beforehand: what is known of free parameters, by name.
 
         Raises:
             PlantError: an unknown name, fewer than three samples, or a controller of another period.
@@ -105,6 +116,10 @@ class Experiment:
         self._kernels = model.kernels_by(self.free)
         weighed = np.repeat(np.array(weights, dtype=np.float64)[:, None], self.measured.shape[1], 1)
         weighed[:, :settle] = 0.0
+        expected, pull = np.zeros((2, self.size))
+        for name, value in (beforehand or {}).items():
+            place = self.free.index(name)
+            expected[place], pull[place] = value.expected, value.pull
         self._posed = Posed(
             base=base.vector,
             which=_indices(self._kernels.UNKNOWN, self.free),
@@ -125,6 +140,8 @@ class Experiment:
             previous=float(self.controller.previous),
             period=float(window.period),
             rate_limit=_COARSE if coarse else self._kernels.RATE_LIMIT,
+            expected=expected,
+            pull=pull,
         )
 
     @property

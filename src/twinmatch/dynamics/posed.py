@@ -48,6 +48,10 @@ class Posed(NamedTuple):
     period: float
     rate_limit: float
     """Longest Runge–Kutta step in units of the fastest time constant."""
+    expected: FloatArray
+    """What is known of the unknowns beforehand, shape (m + starts,)."""
+    pull: FloatArray
+    """How much of the cost their square distance from it makes; zero where nothing is known."""
 
 
 @compiled(innermost=True)

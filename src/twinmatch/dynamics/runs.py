@@ -179,7 +179,7 @@ def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, 
 @compiled
 def normal_at(posed: Posed, values: FloatArray, limit: float) -> tuple[float, FloatArray, FloatArray]:
     """Sum, gradient Jᵀr and JᵀJ of the weighed residuals, as far as the sum does not come above `limit`; it
-    is infinite where the plant is too fast."""
+    is infinite where the plant is too fast. What is known beforehand counts like so many residuals more."""
     n = values.size
     p, x, columns, steps = start_at(posed, values)
     if steps > MOST_STEPS:
@@ -189,7 +189,14 @@ def normal_at(posed: Posed, values: FloatArray, limit: float) -> tuple[float, Fl
         posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
         posed.weights, posed.robust, False, limit,
     )[6]  # fmt: skip
-    return normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
+    cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
+    for j in range(n):
+        if posed.pull[j] > 0.0:
+            off = values[j] - posed.expected[j]
+            cost += posed.pull[j] * off * off
+            gradient[j] += posed.pull[j] * off
+            hessian[j, j] += posed.pull[j]
+    return cost, gradient, hessian
 
 
 @compiled

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.dynamics import Descended, Experiment, Model, Parameters, PidGains, descend
+from twinmatch.dynamics import Descended, Experiment, Known, Model, Parameters, PidGains, descend
 from twinmatch.matching.bounds import MatchingError, unknown_parameters, unknown_starts
 from twinmatch.matching.noise import Noise
 from twinmatch.matching.problem import checked_gains
@@ -33,6 +33,10 @@ _SKIPPED = 2
 _LOOK = 8
 """Evaluations after which only the best of several starts goes on."""
 _MOST_EVALUATIONS = 40
+LASTING: Final = 30.0
+"""Samples for which an error of the closed loop lasts, so that as many tell what one independent would."""
+SPREAD: Final = 0.5
+"""How far a parameter may well be from its typical value, in units of that value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,10 @@ class StructureFit:
     """Whether the search came to rest."""
     cost: float
     """What was made small: the mean over all residuals of 2(√(1 + e²) − 1), e in units of the noise."""
+    states: tuple[FloatArray, ...]
+    """Of the twin at each of those samples, shape (M, states)."""
+    covariance: FloatArray
+    """Of the free parameters, in their order and units, residuals taken to last; shape (n, n)."""
 
     @property
     def model(self) -> Model:
@@ -81,6 +89,7 @@ def fit_structure(
     noise: Noise | None = None,
     gains: PidGains | None = None,
     thorough: bool = True,
+    informed: bool = False,
 ) -> StructureFit:
     """Find the unknown parameters of one structure from windows of one plant.
 
@@ -92,23 +101,48 @@ def fit_structure(
         gains: of the running controller; the plant file's if not given, at the windows' period.
         thorough: search from several starts and to the end; otherwise from the best one, and no further than
             the cost falls by a part in ten thousand or so, in a fifth of the time.
+        informed: let what the plant file calls typical count as well, as one independent residual for each
+            parameter. A few minutes leave a valley of parameters that fit alike, and the ends of it foretell
+            badly; an hour says more than the file.
 
     Raises:
         MatchingError: no window, one that is too short, or windows of different periods.
     """
-    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), gains))
-    plant = model.parameters()
+    known = _known(model, len(windows)) if informed else {}
+    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), gains, known))
+    plant = _typical(model) if informed else model.parameters()
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
     else:
-        firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *model.structure.starts)]
-        looks = [problem.search(first, _LOOK if thorough else 1) for first in firsts]
+        others = () if informed else model.structure.starts  # what is typical leaves no second valley
+        firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *others)]
+        looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
         values = min(looks, key=lambda found: found.cost).values
     found = problem.search(values, _MOST_EVALUATIONS if thorough else _LOOK)
     return problem.fitted(found)
 
 
-def _runs(windows: Sequence[Window], model: Model, noise: Noise, gains: PidGains | None) -> list[Experiment]:
+def _typical(model: Model) -> Parameters:
+    return model.parameters(**{n: v for n, v in model.plant.typical.items() if n in model.declared})
+
+
+def _known(model: Model, windows: int) -> dict[str, Known]:
+    """The plant file's typical values as knowledge, a share of it for each of the windows."""
+    typical, known = _typical(model), {}
+    for name in model.structure.free:
+        declared = model.declared[name]
+        spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale
+        known[name] = Known(typical[name], LASTING / (windows * (spread or declared.scale) ** 2))
+    return known
+
+
+def _runs(
+    windows: Sequence[Window],
+    model: Model,
+    noise: Noise,
+    gains: PidGains | None,
+    known: Mapping[str, Known],
+) -> list[Experiment]:
     if not windows:
         raise MatchingError("structures: no window was given; a fit needs one at least")
     runs = []
@@ -132,6 +166,7 @@ def _runs(windows: Sequence[Window], model: Model, noise: Noise, gains: PidGains
                 robust=True,
                 settle=SETTLE,
                 coarse=True,
+                beforehand=known,
             )
         )
     return runs
@@ -183,10 +218,11 @@ class _Problem:
         """The fit at the end of a search."""
         parts = [found.values[self._places(window)] for window in range(len(self._runs))]
         outputs = 2 if self._runs[0].closed else 1
-        simulated = []
+        simulated, states = [], []
         for run, part in zip(self._runs, parts, strict=True):
             response = run.simulate(part)
             simulated.append(np.stack([response.output, response.input])[:outputs, SETTLE:])
+            states.append(response.states[SETTLE:-1])
         measured = tuple(run.measured[:outputs, SETTLE:] for run in self._runs)
         return StructureFit(
             parameters=self._runs[0].parameters_at(parts[0]),
@@ -195,4 +231,11 @@ class _Problem:
             simulated=tuple(simulated),
             converged=found.converged,
             cost=found.cost / sum(window.size for window in measured),
+            states=tuple(states),
+            covariance=LASTING * self._inverse(found.hessian)[: self._free, : self._free],
         )
+
+    def _inverse(self, hessian: FloatArray) -> FloatArray:
+        """Inverse of JᵀJ; what nothing tells of stays as uncertain as its scale."""
+        scaled = hessian * np.outer(self._scales, self._scales) + np.eye(self._scales.size)
+        return np.asarray(np.linalg.inv(scaled) * np.outer(self._scales, self._scales))
