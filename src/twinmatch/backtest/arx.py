@@ -1,0 +1,136 @@
+"""The forecast of an ARX model: what somebody with least squares and an afternoon would use."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from twinmatch.backtest.arx_fit import Equation, equations
+from twinmatch.backtest.peer import banded, enough
+from twinmatch.dynamics import Plant
+from twinmatch.forecasting import CONFIDENCE, Band, Forecast
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Arx"]
+
+_LEAST = 60
+_HIGHEST = 10
+_PER_ORDER = 15
+"""Samples that each further order takes; a short past is not fitted with a long memory."""
+
+
+class _Loop(NamedTuple):
+    """Both equations at one order."""
+
+    plant: Equation
+    controller: Equation
+
+    @property
+    def rows(self) -> FloatArray:
+        """What y and u, one after the other, take from the past of y and u, shape (2, 2p)."""
+        y, u = (np.concatenate([e.past[:, 0], e.past[:, 1]]) for e in self)
+        return np.array([y, u + self.controller.direct[1] * y])
+
+    @property
+    def transition(self) -> FloatArray:
+        """Of the past of y and u, newest first, shape (2p, 2p)."""
+        order = len(self.plant.past)
+        matrix = np.eye(2 * order, k=-1)
+        matrix[[0, order]] = self.rows
+        return matrix
+
+    @property
+    def radius(self) -> float:
+        """Largest absolute eigenvalue; above 1 the forecast runs away."""
+        return float(np.max(np.abs(np.linalg.eigvals(self.transition))))
+
+
+class Arx:
+    """Output and input on their past and the set-point's, fitted anew to all samples so far.
+
+    The order is the one of least BIC among those whose loop is stable. The loop is simulated ahead with the
+    set-points to come and the drive's limits. The band is Gaussian: the variance of what the equations leave,
+    carried along the simulated path; the limiter passes the share of a deviation that lies within the limits
+    (statistical linearisation).
+    """
+
+    name = "ARX"
+
+    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
+        self._plant, self._confidence = plant, confidence
+
+    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+        """Forecast one sample for each set-point ahead; see `Peer`.
+
+        Raises:
+            ForecastError: the past has too few samples.
+        """
+        enough(self.name, past, _LEAST)
+        noise = np.array([self._plant.output.noise, self._plant.drive.noise])
+        level = np.array([past.output.mean(), past.input.mean()])
+        reference, output = ((x - level[0]) / noise[0] for x in (past.reference, past.output))
+        entry = (past.input - level[1]) / noise[1]
+        limits = (np.array(self._plant.drive.limits) - level[1]) / noise[1]
+        span = (np.array(self._plant.output.span) - level[0]) / noise[0]
+        highest = min(_HIGHEST, len(past) // _PER_ORDER)
+        loop = _chosen([_Loop(*pair) for pair in equations(reference, output, entry, highest)])
+        mean, spread = _simulated(
+            loop, (reference, output, entry), (ahead - level[0]) / noise[0], limits, span
+        )
+        reach = ndtri((1.0 + self._confidence) / 2.0) * spread
+        bands = [
+            Band(*(level[j] + noise[j] * x[:, j] for x in (mean, mean - reach, mean + reach)))
+            for j in range(2)
+        ]
+        return banded(
+            self.name,
+            past,
+            ahead,
+            output=bands[0],
+            entry=bands[1],
+            plant=self._plant,
+            confidence=self._confidence,
+        )
+
+
+def _chosen(loops: list[_Loop]) -> _Loop:
+    """The stable one of least BIC; where none is, the one that runs away most slowly."""
+    radii = [loop.radius for loop in loops]
+    stable = [loop for loop, radius in zip(loops, radii, strict=True) if radius < 1.0]
+    if not stable:
+        return loops[int(np.argmin(radii))]
+    return min(stable, key=lambda loop: loop.plant.bic + loop.controller.bic)
+
+
+def _simulated(
+    loop: _Loop,
+    past: tuple[FloatArray, FloatArray, FloatArray],
+    ahead: FloatArray,
+    limits: FloatArray,
+    span: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Means and standard deviations of y and u ahead, shape (N, 2) each; u before the limiter."""
+    order = len(loop.plant.past)
+    reference, output, entry = (signal[: -order - 1 : -1] for signal in past)
+    rows, transition = loop.rows, loop.transition
+    direct, variances = loop.controller.direct, (loop.plant.variance, loop.controller.variance)
+    load = np.zeros((2 * order, 2))
+    load[0, 0], load[order] = 1.0, (direct[1], 1.0)
+    covariance = np.zeros((2 * order, 2 * order))
+    means, spreads = np.empty((ahead.size, 2)), np.empty((ahead.size, 2))
+    for k, wanted in enumerate(ahead):
+        lags = np.column_stack([output, entry, reference])
+        y = np.clip(loop.plant.constant + np.sum(loop.plant.past * lags), *span)
+        u = loop.controller.constant + direct @ (wanted, y) + np.sum(loop.controller.past * lags)
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows) + load[[0, order]] ** 2 @ variances)
+        means[k], spreads[k] = (y, u), spread
+        passed = ndtr((limits[1] - u) / spread[1]) - ndtr((limits[0] - u) / spread[1])
+        transition[order], load[order] = passed * rows[1], (passed * direct[1], passed)
+        covariance = transition @ covariance @ transition.T + (load * variances) @ load.T
+        u = np.clip(u, *limits)
+        output, entry, reference = (
+            np.concatenate([[new], old[:-1]]) for new, old in ((y, output), (u, entry), (wanted, reference))
+        )
+    return means, spreads

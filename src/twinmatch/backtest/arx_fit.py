@@ -1,0 +1,79 @@
+"""Least squares for the two equations of a sampled loop: plant and controller, each on its past.
+
+    y[k] = a₀ + Σ (a y[k−i] + b u[k−i] + c r[k−i]) + e           i = 1 … p
+    u[k] = d₀ + f r[k] + g y[k] + Σ (the same of the past) + v
+
+A drive at its limit spoils the controller's equation. Those samples are kept all the same: without them it
+knows least of steps, and forecasts these worse. All orders up to the highest are fitted at once: the columns
+stand lag by lag, so that every lower order is the beginning of one triangular factor.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.signals import FloatArray
+
+__all__ = ["Equation", "equations"]
+
+_RIDGE = 1e-4
+"""Weight of a coefficient among residuals in units of the noise: it decides only what the data leave open,
+such as the share of a set-point that never moved."""
+
+
+class Equation(NamedTuple):
+    """One of the two, at one order p."""
+
+    constant: float
+    direct: FloatArray
+    """Of r[k] and y[k]; empty in the plant's equation."""
+    past: FloatArray
+    """Of y, u and r, one row for each lag, shape (p, 3)."""
+    variance: float
+    """Of what is left."""
+    bic: float
+    """Schwarz (1978), up to a constant: N ln V + m ln N with m coefficients."""
+
+
+def equations(
+    reference: FloatArray, output: FloatArray, entry: FloatArray, highest: int
+) -> list[tuple[Equation, Equation]]:
+    """The plant's and the controller's equation at every order from 1 to `highest`.
+
+    Args:
+        reference: set-points r, shape (N,), as y in units of the output's noise and about some level.
+        output: outputs y, shape (N,).
+        entry: inputs u, shape (N,), in units of the drive's noise.
+        highest: order, at least 1 and less than N.
+    """
+    count = output.size - highest
+    lags = [
+        signal[highest - lag :][:count]
+        for lag in range(1, highest + 1)
+        for signal in (output, entry, reference)
+    ]
+    y, u, r = (signal[highest:] for signal in (output, entry, reference))
+    plant = np.column_stack([np.ones(count), *lags])
+    controller = np.column_stack([np.ones(count), r, y, *lags])
+    found = _nested(plant, y, highest, direct=0), _nested(controller, u, highest, direct=2)
+    return list(zip(*found, strict=True))
+
+
+def _nested(columns: FloatArray, target: FloatArray, highest: int, direct: int) -> list[Equation]:
+    count = columns.shape[1]
+    held = np.vstack([np.column_stack([columns, target]), _RIDGE * np.eye(count, count + 1)])
+    factor = np.asarray(np.linalg.qr(held, mode="r"), dtype=np.float64)
+    samples = max(target.size, 1)
+    found = []
+    for order in range(1, highest + 1):
+        m = 1 + direct + 3 * order
+        solved = np.asarray(np.linalg.solve(factor[:m, :m], factor[:m, -1]), dtype=np.float64)
+        left = float(np.sum(factor[m:, -1] ** 2))
+        variance = max(left / samples, _RIDGE**2)
+        bic = samples * math.log(variance) + m * math.log(samples)
+        constant, now, past = np.split(solved, [1, 1 + direct])
+        found.append(Equation(float(constant[0]), now, past.reshape(order, 3), variance, bic))
+    return found

@@ -1,0 +1,11 @@
+"""What can be wrong with a backtest."""
+
+from __future__ import annotations
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["BacktestError"]
+
+
+class BacktestError(TwinmatchError):
+    """A backtest that cannot be made: samples that do not fit a forecast, a peer that is not known."""

@@ -1,0 +1,65 @@
+"""What every peer has in common: who else forecasts, from the same samples and set-points as the twin."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from twinmatch.dynamics import Plant
+from twinmatch.forecasting import Band, Forecast, ForecastError
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Peer", "banded", "enough"]
+
+
+class Peer(Protocol):
+    """Who forecasts without a twin."""
+
+    @property
+    def name(self) -> str:
+        """How tables and figures call it."""
+        ...
+
+    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+        """Forecast the samples after a window.
+
+        Args:
+            past: all samples up to and including the newest; nothing else is known.
+            ahead: set-points of the samples to come, shape (N,).
+
+        Raises:
+            ForecastError: the past does not suffice.
+        """
+        ...
+
+
+def enough(name: str, past: Window, least: int) -> None:
+    """Raises:
+    ForecastError: the past has fewer samples than this.
+    """
+    if len(past) < least:
+        raise ForecastError(f"{name}: {len(past)} samples are too few for a forecast; it takes {least}")
+
+
+def banded(
+    name: str,
+    past: Window,
+    ahead: FloatArray,
+    *,
+    output: Band,
+    entry: Band,
+    plant: type[Plant],
+    confidence: float,
+) -> Forecast:
+    """A peer's forecast; the input stays within the drive's limits, band and all."""
+    return Forecast(
+        sample=past.last,
+        candidate=name,
+        structure="",
+        confidence=confidence,
+        time=np.asarray(past.period * np.arange(1, ahead.size + 1), dtype=np.float64),
+        reference=np.asarray(ahead, dtype=np.float64),
+        output=output,
+        input=Band(*(np.clip(a, *plant.drive.limits) for a in (entry.mean, entry.low, entry.high))),
+    )

@@ -1,0 +1,128 @@
+"""Marks of many forecasts as the few figures of a report card."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinmatch.backtest.scoring import Marks
+
+__all__ = ["HINDSIGHT", "Card", "Marked", "best_in_hindsight", "cards", "common"]
+
+HINDSIGHT = "best in hindsight"
+"""Whoever of the candidates did best, which nobody could know before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Marked:
+    """One forecast of one forecaster, judged at one horizon."""
+
+    session: str
+    sample: int
+    """Index of the newest sample it was made from."""
+    horizon: float
+    """How far ahead, s."""
+    who: str
+    """Name of the forecaster."""
+    marks: Marks
+
+    @property
+    def place(self) -> tuple[str, int, float]:
+        """What it forecast; the same for all who were asked the same."""
+        return self.session, self.sample, self.horizon
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """One forecaster at one horizon, over many forecasts; errors, widths, scores in units of the noise."""
+
+    who: str
+    horizon: float
+    """s."""
+    count: int
+    """Forecasts that were judged."""
+    median: float
+    """Of the errors over the path, both signals together."""
+    nine_in_ten: float
+    """Nine in ten of these errors are below."""
+    ratio: float
+    """Mean of the errors, each divided by that of the best in hindsight; NaN if nobody tells that."""
+    end_output: float
+    """Median size of the output's error at the horizon itself."""
+    end_input: float
+    coverage_output: float
+    """Share of all output samples that lay within the band."""
+    coverage_input: float
+    width_output: float
+    """Median over the forecasts of the band's mean width."""
+    width_input: float
+    score: float
+    """Mean interval score, both signals together; smaller is better."""
+
+
+def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
+    """Of every moment and horizon the forecast with the least error, under the name `HINDSIGHT`.
+
+    Args:
+        marked: forecasts of candidates. Of equal ones the first is taken.
+    """
+    best: dict[tuple[str, int, float], Marked] = {}
+    for one in marked:
+        if one.place not in best or one.marks.error < best[one.place].marks.error:
+            best[one.place] = one
+    return [Marked(o.session, o.sample, o.horizon, HINDSIGHT, o.marks) for o in best.values()]
+
+
+def common(marked: Sequence[Marked]) -> list[Marked]:
+    """Only what every forecaster was judged at, so that all are compared on the same samples."""
+    names = {one.who for one in marked}
+    asked: dict[tuple[str, int, float], set[str]] = {}
+    for one in marked:
+        asked.setdefault(one.place, set()).add(one.who)
+    return [one for one in marked if asked[one.place] == names]
+
+
+def cards(marked: Sequence[Marked]) -> list[Card]:
+    """The report cards: forecasters in the order in which they first appear, horizons from near to far.
+
+    One session gives its own, several together give those over all: every forecast counts the same.
+    """
+    best = {one.place: one.marks.error for one in marked if one.who == HINDSIGHT}
+    groups: dict[str, dict[float, list[Marked]]] = {}
+    for one in marked:
+        groups.setdefault(one.who, {}).setdefault(one.horizon, []).append(one)
+    return [
+        _card(who, horizon, held, best)
+        for who, by_horizon in groups.items()
+        for horizon, held in sorted(by_horizon.items())
+    ]
+
+
+def _card(
+    who: str, horizon: float, held: Sequence[Marked], best: dict[tuple[str, int, float], float]
+) -> Card:
+    errors = np.array([one.marks.error for one in held])
+    least = np.array([best.get(one.place, np.nan) for one in held])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(errors == least, 1.0, errors / least)
+    both = [(one.marks.output, one.marks.input) for one in held]
+    ends = np.median(np.abs([[s.end for s in pair] for pair in both]), axis=0)
+    coverages = np.mean([[s.coverage for s in pair] for pair in both], axis=0)
+    widths = np.median([[s.width for s in pair] for pair in both], axis=0)
+    return Card(
+        who=who,
+        horizon=horizon,
+        count=len(held),
+        median=float(np.median(errors)),
+        nine_in_ten=float(np.quantile(errors, 0.9)),
+        ratio=float(np.mean(ratios)),
+        end_output=float(ends[0]),
+        end_input=float(ends[1]),
+        coverage_output=float(coverages[0]),
+        coverage_input=float(coverages[1]),
+        width_output=float(widths[0]),
+        width_input=float(widths[1]),
+        score=float(np.mean([one.marks.score for one in held])),
+    )
