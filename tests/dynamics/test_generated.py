@@ -21,6 +21,7 @@ from twinmatch.dynamics import (
     derived,
     kernels,
     noise_scores,
+    observer_step,
     read,
     simulate_closed_loop,
     simulate_driven,
@@ -32,6 +33,15 @@ MOTOR = Motor.model("with friction")
 RICHEST = Peltier.model("sink with mass, free ambient, switched drive, sensor lag, α(T)")
 
 
+def sample_of_observer(module: types.ModuleType) -> tuple[np.ndarray, ...]:
+    """A lag whose gain wanders, corrected and moved on."""
+    p, x, covariance, columns = np.array([2.0, 5.0]), np.array([1.5]), 0.1 * np.eye(2), np.zeros((1, 3))
+    nothing, which, bounds = np.zeros(0), np.array([[0], [0]]), np.array([[0.1], [10.0]])
+    module.correct(p, x, covariance, 1.7, nothing, 0.1, np.inf, which, bounds)
+    module.predict(p, x, covariance, np.full(2, 1e-3), 3.0, nothing, 0.7, 2, which, columns)
+    return p, x, covariance, columns
+
+
 def test_the_plant_written_by_hand_is_the_plant_made_from_equations() -> None:
     """The kernels run on `derived.py` when nothing takes its place, so both must agree to the last bits."""
     made: types.ModuleType = Lag.model().kernels
@@ -40,7 +50,7 @@ def test_the_plant_written_by_hand_is_the_plant_made_from_equations() -> None:
     for by_hand, by_program in (
         (kernels.advance(p, x, 3.0, nothing, 0.7, 2), made.advance(p, x, 3.0, nothing, 0.7, 2)),
         (kernels.slopes_at(p, x, 3.0, nothing), made.slopes_at(p, x, 3.0, nothing)),
-        (kernels.tick_slopes(p, x, 3.0, nothing, 0.7, 2), made.tick_slopes(p, x, 3.0, nothing, 0.7, 2)),
+        (sample_of_observer(observer_step), sample_of_observer(made)),
     ):
         for one, other in zip(by_hand, by_program, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-14)

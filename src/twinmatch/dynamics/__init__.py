@@ -5,10 +5,12 @@ there are and what is unknown. `Plant.model` gives a `Model`, whose compiled cod
 once and kept on disk. `Parameters` are values for one; everything else takes them: `begin`, `advance`
 and `read` step a plant, `simulate_closed_loop`, `simulate_driven` and `simulate_window` run it, `Experiment`
 is a recorded window as a function of what is unknown, with exact tangents, `linearised` says how the plant
-answers small movements, and `Observer` follows the states that no sensor shows. `Pid` is the controller that
-holds it, `Sensor` what lies between its output and a reading.
+answers small movements, `Observer` follows the states that no sensor shows, and `foretell` says what the
+loop will do from there and how surely. `Pid` is the controller that holds it, `Sensor` what lies between its
+output and a reading.
 """
 
+from twinmatch.dynamics.ahead import Foretold, foretell
 from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Parameter, State, Structure
 from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.equations import Equations
@@ -18,7 +20,7 @@ from twinmatch.dynamics.functions import limited, magnitude, maximum, minimum
 from twinmatch.dynamics.linear import Linear, Rest, linearised, rest_at
 from twinmatch.dynamics.model import Model
 from twinmatch.dynamics.noise import noise_scores
-from twinmatch.dynamics.observer import Observer
+from twinmatch.dynamics.observer import Observer, Wander
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.dynamics.pid import Pid, PidGains, PidState, controller_state
 from twinmatch.dynamics.plant import Plant
@@ -43,6 +45,7 @@ __all__ = [
     "Drive",
     "Equations",
     "Experiment",
+    "Foretold",
     "Known",
     "Linear",
     "Model",
@@ -62,11 +65,13 @@ __all__ = [
     "State",
     "Structure",
     "Tangents",
+    "Wander",
     "advance",
     "begin",
     "box_step",
     "controller_state",
     "descend",
+    "foretell",
     "gains_of",
     "limited",
     "linearised",

@@ -53,7 +53,6 @@ __all__ = [
     "slopes_at",
     "step_count",
     "tick",
-    "tick_slopes",
     "tick_with_tangents",
 ]
 
@@ -277,23 +276,3 @@ def step_count(
                 fastest = max(fastest, min(rows, columns, np.sqrt(squares)))
     count = np.ceil(period * fastest / limit)
     return int(max(count, 1.0)) if count <= MOST_STEPS else MOST_STEPS + 1
-
-
-@compiled
-def tick_slopes(
-    vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """States one period later, and their derivatives by the states and by the drive."""
-    after = np.zeros(N_STATES)
-    p = held(vector)
-    c = prepare(p)
-    columns, du = np.zeros((N_STATES, N_STATES + 1)), np.zeros(N_STATES + 1)
-    for i in range(N_STATES):
-        columns[i, i] = 1.0
-    du[N_STATES] = 1.0
-    there = tick_with_tangents(
-        packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps, np.zeros(0, dtype=np.int64),
-        columns, du, np.zeros((4, N_STATES, N_UNKNOWN)),
-    )  # fmt: skip
-    unpack(there, after)
-    return after, columns[:, :N_STATES].copy(), columns[:, N_STATES].copy()

@@ -90,6 +90,11 @@ def linearised(
     model = parameters.model
     row, rest = model.disturbance_row(disturbances), rest_at(parameters, output, disturbances)
     steps = parameters.steps(period)
-    _, a, b = model.kernels.tick_slopes(parameters.vector, rest.states, rest.input, row, float(period), steps)
+    n = rest.states.size
+    slopes, nowhere = np.zeros((n, n + 1)), np.zeros((2, 0), dtype=np.int64)
+    model.kernels.predict(
+        parameters.vector, rest.states.copy(), np.zeros((n, n)), np.zeros(n), rest.input, row, float(period),
+        steps, nowhere, slopes,
+    )  # fmt: skip
     _, _, _, _, hx, _ = model.kernels.slopes_at(parameters.vector, rest.states, rest.input, row)
-    return Linear(a, b[:, None], hx[None, :], period, rest)
+    return Linear(slopes[:, :n].copy(), slopes[:, n:].copy(), hx[None, :], period, rest)

@@ -11,7 +11,7 @@ from twinmatch.dynamics.experiment import Experiment, Tangents
 from twinmatch.dynamics.pid_step import Gains
 from twinmatch.signals import FloatArray
 
-__all__ = ["noise_scores"]
+__all__ = ["around_loop", "noise_scores"]
 
 
 def noise_scores(
@@ -68,28 +68,8 @@ def _noise_scores(
     scores, squares = np.empty((size, n)), 0.0
     ahead, power = np.zeros((m, n)), np.zeros((m, m))
     a, b, of_u = np.zeros((m, m)), np.zeros(m), np.zeros(m)
-    per_second = gains.derivative / gains.period
-    by_reading = -gains.proportional - per_second if closed else 0.0
     for k in range(size - 1, -1, -1):
-        limited = free[k] if closed else 0.0
-        wind = gains.period * gains.back_calculation * (limited - 1.0)
-        # u by the states and by noise of the reading: of_u·z + noise_u·v; next z = a·z + b·v.
-        for i in range(nx):
-            of_u[i] = limited * by_reading * seen[i]
-        of_u[nx], of_u[nx + 1] = limited, -limited * per_second
-        noise_u = limited * by_reading
-        if not closed:
-            of_u[:] = 0.0
-        for i in range(nx):
-            for j in range(m):
-                a[i, j] = by_drive[k, i] * of_u[j] + (by_state[k, i, j] if j < nx else 0.0)
-            b[i] = by_drive[k, i] * noise_u
-        leak = wind * by_reading - gains.period * gains.integral
-        for i in range(nx):
-            a[nx, i] = leak * seen[i]
-            a[nx + 1, i] = -seen[i]
-        a[nx, nx], a[nx, nx + 1] = 1.0 + wind, -wind * per_second
-        b[nx], b[nx + 1] = leak, -1.0
+        noise_u = around_loop(gains, closed, free[k], seen, by_state[k], by_drive[k], a, b, of_u)
         out_y, out_u = weight_y, weight_u * noise_u
         if k == 0:
             # The first reading is where the twin starts, so its noise moves both, and only the plant's own
@@ -124,6 +104,38 @@ def _noise_scores(
                     power[i, j] += weight_y * weight_y * seen[i] * seen[j]
     outputs = 2.0 if weight_u != 0.0 else 1.0
     return scores, squares / (outputs * size)
+
+
+@compiled(innermost=True)
+def around_loop(
+    gains: Gains, closed: bool, free: float, seen: FloatArray, by_state: FloatArray, by_drive: FloatArray,
+    a: FloatArray, b: FloatArray, of_u: FloatArray,
+) -> float:  # fmt: skip
+    """One sample of a loop for small movements: z, the plant's states, the controller's integral and error.
+
+    With v, the noise of the reading: u = of_u·z + noise_u·v, next z = a·z + b·v; returns noise_u. `seen`
+    holds the derivatives of the output by the plant's states.
+    """
+    nx = seen.size
+    per_second = gains.derivative / gains.period
+    by_reading = -gains.proportional - per_second if closed else 0.0
+    limited = free if closed else 0.0
+    wind = gains.period * gains.back_calculation * (limited - 1.0)
+    for i in range(nx):
+        of_u[i] = limited * by_reading * seen[i]
+    of_u[nx], of_u[nx + 1] = limited, -limited * per_second
+    noise_u = limited * by_reading
+    for i in range(nx):
+        for j in range(nx + 2):
+            a[i, j] = by_drive[i] * of_u[j] + (by_state[i, j] if j < nx else 0.0)
+        b[i] = by_drive[i] * noise_u
+    leak = wind * by_reading - gains.period * gains.integral
+    for i in range(nx):
+        a[nx, i] = leak * seen[i]
+        a[nx + 1, i] = -seen[i]
+    a[nx, nx], a[nx, nx + 1] = 1.0 + wind, -wind * per_second
+    b[nx], b[nx + 1] = leak, -1.0
+    return noise_u
 
 
 @compiled

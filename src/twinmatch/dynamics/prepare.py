@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from twinmatch.dynamics.ahead import foretell
 from twinmatch.dynamics.experiment import Experiment
 from twinmatch.dynamics.model import Model
 from twinmatch.dynamics.noise import noise_scores
@@ -45,7 +46,7 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
 def _use(parameters: Parameters) -> None:
     """Call once every kernel that this structure has: numba compiles at the first call.
 
-    What linearisations call, the observer calls too.
+    What linearisations call, the observer calls too; what forecasts call, tangents.
     """
     model = parameters.model
     gains, rest = model.plant.loop, model.plant.drive.rest
@@ -70,6 +71,18 @@ def _use(parameters: Parameters) -> None:
     observer.correct(output)
     observer.predict(rest)
     levels = np.full(_SAMPLES, output)
+    closed = gains is not None
+    foretell(
+        parameters,
+        states=states,
+        covariance=observer.joint,
+        input=rest,
+        drift=np.ones(states.size),
+        reference=levels if closed else None,
+        inputs=None if closed else np.full(_SAMPLES, rest),
+        period=period,
+        gains=gains,
+    )
     run = simulate_driven(parameters, np.full(_SAMPLES, rest), states=states, period=period)
     if gains is not None:
         run = simulate_closed_loop(parameters, levels, states=states, controller=PidState(), gains=gains)

@@ -76,7 +76,9 @@ def run_with_tangents(
     reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
     previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
     robust: bool, stored: bool, limit: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[
+    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
+]:  # fmt: skip
     """The run with its derivatives; either its arrays are stored, or the normal equations summed up.
 
     `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`,
@@ -84,9 +86,9 @@ def run_with_tangents(
     others (starts) that act only through x. `measured` holds output and input, shape (2, N), and `weights`
     of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
     of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
-    (N,), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1);
-    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²). A run
-    whose sum comes above `limit` ends there.
+    (N,), [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1); its
+    last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²); and the
+    derivatives of the output by state (N, N_STATES). A run whose sum comes above `limit` ends there.
     """
     size, n = disturbances.shape[0], columns.shape[1]
     kept = size if stored else 0
@@ -94,7 +96,7 @@ def run_with_tangents(
     m = n + extra
     y_all, u_all, by = np.empty(kept), np.empty(kept), np.empty((2, kept, n))
     by_state, by_drive = np.empty((kept, N_STATES, N_STATES)), np.empty((kept, N_STATES))
-    free_all = np.empty(kept)
+    free_all, seen = np.empty(kept), np.empty((kept, N_STATES))
     normal, dy = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
     fp = np.zeros((4, N_STATES, N_UNKNOWN))
     hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
@@ -125,6 +127,7 @@ def run_with_tangents(
             for j in range(n):
                 by[0, k, j], by[1, k, j] = dy[j], du[j]
             for i in range(N_STATES):
+                seen[k, i] = hx[i]
                 for q in range(extra):
                     all_columns[i, n + q] = 1.0 if i == q else 0.0
             du[m - 1] = 1.0
@@ -147,7 +150,7 @@ def run_with_tangents(
     for i in range(n + 1):
         for j in range(i):
             normal[j, i] = normal[i, j]
-    return y_all, u_all, by, by_state, by_drive, free_all, normal
+    return y_all, u_all, by, by_state, by_drive, free_all, normal, seen
 
 
 @compiled

@@ -61,7 +61,7 @@ def gains_of(plant: type[Plant], period: float) -> PidGains:
     if plant.loop is None:
         msg = f"plant {plant.name}: its controller is not known, so only the driven twin can be run"
         raise PlantError(msg)
-    return dataclasses.replace(plant.loop, period=period)
+    return plant.loop if plant.loop.period == period else dataclasses.replace(plant.loop, period=period)
 
 
 def begin(

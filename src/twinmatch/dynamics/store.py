@@ -1,10 +1,10 @@
 """Where what is made of a plant's equations is kept: one Python module per plant and set of parts.
 
-The module is `kernels.py` and `runs.py` with the plant's derived functions in the place of `derived.py`. Its
-name carries a hash of everything it is made from: the plant's source, the generator's own, the versions of
-the programs that take part. So a change of any of them makes a new module, and an old one is never run by
-mistake. The folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder; numba keeps its machine
-code there too.
+The module is `kernels.py`, `runs.py` and `observer_step.py` with the plant's derived functions in the place
+of `derived.py`. Its name carries a hash of everything it is made from: the plant's source, the generator's
+own, the versions of the programs that take part. So a change of any of them makes a new module, and an old
+one is never run by mistake. The folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder;
+numba keeps its machine code there too.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["cache_folder", "kernels_of"]
 
 _HERE = Path(__file__).parent
-_GENERATOR = ("code.py", "declarations.py", "equations.py", "kernels.py", "plant.py", "runs.py", "store.py")
+_TEMPLATES = ("kernels.py", "runs.py", "observer_step.py")
+_GENERATOR = ("code.py", "declarations.py", "equations.py", "plant.py", "store.py", *_TEMPLATES)
 _JOINED = ("__future__", "twinmatch.dynamics.derived", "twinmatch.dynamics.kernels")
 _PROGRAMS = ("numba", "numpy", "sympy")
 
@@ -87,7 +88,7 @@ def _module_text(plant: type[Plant], parts: frozenset[str], unknown: frozenset[s
         f'"""Made from the equations of {plant.name}; made again when they change."""\n\n'
         "import math\n\nfrom twinmatch.compiled import compiled\n\n"
     )
-    body = "\n".join([names, derived_source(derived), *map(_template, ("kernels.py", "runs.py"))])
+    body = "\n".join([names, derived_source(derived), *map(_template, _TEMPLATES)])
     return "from __future__ import annotations\n\n" + head + body + "\n"
 
 

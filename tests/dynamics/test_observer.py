@@ -1,0 +1,290 @@
+"""The observer, against filters written out here, scipy's Riccati equation, and known truth."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.plants import Lag, Motor
+from twinmatch.dynamics import (
+    Observer,
+    Parameters,
+    PlantError,
+    Sensor,
+    Wander,
+    advance,
+    begin,
+    read,
+    simulate_closed_loop,
+    simulate_driven,
+)
+from twinmatch.plants import Peltier
+
+MASSIVE = Peltier.model("sink with mass")
+MOTOR = Motor.model("with friction")
+Array = Any
+
+
+def differences(function: Any, at: Array) -> Array:
+    """Jacobian of a function of an array by central differences."""
+    columns = []
+    for j in range(at.size):
+        step = np.zeros(at.size)
+        step[j] = 1e-5 * max(1.0, abs(at[j])) if abs(at[j]) > 0.5 else 1e-6 * max(abs(at[j]), 1e-3)
+        columns.append((function(at + step) - function(at - step)) / (2 * step[j]))
+    return np.array(columns).T
+
+
+class Textbook:
+    """An extended Kalman filter on dense matrices, by differences of the public tick; Simon (2006), 13.2.
+
+    The vector is the states and, after them, parameters that wander.
+    """
+
+    def __init__(self, base: Parameters, names: list[str], z: Array, covariance: Array, q: Array) -> None:
+        self.base, self.names, self.z, self.covariance, self.q = base, names, z, covariance, q
+        self.n = len(base.model.states)
+
+    def plant(self, z: Array) -> Parameters:
+        return self.base.replace(**dict(zip(self.names, z[self.n :].tolist(), strict=True)))
+
+    def correct(self, reading: float, row: Array | None) -> tuple[float, float]:
+        def seen(z: Array) -> Array:
+            return np.array([read(self.plant(z), z[: self.n], row)])
+
+        h = differences(seen, self.z)
+        r = np.array([[self.base.model.plant.output.noise**2]])
+        s = h @ self.covariance @ h.T + r
+        gain = self.covariance @ h.T @ np.linalg.inv(s)
+        surprise = reading - seen(self.z)
+        self.z = self.z + gain @ surprise
+        self.covariance = (np.eye(self.z.size) - gain @ h) @ self.covariance
+        return float(surprise[0]), float(s[0, 0])
+
+    def predict(self, u: float, period: float, row: Array | None) -> None:
+        def tick(z: Array) -> Array:
+            return np.concatenate([advance(self.plant(z), z[: self.n], u, period, row), z[self.n :]])
+
+        f = differences(tick, self.z)
+        self.z = tick(self.z)
+        self.covariance = f @ self.covariance @ f.T + self.q
+
+
+@pytest.mark.parametrize(
+    ("base", "names", "first", "period"),
+    [
+        (MASSIVE.parameters(), [], 22.85, 1.0),
+        (MASSIVE.parameters(), ["conductance", "seebeck"], 22.85, 1.0),
+        (Peltier.model("sink with mass, sensor lag").parameters(), ["heat_capacity"], 30.0, 1.0),
+        (MOTOR.parameters(), ["dry", "k"], 20.0, 0.05),
+    ],
+    ids=["Peltier", "Peltier, parameters wander", "Peltier with sensor lag", "motor"],
+)
+def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: float, period: float) -> None:
+    model = base.model
+    drive, n = model.plant.drive, len(model.states)
+    rng = np.random.default_rng(3)
+    states = begin(base, first)
+    drift, start = np.full(n, 0.02), np.full(n, 2.0)
+    wandering = {name: Wander(1e-3 * base[name], 0.03 * base[name]) for name in names}
+    observer = Observer(base, first, period=period, drift=drift, start=start, wandering=wandering)
+    slow = [w.drift for w in wandering.values()]
+    textbook = Textbook(
+        base,
+        names,
+        np.concatenate([states, [base[name] for name in names]]),
+        np.diag(np.square([*start, *(w.start for w in wandering.values())])),
+        np.diag(np.square([*drift, *slow])) * period,
+    )
+    loads = np.zeros((80, model.disturbances.size)) + 0.01 * (np.arange(80) > 30)[:, None]
+    for k in range(80):
+        row = loads[k] if model.disturbances.size else None
+        reading = read(base, states, row) + model.plant.output.noise * rng.standard_normal()
+        expected = textbook.correct(reading, row)
+        np.testing.assert_allclose(observer.correct(reading, row), expected, rtol=1e-4, atol=1e-6)
+        u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else -0.5)
+        states = advance(base, states, u, period, row)
+        observer.predict(u)
+        textbook.predict(u, period, row)
+    found = [*observer.states, *(observer.parameters[name] for name in names)]
+    deviations = np.sqrt(np.diag(textbook.covariance))
+    # Differences are good to some 1e-6 of a slope; the filters are compared in their own standard deviations.
+    np.testing.assert_array_less(np.abs(found - textbook.z), 1e-3 * deviations)
+    scale = np.outer(deviations, deviations)
+    np.testing.assert_allclose(observer.joint / scale, textbook.covariance / scale, atol=1e-3)
+
+
+def test_a_linear_plant_settles_at_the_riccati_equation() -> None:
+    """The covariance before a reading, against scipy's discrete algebraic Riccati equation."""
+    p, period, drift = Lag.model().parameters(lag=8.0), 0.5, 0.03
+    observer = Observer(p, 0.0, period=period, drift=[drift], start=[1.0])
+    for _ in range(400):
+        observer.correct(0.0)
+        observer.predict(0.0)
+    a, q, r = math.exp(-period / 8.0), drift**2 * period, Lag.output.noise**2
+    exact = scipy.linalg.solve_discrete_are(np.array([[a]]), np.eye(1), np.array([[q]]), np.array([[r]]))
+    np.testing.assert_allclose(observer.covariance, exact, rtol=1e-6)
+
+
+def test_a_parameter_that_changes_is_followed() -> None:
+    """The sink's convection falls to two thirds: the estimate follows, the one that stands still cannot."""
+    rig = MASSIVE.parameters()
+    faulty = rig.replace(sink_convection=2.0)
+    u = 160.0 * np.sign(np.sin(np.arange(2400) / 80.0))
+    before = simulate_driven(rig, u[:1200], states=begin(rig, 22.85))
+    after = simulate_driven(faulty, u[1200:], states=before.states[-1])
+    rng = np.random.default_rng(8)
+    output = np.concatenate([before.output, after.output]) + 0.1 * rng.standard_normal(u.size)
+    drift, start = [1e-3, 1e-3], [0.2, 2.0]
+    wandering = {"sink_convection": Wander(0.02, 0.1)}
+    observer = Observer(rig, output[0], period=1.0, drift=drift, start=start, wandering=wandering)
+    for k in range(u.size):
+        observer.correct(output[k])
+        if k == 1199:
+            healthy = observer.parameters["sink_convection"]
+        observer.predict(u[k])
+    deviation = math.sqrt(observer.joint[2, 2])
+    assert abs(observer.parameters["sink_convection"] - 2.0) < 3 * deviation < 0.9
+    assert abs(healthy - 3.0) < 0.9
+    assert observer.parameters.replace(sink_convection=3.0) == rig
+
+
+def test_a_wandering_parameter_stays_possible() -> None:
+    rig = MOTOR.parameters(dry=0.0)
+    observer = Observer(
+        rig, 100.0, period=0.05, drift=[0.1], start=[1.0], wandering={"dry": Wander(1.0, 1.0)}
+    )
+    for k in range(300):
+        observer.correct(100.0 + 30.0 * (-1.0) ** k)
+        observer.predict(6.0)
+        assert 0.0 <= observer.parameters["dry"] <= 0.1
+
+
+@pytest.mark.parametrize("limit", [math.inf, 3.0])
+def test_single_wrong_readings_hardly_move_it_with_a_limit(limit: float) -> None:
+    """A camera that corrects its flat field: every 40th reading is 5 K off, fifty standard deviations."""
+    rig = MASSIVE.parameters()
+    run = simulate_closed_loop(
+        rig, np.full(800, 45.0), states=begin(rig, 40.0), sensor=Sensor(noise=0.1).realise(800, 1.0, 2)
+    )
+    observer = Observer(rig, 40.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0], limit=limit)
+    off = []
+    for k in range(800):
+        kicked = k % 40 == 20
+        observer.correct(run.output[k] + 5.0 * kicked)
+        if kicked:
+            off.append(abs(observer.states[0] - run.states[k, 0]))
+        observer.predict(run.input[k])
+    # The kick moves the plate by the gain, near 0.2, of 5 K; of 0.3 K with the limit.
+    assert (max(off[1:]) < 0.15) if math.isfinite(limit) else (max(off[1:]) > 0.3)
+
+
+def test_a_surprise_within_the_limit_changes_nothing() -> None:
+    observers = [
+        Observer(MASSIVE.parameters(), 30.0, period=1.0, drift=[0.1, 0.1], start=[1.0, 1.0], limit=limit)
+        for limit in (math.inf, 3.0)
+    ]
+    for observer in observers:
+        observer.correct(32.9)  # 2.9 standard deviations
+        observer.predict(20.0)
+    np.testing.assert_array_equal(observers[0].states, observers[1].states)
+    np.testing.assert_array_equal(observers[0].joint, observers[1].joint)
+    most = Observer(MASSIVE.parameters(), 30.0, period=1.0, drift=[0.1, 0.1], start=[1.0, 1.0], limit=3.0)
+    surprise, variance = most.correct(50.0)
+    assert surprise == pytest.approx(20.0)
+    assert most.states[0] - 303.15 == pytest.approx(3.0 / math.sqrt(variance), rel=1e-9)
+
+
+def test_it_goes_on_in_the_middle_of_a_session() -> None:
+    """A second observer that is given states and covariance continues to the last bit."""
+    rig = MASSIVE.parameters()
+    wandering = {"conductance": Wander(1e-3, 0.05)}
+    settings_of = {"period": 1.0, "drift": [1e-2, 1e-2], "wandering": wandering}
+    first = Observer(rig, 25.0, start=[0.2, 3.0], **settings_of)
+    for k in range(100):
+        first.correct(25.0 + 0.05 * k)
+        first.predict(100.0)
+    second = Observer(first.parameters, states=first.states, covariance=first.joint, **settings_of)
+    for k in range(50):
+        assert first.correct(30.0 + 0.01 * k) == second.correct(30.0 + 0.01 * k)
+        first.predict(-50.0)
+        second.predict(-50.0)
+    np.testing.assert_array_equal(first.states, second.states)
+    np.testing.assert_array_equal(first.joint, second.joint)
+    assert first.parameters == second.parameters
+
+
+def test_parameters_may_be_exchanged_at_any_sample() -> None:
+    rig = MASSIVE.parameters()
+    observer = Observer(rig, 25.0, period=1.0, drift=[1e-2, 1e-2], start=[0.2, 3.0])
+    observer.correct(25.1)
+    states, covariance, better = observer.states, observer.covariance, rig.replace(heat_capacity=30.0)
+    observer.parameters = better
+    np.testing.assert_array_equal(observer.states, states)
+    np.testing.assert_array_equal(observer.covariance, covariance)
+    observer.predict(80.0)
+    np.testing.assert_allclose(observer.states, advance(better, states, 80.0, 1.0), rtol=1e-13)
+    with pytest.raises(PlantError, match="parameters of Peltier rig, held sink given; make a new observer"):
+        observer.parameters = Peltier.model("held sink").parameters()
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 10_000),
+    drift=st.floats(0.0, 10.0),
+    start=st.floats(0.0, 1e3),
+    limit=st.sampled_from([1.0, 3.0, math.inf]),
+    kick=st.floats(0.0, 50.0),
+)
+def test_the_covariance_stays_one(seed: int, drift: float, start: float, limit: float, kick: float) -> None:
+    """Symmetric to the last bit, positive semidefinite, whatever the readings are."""
+    rng = np.random.default_rng(seed)
+    rig = MASSIVE.parameters()
+    observer = Observer(
+        rig, 40.0, period=1.0, drift=[drift, drift], start=[start, start], limit=limit,
+        wandering={"conductance": Wander(0.01, 0.1)},
+    )  # fmt: skip
+    for _ in range(60):
+        observer.correct(40.0 + kick * rng.standard_normal())
+        observer.predict(200.0 * rng.uniform(-1.0, 1.0))
+        joint = observer.joint
+        np.testing.assert_array_equal(joint, joint.T)
+        scale = np.sqrt(np.diag(joint)) + 1e-300
+        assert np.min(np.linalg.eigvalsh(joint / np.outer(scale, scale))) > -1e-9
+
+
+def test_what_an_observer_cannot_use_is_refused() -> None:
+    rig = MASSIVE.parameters()
+
+    def made(**changes: Any) -> Observer:
+        arguments = {"output": 25.0, "period": 1.0, "drift": [0.1, 0.1], "start": [1.0, 1.0]}
+        return Observer(rig, **{**arguments, **changes})
+
+    for changes, message in (
+        ({"drift": [0.1]}, "drift [0.1] given; it takes 2 finite standard deviations"),
+        ({"start": [0.1, -1.0]}, "none negative (plate, sink)"),
+        ({"start": None}, "give an observer's start (standard deviations) or its covariance"),
+        ({"covariance": np.eye(2)}, "or its covariance, not both"),
+        ({"start": None, "covariance": np.eye(3)}, "shape (3, 3) given; it takes finite (2, 2)"),
+        ({"output": None}, "begins at an output or at states; give one"),
+        ({"states": [300.0]}, "states [300.0] given; it takes finite values of plate, sink"),
+        ({"wandering": {"mass": Wander(1.0, 1.0)}}, "'mass' cannot wander; there are"),
+        ({"limit": 0.0}, "the observer's limit is 0.0; it must be positive"),
+        ({"period": -1.0}, "the period is -1.0 s"),
+    ):
+        with pytest.raises(PlantError, match=re.escape(message)):
+            made(**changes)
+    observer = made()
+    before = observer.states
+    with pytest.raises(PlantError, match="the reading is nan"):
+        observer.correct(math.nan)
+    with pytest.raises(PlantError, match="the input is inf"):
+        observer.predict(math.inf)
+    np.testing.assert_array_equal(observer.states, before)
