@@ -1,9 +1,11 @@
 """An hour of the closed loop with tangents of six parameters: made from equations here, CasADi, differences.
+And a sample of the observer, and a forecast of 300 samples.
 
 The richest useful Peltier structure: plate and heat sink, six unknown parameters. CasADi gets the same
 equations, from SymPy too, the same Runge–Kutta steps and the same controller, and derives forward; its graph
 is built beforehand and not counted. `solve_ivp` runs the loop alone, without a tangent. The note of a peer
-says how far its tangents, or its output, are from ours.
+says how far its tangents, or its output, are from ours. The observer stands beside the same filter in NumPy,
+the forecast beside 200 runs of the loop with states, parameters and noise drawn at random.
 """
 
 from __future__ import annotations
@@ -15,7 +17,17 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
-from twinmatch.dynamics import Experiment, Pid, begin, simulate_closed_loop
+from twinmatch.dynamics import (
+    Experiment,
+    Observer,
+    Pid,
+    SensorRealisation,
+    advance,
+    begin,
+    foretell,
+    gains_of,
+    simulate_closed_loop,
+)
 from twinmatch.dynamics.equations import derive
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
@@ -64,12 +76,86 @@ def run(quick: bool) -> list[Row]:
     if "solve_ivp, no tangents" in timings and timings["solve_ivp, no tangents"].result is not None:
         off = np.max(np.abs(timings["solve_ivp, no tangents"].result - experiment.simulate(values).output))
         notes["solve_ivp, no tangents"] = f"output differs by {off:.1e} K at most"
-    return rows_of(
+    rows = rows_of(
         "dynamics",
         f"loop of {size} samples with {values.size} tangents",
         timings,
         targets={"twinmatch": 1e-3 * size / 3600},
         notes=notes,
+    )
+    return rows + _observer(quick) + _forecast(quick)
+
+
+def _observer(quick: bool) -> list[Row]:
+    """One sample: a reading taken, a period moved on."""
+    ours = Observer(RIG, 30.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0])
+    theirs = Observer(RIG, 30.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0])
+    held: dict[str, Array] = {"states": theirs.states, "covariance": theirs.covariance}
+    vector, row, steps = RIG.vector, MODEL.disturbances, RIG.steps(1.0)
+    noise, nowhere = MODEL.plant.output.noise**2, np.zeros((2, 0), dtype=np.int64)
+
+    def compiled() -> Array:
+        ours.correct(30.1)
+        ours.predict(10.0)
+        return ours.states
+
+    def numpy() -> Array:
+        states, covariance = held["states"], held["covariance"]
+        slope = MODEL.kernels.slopes_at(vector, states, 0.0, row)[4]
+        reach = covariance @ slope
+        gain = reach / (slope @ reach + noise)
+        states = states + gain * (30.1 - MODEL.kernels.look(vector, states, 0.0, row)[0])
+        kept = np.eye(2) - np.outer(gain, slope)
+        covariance = kept @ covariance @ kept.T + noise * np.outer(gain, gain)
+        slopes = np.zeros((2, 3))
+        MODEL.kernels.predict(
+            vector, states, np.zeros((2, 2)), np.zeros(2), 10.0, row, 1.0, steps, nowhere, slopes
+        )
+        held["states"] = states
+        held["covariance"] = slopes[:, :2] @ covariance @ slopes[:, :2].T + 4e-4 * np.eye(2)
+        return states
+
+    cases = {"twinmatch": compiled, "the same filter in NumPy": numpy}
+    timings = measure_side_by_side(cases, 3 if quick else 15)
+    return rows_of("dynamics", "a sample of the observer", timings, targets={"twinmatch": 4e-6}, notes={})
+
+
+def _forecast(quick: bool) -> list[Row]:
+    """The same mean and band by small movements and by chance."""
+    unsure, gains = MODEL.structure.free, gains_of(Peltier, 1.0)
+    states, reference = begin(RIG, 45.0), np.repeat([45.0, 55.0], 150)
+    spread = np.array([0.05, 0.3, *(0.005 * MODEL.declared[name].scale for name in unsure)])
+    rng, runs = np.random.default_rng(3), 20 if quick else 200
+
+    def foretold() -> Array:
+        found = foretell(
+            RIG, states=states, covariance=np.diag(spread**2), input=0.0, drift=[0.0, 0.0], unsure=unsure,
+            reference=reference,
+        )  # fmt: skip
+        return found.output_variance
+
+    def drawn() -> Array:
+        outputs = np.empty((runs, reference.size))
+        for k in range(runs):
+            moved = spread * rng.standard_normal(spread.size)
+            changes = {name: RIG[name] + change for name, change in zip(unsure, moved[2:], strict=True)}
+            plant = RIG.replace(**changes)
+            there = advance(plant, states + moved[:2], 0.0, 1.0)
+            noise = SensorRealisation(0.1 * rng.standard_normal(reference.size), np.zeros(300, np.bool_), 0.0)
+            outputs[k] = simulate_closed_loop(
+                plant, reference, states=there, gains=gains, sensor=noise
+            ).output  # fmt: skip
+        return np.asarray(outputs.var(axis=0))
+
+    cases = {"twinmatch": foretold, f"{runs} runs drawn at random": drawn}
+    timings = measure_side_by_side(cases, 3 if quick else 15)
+    ratio = np.sqrt(np.median(timings[f"{runs} runs drawn at random"].result / timings["twinmatch"].result))
+    return rows_of(
+        "dynamics",
+        f"a forecast of {reference.size} samples",
+        timings,
+        targets={"twinmatch": 2e-4},
+        notes={f"{runs} runs drawn at random": f"its band of y is {ratio:.2f} times ours, in the median"},
     )
 
 

@@ -1,0 +1,280 @@
+"""What is foretold of a loop, against simulations of it with everything unsure drawn at random."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.plants import Lag, Motor
+from twinmatch.dynamics import (
+    Foretold,
+    Parameters,
+    Pid,
+    PidGains,
+    PidState,
+    PlantError,
+    advance,
+    begin,
+    foretell,
+    gains_of,
+    read,
+    rest_at,
+    simulate_closed_loop,
+    simulate_driven,
+)
+from twinmatch.plants import Peltier
+
+Array = Any
+HELD = Peltier.model("held sink, free ambient")
+MASSIVE = Peltier.model("sink with mass, free ambient, switched drive")
+MOTOR = Motor.model("with friction")
+RUNS = 1500
+
+
+def drawn_at_random(case: Case, inputs: Array | None) -> tuple[Array, Array]:
+    """Readings and commands of many runs of the nonlinear loop, shape (runs, N) each."""
+    base, unsure, joint, drift, first, gains, reference = case
+    rng = np.random.default_rng(11)
+    n, size = len(base.model.states), reference.size
+    spread = np.asarray(drift) * math.sqrt(gains.period)
+    readings, commands = np.empty((RUNS, size)), np.empty((RUNS, size))
+    for run, moved in enumerate(rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)):
+        plant = base.replace(**{name: base[name] + moved[n + j] for j, name in enumerate(unsure)})
+        states = advance(plant, first["states"] + moved[:n], first["input"], gains.period)
+        pid = Pid(gains, first["controller"])
+        strays = spread * rng.standard_normal((size, n))
+        noise = base.model.plant.output.noise * rng.standard_normal(size)
+        for k in range(size):
+            states = states + strays[k]
+            readings[run, k] = read(plant, states) + noise[k]
+            u = pid.step(reference[k], readings[run, k]) if inputs is None else inputs[k]
+            commands[run, k] = u
+            states = advance(plant, states, u, gains.period)
+    return readings, commands
+
+
+def scattered(unsure: Sequence[str], base: Parameters, states: Array, share: float) -> Array:
+    """A joint covariance in which everything has to do with everything; parameters are known to a share."""
+    rng = np.random.default_rng(5)
+    sizes = np.array([*states, *(share * base.model.declared[name].scale for name in unsure)])
+    mixed = rng.standard_normal((sizes.size, 2 * sizes.size))
+    correlated = mixed @ mixed.T
+    root = np.sqrt(np.diag(correlated))
+    return correlated / np.outer(root, root) * np.outer(sizes, sizes)
+
+
+Case = tuple[Parameters, list[str], Array, Array, dict[str, Any], PidGains, Array]
+
+
+def peltier_case(model: Any) -> Case:
+    base = model.parameters()
+    unsure = ["seebeck", "conductance", "heat_capacity", "ambient"]
+    n = len(model.states)
+    joint = scattered(unsure, base, [0.05, 0.3][:n], 0.02)
+    rest = rest_at(base, 45.0)
+    first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
+    reference = np.concatenate([np.full(40, 45.0), np.full(110, 47.0)])
+    return base, unsure, joint, np.array([0.02, 0.03][:n]), first, gains_of(Peltier, 1.0), reference
+
+
+def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
+    base, unsure = MOTOR.parameters(), ["k", "j", "dry"]
+    joint = scattered(unsure, base, [0.3], share)
+    rest = rest_at(base, 100.0)
+    first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
+    gains = dataclasses.replace(gains_of(Motor, 0.05), high=high)
+    return base, unsure, joint, np.array([0.5]), first, gains, np.repeat([100.0, 130.0], 60)
+
+
+def foretold(case: Case, inputs: Array | None) -> Foretold:
+    """The same by small movements."""
+    base, unsure, joint, drift, first, gains, reference = case
+    loop = {"reference": reference, "gains": gains} if inputs is None else {"inputs": inputs}
+    return foretell(
+        base, covariance=joint, drift=drift, unsure=unsure, period=gains.period, **first, **loop,
+    )  # fmt: skip
+
+
+def agree(drawn: Array, mean: Array, variance: Array, most: float = 0.15) -> None:
+    """A variance of 1500 runs is good to 3.7 % (one standard deviation); a run's samples stray together."""
+    ratio = drawn.var(axis=0) / variance
+    assert np.all(np.abs(ratio - 1.0) < 0.18)
+    assert ratio.mean() == pytest.approx(1.0, abs=0.11)
+    off = np.abs(drawn.mean(axis=0) - mean) / np.sqrt(variance)
+    assert np.max(off) < most  # 4/√1500, and what curvature adds
+
+
+@pytest.mark.parametrize(
+    "case",
+    [lambda: peltier_case(HELD), lambda: peltier_case(MASSIVE), motor_case],
+    ids=["held sink", "sink with mass", "motor"],
+)
+def test_the_variances_are_those_of_many_runs(case: Any) -> None:
+    found = foretold(case(), None)
+    readings, commands = drawn_at_random(case(), None)
+    agree(readings, found.output, found.output_variance)
+    agree(commands, found.input, found.input_variance)
+
+
+def test_they_are_for_inputs_that_are_known() -> None:
+    case, inputs = peltier_case(MASSIVE), np.repeat([60.0, -20.0, 90.0], 50)
+    found = foretold(case, inputs)
+    agree(drawn_at_random(case, inputs)[0], found.output, found.output_variance)
+    np.testing.assert_array_equal(found.input_variance, 0.0)
+
+
+def test_they_are_where_the_controller_is_on_its_limit() -> None:
+    """A step that drives u to its limit; at the sample after that some runs are on it and others are not,
+    which costs their mean a third of a standard deviation."""
+    case = motor_case(share=0.003, high=7.5)
+    found = foretold(case, None)
+    readings, commands = drawn_at_random(case, None)
+    agree(readings, found.output, found.output_variance, most=0.4)
+    limited = found.input == case[5].high
+    assert limited.sum() >= 3
+    np.testing.assert_array_equal(found.input_variance[limited], 0.0)
+    clear = case[5].high - found.input > 4.0 * np.sqrt(found.input_variance)
+    agree(commands[:, clear], found.input[clear], found.input_variance[clear], most=0.4)
+
+
+@pytest.mark.parametrize("structure", list(Peltier.structures))
+def test_the_mean_is_the_simulation_to_the_last_bit(structure: str) -> None:
+    rig = Peltier.model(structure).parameters()
+    states, memory = begin(rig, 30.0), PidState(20.0, 1.0)
+    reference = np.repeat([35.0, 60.0, 40.0], 30)
+    n = states.size
+    found = foretell(
+        rig, states=states, covariance=np.eye(n), input=50.0, drift=np.ones(n), reference=reference,
+        controller=memory,
+    )  # fmt: skip
+    run = simulate_closed_loop(rig, reference, states=advance(rig, states, 50.0, 1.0), controller=memory)
+    np.testing.assert_array_equal(found.output, run.output)
+    np.testing.assert_array_equal(found.input, run.input)
+    driven = foretell(
+        rig, states=states, covariance=np.eye(n), input=50.0, drift=np.ones(n), inputs=run.input
+    )  # fmt: skip
+    np.testing.assert_array_equal(driven.output, run.output)
+    np.testing.assert_array_equal(driven.input, run.input)
+
+
+def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
+    motor, states = MOTOR.parameters(), np.array([100.0])
+    loads = np.linspace(0.0, 0.05, 61)[:, None]
+    given_ = {"states": states, "covariance": np.eye(1), "input": 6.0, "drift": [0.1], "gains": Motor.loop}
+    found = foretell(motor, reference=np.full(60, 100.0), disturbances=loads, **given_)
+    there = advance(motor, states, 6.0, 0.05, loads[0])
+    run = simulate_closed_loop(
+        motor, np.full(60, 100.0), states=there, gains=Motor.loop, disturbances=loads[1:]
+    )
+    np.testing.assert_array_equal(found.output, run.output)
+    held = foretell(motor, reference=np.full(60, 100.0), disturbances=[0.02], **given_)
+    rows = foretell(motor, reference=np.full(60, 100.0), disturbances=np.full((61, 1), 0.02), **given_)
+    for one, other in zip(held, rows, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_linear_loop_is_its_matrices() -> None:
+    """A lag under PI control: the covariance of the whole loop by the textbook, sample by sample."""
+    lag, gains = Lag.model().parameters(gain=1.0, lag=4.0), PidGains(0.5, 0.2, 0.0, 1.0, -10.0, 10.0)
+    noise, drift, first = 0.05, 0.03, 0.4
+    found = foretell(
+        lag, states=np.zeros(1), covariance=[[first**2]], input=0.0, drift=[drift], reference=np.ones(400),
+        gains=gains, noise=noise,
+    )  # fmt: skip
+    a = math.exp(-1.0 / 4.0)
+    b = 1.0 - a
+    loop = np.array([[a - b * 0.5, b], [-0.2, 1.0]])  # of x and the integral
+    enters = np.array([-b * 0.5, -0.2])
+    q = noise**2 * np.outer(enters, enters) + np.diag([drift**2, 0.0])
+    z = np.diag([(a * first) ** 2 + drift**2, 0.0])
+    of_u = np.array([-0.5, 1.0])
+    for k in range(400):
+        assert found.output_variance[k] == pytest.approx(z[0, 0] + noise**2, rel=1e-5)
+        assert found.input_variance[k] == pytest.approx(of_u @ z @ of_u + 0.25 * noise**2, rel=1e-5)
+        z = loop @ z @ loop.T + q
+    settled = scipy.linalg.solve_discrete_lyapunov(loop, q)
+    assert found.output_variance[-1] == pytest.approx(settled[0, 0] + noise**2, rel=1e-5)
+
+
+@settings(max_examples=20)
+@given(
+    level=st.floats(25.0, 90.0),
+    size=st.integers(1, 80),
+    scale=st.floats(0.0, 3.0),
+    closed=st.booleans(),
+    seed=st.integers(0, 1000),
+)
+def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
+    level: float, size: int, scale: float, closed: bool, seed: int
+) -> None:
+    rig, unsure = MASSIVE.parameters(), ["conductance", "sink_convection"]
+    signal = {"reference": np.full(size, level)} if closed else {"inputs": np.full(size, level)}
+    root = scale * np.random.default_rng(seed).standard_normal((4, 4))
+
+    def said(covariance: Array, drift: float, noise: float) -> Foretold:
+        return foretell(
+            rig, states=begin(rig, 30.0), covariance=covariance, input=10.0, drift=[drift, drift],
+            unsure=unsure, noise=noise, **signal,
+        )  # fmt: skip
+
+    sure = said(np.zeros((4, 4)), 0.0, 0.0)
+    np.testing.assert_array_equal(sure.output_variance, 0.0)
+    np.testing.assert_array_equal(sure.input_variance, 0.0)
+    less, more = said(root @ root.T, 0.0, 0.0), said(root @ root.T + 0.1 * np.eye(4), 0.01, 0.1)
+    for one, other in (
+        (less.output_variance, more.output_variance),
+        (less.input_variance, more.input_variance),
+    ):
+        assert np.all(one >= 0.0)
+        assert np.all(other >= one * (1 - 1e-9))
+    np.testing.assert_array_equal(less.output, more.output)
+    if not closed:
+        np.testing.assert_array_equal(more.input_variance, 0.0)
+    assert np.all(more.output_variance >= 0.01)  # the reading's own noise counts
+
+
+def test_what_cannot_be_foretold_is_refused() -> None:
+    rig = MASSIVE.parameters()
+
+    def said(**changes: Any) -> Foretold:
+        arguments = {
+            "states": begin(rig, 30.0), "covariance": np.eye(2), "input": 0.0, "drift": [0.1, 0.1],
+            "reference": np.full(5, 40.0),
+        }  # fmt: skip
+        return foretell(rig, **{**arguments, **changes})
+
+    for changes, message in (
+        ({"reference": None}, "takes set-points ahead or inputs ahead; give one"),
+        ({"inputs": np.zeros(5)}, "takes set-points ahead or inputs ahead; give one"),
+        ({"unsure": ["mass"]}, "no parameter 'mass'; there are"),
+        ({"unsure": ["ambient"]}, "covariance of shape (2, 2) given; it takes finite values of shape (3, 3)"),
+        ({"reference": [40.0, math.nan]}, "set-points with a value that is not finite given"),
+        ({"states": np.zeros(1)}, "states of shape (1,) given; it takes finite values of shape (2,)"),
+        ({"drift": [0.1]}, "drift of shape (1,) given"),
+        ({"input": math.inf}, "newest input and noise with a value that is not finite given"),
+    ):
+        with pytest.raises(PlantError, match=re.escape(message)):
+            said(**changes)
+    with pytest.raises(PlantError, match="plant lag: its controller is not known"):
+        foretell(
+            Lag.model().parameters(), states=np.zeros(1), covariance=np.eye(1), input=0.0, drift=[0.1],
+            reference=np.ones(3),
+        )  # fmt: skip
+
+
+def test_nothing_that_is_given_is_changed() -> None:
+    rig = MASSIVE.parameters()
+    states, covariance, reference = begin(rig, 30.0), np.eye(2), np.full(9, 40.0)
+    foretell(rig, states=states, covariance=covariance, input=9.0, drift=[0.1, 0.1], reference=reference)
+    np.testing.assert_array_equal(states, begin(rig, 30.0))
+    np.testing.assert_array_equal(covariance, np.eye(2))
+    assert simulate_driven(rig, [9.0], states=states).states[0, 0] == states[0]
