@@ -1,0 +1,114 @@
+"""Report cards as tables of text and as sentences: for the terminal and the report alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from twinmatch.backtest.result import LEADER, TWINS, Backtest
+from twinmatch.backtest.summary import Card
+from twinmatch.dynamics import Plant
+from twinmatch.views.quantities import number
+from twinmatch.views.words import words_of
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["at_horizon", "cells", "columns", "sentences", "tables"]
+
+
+def columns(plant: type[Plant]) -> tuple[str, ...]:
+    """The names of what `cells` gives."""
+    w = words_of(plant)
+    y, u = w.output_unit or w.output, w.input_unit or w.input
+    return (
+        "who",
+        "error",
+        "9 in 10",
+        "× best",
+        f"end / {y}",
+        f"end / {u}",
+        f"held {y}",
+        f"held {u}",
+        f"width / {y}",
+        f"width / {u}",
+        "score",
+    )
+
+
+def cells(card: Card, plant: type[Plant]) -> tuple[str, ...]:
+    """One forecaster's figures; ends and widths in the plant's units, the others in units of its noise."""
+    y, u = plant.output.noise, plant.drive.noise
+    return (
+        card.who,
+        number(card.median),
+        number(card.nine_in_ten),
+        number(card.ratio),
+        number(card.end_output * y),
+        number(card.end_input * u, 1),
+        f"{number(100 * card.coverage_output, 0)} %",
+        f"{number(100 * card.coverage_input, 0)} %",
+        number(card.width_output * y),
+        number(card.width_input * u, 1),
+        number(card.score, 1),
+    )
+
+
+def at_horizon(cards: Sequence[Card], horizon: float) -> list[Card]:
+    """Those of one horizon, in their order."""
+    return [card for card in cards if card.horizon == horizon]
+
+
+def tables(backtest: Backtest) -> list[Table]:
+    """One table for each horizon at which something was judged."""
+    from rich.table import Table  # noqa: PLC0415 — only who prints needs it
+
+    found = []
+    for horizon in backtest.horizons:
+        held = at_horizon(backtest.cards, horizon)
+        if not held:
+            continue
+        title = f"{backtest.name}: {horizon:g} s ahead, {held[0].count} forecasts"
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+        for k, name in enumerate(columns(backtest.plant)):
+            table.add_column(name, justify="right" if k else "left", no_wrap=True)
+        for card in held:
+            style = "bold" if card.who == LEADER else "" if card.who in TWINS else "dim"
+            table.add_row(*cells(card, backtest.plant), style=style)
+        found.append(table)
+    return found
+
+
+def sentences(backtest: Backtest) -> list[str]:
+    """What the cards say of the leader, in plain words; one sentence for each horizon."""
+    w, noise = words_of(backtest.plant), backtest.plant.output.noise
+    found = []
+    for horizon in backtest.horizons:
+        held = {card.who: card for card in at_horizon(backtest.cards, horizon)}
+        if LEADER not in held:
+            continue
+        own = held[LEADER]
+        text = (
+            f"{horizon:g} s ahead, the leader's {w.output} was off by less than "
+            f"{number(own.end_output * noise)} {w.output_unit}".rstrip()
+            + f" half of the time, and its band held {100 * own.coverage_output:.0f} % of the readings"
+            f" ({100 * backtest.confidence:.0f} % promised)"
+        )
+        peers = [card for who, card in held.items() if who not in TWINS]
+        if peers:
+            best = min(peers, key=lambda card: card.median)
+            text += f"; {best.who}, the best of the others, {_compared(best.median, own.median)}"
+        found.append(f"{text}.")
+    return found
+
+
+def _compared(theirs: float, ours: float) -> str:
+    """How an error compares with ours."""
+    if not ours or not theirs:
+        return "cannot be compared with it"
+    ratio = theirs / ours
+    if ratio >= 1.05:
+        return f"erred {number(ratio, 1)} times as much"
+    if ratio <= 0.95:
+        return f"erred less, {number(ratio, 2)} times as much"
+    return "erred as much"
