@@ -1,0 +1,222 @@
+"""Which set-points a forecast is made for: one that is held, a planned profile, a function of time, or those
+that were recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinmatch.dynamics import Output
+from twinmatch.forecasting.errors import ForecastError
+from twinmatch.signals import FloatArray
+
+__all__ = ["SetPoints"]
+
+_SLACK = 1e-9
+"""A sample this little before a row's time, relative to it, counts as at it: 3 × 0.1 s is not 0.3 s."""
+
+Row = str | Sequence[float | str]
+
+
+@dataclass(frozen=True)
+class SetPoints:
+    """Rows of time and set-point, ahead of now; the last set-point is held.
+
+    Raises:
+        ForecastError: times and set-points are not as many, a value is not finite, a time lies in the past or
+            does not grow, or a set-point lies where the plant takes none.
+    """
+
+    before: float
+    """Set-point now, which acts until the first row; its unit is the plant's."""
+    times: tuple[float, ...] = ()
+    """Seconds ahead of now; they grow."""
+    levels: tuple[float, ...] = ()
+    """Set-points from these times on, or reached at these times if they are ramps."""
+    ramps: bool = False
+    """Whether the set-point moves in a straight line from row to row, beginning now; else it steps."""
+    output: Output | None = None
+    """The plant's output, which says where set-points may lie; without it anywhere."""
+
+    def __post_init__(self) -> None:
+        if len(self.times) != len(self.levels):
+            msg = (
+                f"profile: {len(self.times)} times and {len(self.levels)} set-points are given; give one "
+                "set-point per time"
+            )
+            raise ForecastError(msg)
+        self._check_level("the set-point now", self.before)
+        before = -math.inf
+        for number, (time, level) in enumerate(zip(self.times, self.levels, strict=True), 1):
+            if not math.isfinite(time):
+                raise ForecastError(f"profile: row {number}: the time is {time:g} s; give a finite time")
+            if time < 0:
+                msg = f"profile: row {number}: {time:g} s lies in the past; give seconds ahead of now"
+                raise ForecastError(msg)
+            if time <= before:
+                msg = (
+                    f"profile: row {number}: its time {time:g} s does not come after the {before:g} s of the "
+                    "row before; give growing times"
+                )
+                raise ForecastError(msg)
+            self._check_level(f"row {number}: the set-point", level)
+            before = time
+
+    def _check_level(self, what: str, level: float) -> None:
+        low, high, unit = _allowed(self.output)
+        if not math.isfinite(level):
+            raise ForecastError(f"profile: {what} is {level:g}; give a finite number")
+        if not low <= level <= high:
+            msg = (
+                f"profile: {what} is {level:g} {unit}; give one from {low:g} to {high:g} {unit}, where the "
+                "plant takes set-points"
+            )
+            raise ForecastError(msg)
+
+    @classmethod
+    def held(cls, level: float, output: Output | None = None) -> SetPoints:
+        """One set-point that stays.
+
+        Raises:
+            ForecastError: as the class.
+        """
+        return cls(float(level), output=output)
+
+    @classmethod
+    def planned(
+        cls, rows: Sequence[Row], before: float, *, ramps: bool = False, output: Output | None = None
+    ) -> SetPoints:
+        """A profile from rows of time (s ahead) and set-point: pairs of numbers or texts, or lines of a CSV.
+
+        A first line of words is its header; empty lines and those that begin with # are left out.
+
+        Raises:
+            ForecastError: a row that is no pair of numbers, no row at all, or as the class.
+        """
+        found: list[tuple[float, float]] = []
+        header = True
+        for number, row in enumerate(rows, 1):
+            cells = _cells(row)
+            if not cells or cells[0].startswith("#"):
+                continue
+            values = [_number(cell) for cell in cells]
+            if header and len(cells) == 2 and values == [None, None]:
+                header = False
+                continue
+            header = False
+            if len(values) != 2 or values[0] is None or values[1] is None:
+                msg = (
+                    f"profile: line {number}: {', '.join(cells)!r} is no pair of numbers; give the time in s "
+                    "ahead and the set-point"
+                )
+                raise ForecastError(msg)
+            found.append((values[0], values[1]))
+        if not found:
+            raise ForecastError("profile: it has no row; give at least one pair of time and set-point")
+        times, levels = zip(*found, strict=True)
+        return cls(float(before), times, levels, ramps, output)
+
+    @classmethod
+    def recorded(cls, reference: ArrayLike, period: float) -> SetPoints:
+        """The set-points that were recorded: a sample each, the first one the newest; period in s.
+
+        What the plant did take is not checked against where it takes set-points.
+
+        Raises:
+            ForecastError: there is none, or one is not finite.
+        """
+        values = np.array(reference, dtype=np.float64).ravel().tolist()
+        if not values:
+            raise ForecastError("profile: no set-point was recorded; give at least that of the newest sample")
+        return cls(values[0], tuple(k * period for k in range(1, len(values))), tuple(values[1:]))
+
+    @classmethod
+    def following(
+        cls,
+        profile: Callable[[float], float],
+        time: float,
+        *,
+        period: float,
+        size: int,
+        output: Output | None = None,
+    ) -> SetPoints:
+        """What a function of time, such as the controller's own profile, asks for in the next samples.
+
+        Args:
+            profile: set-point at a time, s.
+            time: its time now, s.
+            period: s.
+            size: number of samples ahead.
+            output: the plant's.
+
+        Raises:
+            ForecastError: as the class.
+        """
+        asked = [float(profile(time + k * period)) for k in range(size + 1)]
+        return cls(asked[0], tuple(k * period for k in range(1, size + 1)), tuple(asked[1:]), output=output)
+
+    def reference(self, time: float) -> float:
+        """The set-point at a time, s ahead of now."""
+        times = np.array(self.times, dtype=np.float64)
+        number = int(np.searchsorted(times, time + _SLACK * max(abs(time), 1.0), side="right"))
+        since = self.levels[number - 1] if number else self.before
+        if not self.ramps or number == times.size:
+            return since
+        begun = times[number - 1] if number else 0.0
+        share = max(time - begun, 0.0) / (times[number] - begun)
+        return float(since + (self.levels[number] - since) * share)
+
+    def ahead(self, period: float, size: int) -> FloatArray:
+        """Set-points of the next samples, shape (size,); the first is one period (s) ahead.
+
+        Raises:
+            ForecastError: the period is not positive, or there is no sample.
+        """
+        if not (math.isfinite(period) and period > 0 and size > 0):
+            msg = f"profile: {size} samples every {period:g} s were asked for; give positive numbers"
+            raise ForecastError(msg)
+        return np.array([self.reference(k * period) for k in range(1, size + 1)], dtype=np.float64)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on set-points that the plant takes but that lie where none are usual."""
+        if self.output is None or self.output.set_points is None:
+            return ()
+        low, high = self.output.set_points
+        beyond = [level for level in (self.before, *self.levels) if not low <= level <= high]
+        if not beyond:
+            return ()
+        unit = self.output.unit
+        return (
+            f"A set-point of {beyond[0]:g} {unit} lies outside {low:g} to {high:g} {unit}, where set-points "
+            "are usual.",
+        )
+
+
+def _allowed(output: Output | None) -> tuple[float, float, str]:
+    """Where a plant takes set-points: its safe range; where that has no end, where they make sense."""
+    if output is None:
+        return -math.inf, math.inf, ""
+    sense = output.set_points or output.span
+    low, high = (
+        safe if math.isfinite(safe) else other for safe, other in zip(output.safe, sense, strict=True)
+    )
+    return low, high, output.unit
+
+
+def _cells(row: Row) -> list[str]:
+    if isinstance(row, str):
+        text = row.replace(";", ",").replace("\t", ",").strip()
+        return [cell.strip() for cell in text.split(",")] if text else []
+    return [str(cell).strip() for cell in row]
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
