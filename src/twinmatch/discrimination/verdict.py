@@ -10,7 +10,7 @@ from typing import Final
 from twinmatch.discrimination.score import Criteria, OrderScore
 from twinmatch.dynamics import Parameters
 
-__all__ = ["ADMITTED", "REFUSED", "CandidateScore", "TrustLevel", "Verdict", "nominal_of"]
+__all__ = ["ADMITTED", "REFUSED", "CandidateScore", "ForecastScore", "TrustLevel", "Verdict", "nominal_of"]
 
 ADMITTED: Final = "admitted"
 """The match is a candidate of the family now."""
@@ -67,6 +67,25 @@ class CandidateScore:
 
 
 @dataclass(frozen=True)
+class ForecastScore:
+    """What the forecasts of one candidate have been worth."""
+
+    name: str
+    parameters: Parameters
+    first: int
+    """First sample of what it was fitted to; equal to `last` + 1 for one that was given."""
+    last: int
+    gain: float
+    """Characters its forecasts of output and input have saved, against saying that nothing changes; the mean
+    over forecasts, those long ago counting less, summed over the horizons. NaN before one could be compared
+    with what came."""
+    gains: tuple[float, ...]
+    """The same at each horizon."""
+    forecasts: float
+    """How many forecasts that is the mean of."""
+
+
+@dataclass(frozen=True)
 class Verdict:
     """One judgement of the family."""
 
@@ -108,7 +127,16 @@ class Verdict:
     structure: str = ""
     """Name of the plant structure that the samples pay for; empty before the first comparison."""
     structure_parameters: Parameters | None = None
-    """The plant as that structure has it; the candidates stay those of the structure that is matched."""
+    """The plant as that structure has it."""
+    leader: str | None = None
+    """Name of the candidate whose forecasts have saved the most characters: the twin to ask what comes."""
+    leader_confidence: float = math.nan
+    """How often the leader's error of the longest horizon was, so far, within 3 % of the best candidate's in
+    hindsight; NaN without a leader."""
+    horizons: tuple[float, ...] = ()
+    """Of the forecasts, s."""
+    forecasts: tuple[ForecastScore, ...] = ()
+    """Every candidate that foretells, the leader among them."""
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:

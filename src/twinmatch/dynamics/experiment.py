@@ -145,6 +145,11 @@ class Experiment:
         )
 
     @property
+    def pull(self) -> FloatArray:
+        """What the square distance of each free parameter from what is known adds to the cost, shape (n,)."""
+        return self._posed.pull[: len(self.free)].copy()
+
+    @property
     def size(self) -> int:
         """Number of unknowns."""
         return len(self.free) + len(self.free_starts)

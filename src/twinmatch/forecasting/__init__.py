@@ -1,24 +1,36 @@
 """What a twin says of samples nobody has seen, and the band that is to hold 90 % of them.
 
-`SetPoints` says which set-points a forecast is made for; `time_to_reach`, `time_held` and `largest_input`
-read from a `Forecast` what people ask of it.
+`Follower` carries a twin's states beside the plant, an `Outlook` is a twin at one sample and gives a
+`Forecast` for any set-points ahead. `SetPoints` says which those are; `time_to_reach`, `time_held` and
+`largest_input` read from a forecast what people ask of it. `Calibration` learns from what came how wide bands
+have to be, and the `Ledger` what every candidate's forecasts have cost.
 """
 
 from twinmatch.forecasting.answers import Moment, Peak, largest_input, time_held, time_to_reach
+from twinmatch.forecasting.bands import Calibration, leads_of
 from twinmatch.forecasting.errors import ForecastError
+from twinmatch.forecasting.follower import Follower
 from twinmatch.forecasting.forecast import CONFIDENCE, HORIZONS, Band, Forecast
+from twinmatch.forecasting.ledger import PERSISTENCE, Ledger
+from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.profile import SetPoints
 
 __all__ = [
     "CONFIDENCE",
     "HORIZONS",
+    "PERSISTENCE",
     "Band",
+    "Calibration",
+    "Follower",
     "Forecast",
     "ForecastError",
+    "Ledger",
     "Moment",
+    "Outlook",
     "Peak",
     "SetPoints",
     "largest_input",
+    "leads_of",
     "time_held",
     "time_to_reach",
 ]

@@ -59,6 +59,9 @@ class StructureFit:
     """Of the twin at each of those samples, shape (M, states)."""
     covariance: FloatArray
     """Of the free parameters, in their order and units, residuals taken to last; shape (n, n)."""
+    charge: float
+    """Minus twice the logarithm of the evidence for the structure, Laplace's approximation, residuals taken
+    to last: what is left, and what every direction costs in which the windows say more than was known."""
 
     @property
     def model(self) -> Model:
@@ -182,6 +185,7 @@ class _Problem:
         self._lower = np.array([u.bounds[0] for u in unknown])
         self._upper = np.array([u.bounds[1] for u in unknown])
         self._scales = np.array([u.scale for u in unknown])
+        self._pull = runs[0].pull
 
     def values_of(self, parameters: Parameters, starts: Mapping[str, float] | None = None) -> FloatArray:
         """The values at a plant whose states begin at `starts` in each window, or as its file has them."""
@@ -232,10 +236,25 @@ class _Problem:
             converged=found.converged,
             cost=found.cost / sum(window.size for window in measured),
             states=tuple(states),
-            covariance=LASTING * self._inverse(found.hessian)[: self._free, : self._free],
+            covariance=self._covariance(found.hessian)[: self._free, : self._free],
+            charge=self._charge(found),
         )
 
-    def _inverse(self, hessian: FloatArray) -> FloatArray:
-        """Inverse of JᵀJ; what nothing tells of stays as uncertain as its scale."""
-        scaled = hessian * np.outer(self._scales, self._scales) + np.eye(self._scales.size)
-        return np.asarray(np.linalg.inv(scaled) * np.outer(self._scales, self._scales))
+    def _precision(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the values, in units of their scales: after the windows, and before them, shape (n, n) and (n,).
+
+        What nobody knew beforehand was as uncertain as its scale.
+        """
+        before = np.append(self._pull * len(self._runs), np.zeros(self._scales.size - self._free)) / LASTING
+        before *= self._scales**2
+        unknown = np.where(before > 0.0, 0.0, 1.0)
+        after = hessian * np.outer(self._scales, self._scales) / LASTING + np.diag(unknown)
+        return after, before + unknown
+
+    def _covariance(self, hessian: FloatArray) -> FloatArray:
+        after, _ = self._precision(hessian)
+        return np.asarray(np.linalg.inv(after) * np.outer(self._scales, self._scales))
+
+    def _charge(self, found: Descended) -> float:
+        after, before = self._precision(found.hessian)
+        return float(found.cost / LASTING + np.linalg.slogdet(after)[1] - np.sum(np.log(before)))

@@ -14,6 +14,8 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.health import Alarm, Fault, Health, Monitor, State
 from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
+from twinmatch.twin.contenders import Contenders
+from twinmatch.twin.forecaster import Entrant, Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest
 from twinmatch.twin.members import Judged, Members, plant_model
 from twinmatch.twin.residuals import Residuals, residuals
@@ -73,6 +75,15 @@ class Discriminator:
                 decimals=self.settings.decimals,
             )
         )
+        matched = self.settings.start.model
+        self._contenders = Contenders(
+            tuple(model for model in watched(self.settings.plant) if model is not matched),
+            self.settings.noise,
+            self.settings.gains,
+        )
+        self.forecaster = Forecaster(self.settings.gains, self.settings.forecasts, self._spoilt)
+        """Of all candidates, at the newest sample of which everything is said."""
+        self._successors: dict[str, str] = {}
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
         self._request: MatchRequest | None = None
@@ -125,7 +136,9 @@ class Discriminator:
             item = self._waiting[0]
             if isinstance(item, Sample):
                 self._settled = item.index
-                verdicts += self._watch(item)
+                told = self._watch(item)
+                self.forecaster.push(item)
+                verdicts += [self._forecast(verdict) for verdict in told]
             elif not item.excited:
                 verdicts.append(self._judged(item, None))
             elif (alarm := self.monitor.fault_between(item.window.first, item.window.last)) is not None:
@@ -173,7 +186,11 @@ class Discriminator:
 
     def _let_go(self, alarm: Alarm) -> tuple[str, ...]:
         """Dismiss the candidates that were matched while the fault was already there; return their names."""
-        gone = () if alarm.fault is Fault.DRIFT else self._members.expel(alarm.first, alarm.flagged)
+        if alarm.fault is Fault.DRIFT:
+            return ()
+        gone = self._members.expel(alarm.first, alarm.flagged)
+        gone += self._contenders.expel(alarm.first, alarm.flagged)
+        self._enter()
         if not gone or self._standing is None or self._looked is None:
             return gone
         if not len(self._members):
@@ -189,11 +206,48 @@ class Discriminator:
         """The verdict on a window and what became of its match; None: none was to be made."""
         with one_thread():
             verdict = self._judge(trigger, fate, report)
-        return replace(verdict, match=fate.word if fate else "")
+            self._enter()
+        return self._forecast(replace(verdict, match=fate.word if fate else ""))
+
+    def _enter(self) -> None:
+        """Let all candidates foretell: the structures, then the matches, the newest first."""
+        entrants = [
+            Entrant(
+                c.candidate.name,
+                c.candidate.parameters,
+                (c.fit_first, c.last),
+                c.fit.model.structure.free,
+                c.fit.covariance,
+                c.states_at,
+            )
+            for c in self._contenders.held
+        ]
+        for candidate in reversed(self._members.newest):
+            held = candidate.window
+            samples = (held.first, held.last) if held is not None else (0, -1)
+            entrants.append(Entrant(candidate.name, candidate.parameters, samples))
+        self.forecaster.enter(entrants, self._successors)
+        self._successors = {}
+
+    def _forecast(self, verdict: Verdict) -> Verdict:
+        """The verdict with what the candidates' forecasts are worth."""
+        forecaster = self.forecaster
+        leader = forecaster.leader
+        return replace(
+            verdict,
+            leader=leader,
+            leader_confidence=float("nan") if leader is None else forecaster.confidence,
+            horizons=forecaster.settings.horizons,
+            forecasts=forecaster.scores,
+        )
+
+    def _spoilt(self, first: int, last: int) -> bool:
+        """Whether the plant was known to be at fault between two samples."""
+        return self.monitor.fault_between(first, last) is not None
 
     def _judge(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None) -> Verdict:
         sample, window = trigger.sample, trigger.window
-        self._watch_structure(window)
+        self._watch_structure(window, excited=trigger.excited)
         if fate is None:
             return self._stand(sample, window, "the set-point did not move")
         if not len(self._members):
@@ -208,12 +262,13 @@ class Discriminator:
         self._standing = self._at(self._standing, sample, window, doubtful=doubtful)
         return self._standing
 
-    def _watch_structure(self, window: Window) -> None:
+    def _watch_structure(self, window: Window, *, excited: bool) -> None:
         """Ask now and then, of samples without a fault, which plant structure they pay for."""
         alarm = self.monitor.alarms[-1] if self.monitor.alarms else None
         if alarm is not None and alarm.overlaps(window.first, window.last):
             return
         self._structure.push(window)
+        self._contenders.push(window, excited=excited)
 
     def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
         return replace(verdict, **self._members.judge(looked.window, looked.plant)._asdict())
@@ -275,6 +330,9 @@ class Discriminator:
             return self._take_in(candidate, window)
 
     def _take_in(self, candidate: Candidate, window: Window) -> _Fate:
+        before = self._members.standing_at(candidate.operating_point)
+        if before is not None:
+            self._successors[candidate.name] = before.name
         try:
             return _Fate(ADMITTED, self._members.admit(candidate, window))
         except TwinmatchError as error:

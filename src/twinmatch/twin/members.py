@@ -76,6 +76,11 @@ class Members:
         return self._family.standing_at(operating_point)
 
     @property
+    def newest(self) -> tuple[Candidate, ...]:
+        """The candidates in the order in which they were admitted."""
+        return tuple(member.candidate for member in self._members.values())
+
+    @property
     def order(self) -> str:
         """The order most members chose, at which all of them are compared."""
         return common_order([self._members[c.name].chosen for c in self._family.candidates])
@@ -96,7 +101,7 @@ class Members:
         orders = score_orders(list(models.values()), measured, settings.decimals, absolute=absolute)
         leaving = self._family.admit(candidate)
         if leaving is not None:
-            del self._members[leaving.name]
+            self._members.pop(leaving.name)
         self._members[candidate.name] = _Member(candidate, window, models, orders, choose_order(orders))
         return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
 

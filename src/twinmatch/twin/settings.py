@@ -10,6 +10,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
 from twinmatch.plants import Peltier
+from twinmatch.twin.forecaster import ForecastSettings
 from twinmatch.twin.schedule import ScheduleSettings
 
 __all__ = ["TrustLimits", "TwinError", "TwinSettings"]
@@ -87,6 +88,8 @@ class TwinSettings:
     limits: TrustLimits = field(default_factory=TrustLimits)
     health: HealthSettings = field(default_factory=HealthSettings)
     """Of the monitor of the plant's health; its period is `period`."""
+    forecasts: ForecastSettings = field(default_factory=ForecastSettings)
+    """How the candidates are held to what they foretell."""
 
     @classmethod
     def of(cls, plant: type[Plant], structure: str | None = None, period: float = 1.0) -> TwinSettings:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from twinmatch.dynamics import Model, PidGains, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Noise
 from twinmatch.signals import Window
+from twinmatch.twin.history import History
 from twinmatch.twin.structures import StructureChoice, choose_structure
 
 __all__ = ["StructureSettings", "StructureWatch", "watched"]
@@ -61,7 +60,7 @@ class StructureWatch:
     def __init__(self, settings: StructureSettings) -> None:
         """Begin with no samples."""
         self.settings = settings
-        self._history: Window | None = None
+        self._history = History(settings.longest)
         self._looked: int | None = None
         self._choice: StructureChoice | None = None
 
@@ -72,8 +71,10 @@ class StructureWatch:
 
     def push(self, window: Window) -> StructureChoice | None:
         """Take one window; return the choice it brought about, if any."""
-        history = self._history = self._joined(window)
-        settings = self.settings
+        settings, before = self.settings, self._history.window
+        history = self._history.push(window)
+        if before is None or history.first > before.last or history.last < before.last:
+            self._looked = None
         if len(history) < settings.least:
             return None
         if self._looked is not None and history.last - self._looked < settings.every:
@@ -89,24 +90,3 @@ class StructureWatch:
             thorough=False,
         )
         return self._choice
-
-    def _joined(self, window: Window) -> Window:
-        """The samples kept so far with the new ones behind them, the newest `longest` of all."""
-        held = self._history
-        if held is None or window.first > held.last + 1 or window.last < held.last:
-            self._looked = None
-            held = window
-        elif window.last > held.last:
-            held = _continued(held, window.part(held.last + 1, window.last))
-        return held.part(max(held.first, held.last - self.settings.longest + 1), held.last)
-
-
-def _continued(window: Window, newer: Window) -> Window:
-    return Window(
-        reference=np.concatenate([window.reference, newer.reference]),
-        output=np.concatenate([window.output, newer.output]),
-        input=np.concatenate([window.input, newer.input]),
-        first=window.first,
-        period=window.period,
-        disturbances=np.concatenate([window.disturbances, newer.disturbances]),
-    )

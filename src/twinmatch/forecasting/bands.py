@@ -1,0 +1,87 @@
+"""How wide a band has to be: the twin's own reckoning, scaled by how its forecasts have come true.
+
+A twin knows what its parameters, states and sensor leave open, and propagates that to every sample ahead. It
+does not know what its structure gets wrong. So each error is divided by the standard deviation that the
+forecast had, and the band is as many standard deviations wide as held 90 % of those quotients before: split
+conformal prediction, one lead at a time, in which the past is forgotten slowly (Vovk et al. 2005; weights:
+Barber et al. 2023). The first few forecasts of a session could say anything, so that quotients of a normal
+distribution are counted in beforehand.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from twinmatch.forecasting.forecast import CONFIDENCE
+from twinmatch.signals import FloatArray
+
+__all__ = ["Calibration", "leads_of"]
+
+LEADS: Final = (1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0)
+"""Seconds ahead at which quotients are learned; between them the width goes with the logarithm of time."""
+_BEFOREHAND: Final = 12
+"""Quotients of a normal distribution that are counted in beforehand."""
+_FORGOTTEN: Final = 1e-3
+"""Weight below which a quotient is let go."""
+
+
+def leads_of(period: float, longest: int) -> tuple[int, ...]:
+    """Samples ahead at which a band is learned, for a sample time (s) and the longest horizon (samples)."""
+    found = {min(max(round(lead / period), 1), longest) for lead in LEADS}
+    return (*sorted(found | {longest}),)
+
+
+class Calibration:
+    """Quotients |error| / standard deviation of one twin, by lead, and the widths that follow."""
+
+    def __init__(self, leads: tuple[int, ...], kept: float) -> None:
+        """Begin with nothing learned.
+
+        Args:
+            leads: samples ahead at which quotients are learned, shape (L,).
+            kept: share of the past that is left after one more forecast.
+        """
+        self.leads, self.kept = leads, kept
+        levels = (np.arange(_BEFOREHAND) + 0.5) / _BEFOREHAND
+        start = np.repeat(_half_normal(levels)[:, None], 2, axis=1)
+        self._quotients = [start] * len(leads)
+        self._weights = [np.ones(_BEFOREHAND)] * len(leads)
+        self._widths = np.stack([self._width(lead) for lead in range(len(leads))], axis=1)
+
+    def copy(self) -> Calibration:
+        """One that learns on by itself."""
+        twin = Calibration(self.leads, self.kept)
+        twin._quotients, twin._weights = list(self._quotients), list(self._weights)
+        twin._widths = self._widths.copy()
+        return twin
+
+    def add(self, lead: int, quotients: FloatArray) -> None:
+        """Learn from one forecast at one of the leads, counted from 0: quotients of output and input."""
+        self._quotients[lead] = np.concatenate([self._quotients[lead], quotients[None]])
+        self._weights[lead] = np.append(self._weights[lead] * self.kept, 1.0)
+        if self._weights[lead][0] < _FORGOTTEN:
+            self._quotients[lead], self._weights[lead] = self._quotients[lead][1:], self._weights[lead][1:]
+        self._widths[:, lead] = self._width(lead)
+
+    @property
+    def widths(self) -> FloatArray:
+        """Half width of a band in standard deviations, at every lead, shape (2, L)."""
+        return self._widths.copy()
+
+    def _width(self, lead: int) -> FloatArray:
+        quotients, weights = self._quotients[lead], self._weights[lead]
+        order = np.argsort(quotients, axis=0, kind="stable")
+        # The next forecast counts too, as one that may come out anyhow.
+        share = np.cumsum(weights[order], axis=0) / (weights.sum() + 1.0)
+        at = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
+        return np.asarray(quotients[order[at, [0, 1]], [0, 1]])
+
+
+def _half_normal(levels: FloatArray) -> FloatArray:
+    """Quantiles of |z|, z standard normal."""
+    from scipy.special import ndtri  # noqa: PLC0415 — slow to import
+
+    return np.asarray(ndtri(0.5 + 0.5 * np.asarray(levels)), dtype=np.float64)
+

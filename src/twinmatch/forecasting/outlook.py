@@ -1,0 +1,116 @@
+"""All that is known at one sample of what comes next, by one twin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinmatch.dynamics import Foretold, Parameters, PidGains, PidState, foretell
+from twinmatch.forecasting.errors import ForecastError
+from twinmatch.forecasting.follower import drift_of
+from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast
+from twinmatch.signals import FloatArray, Sample
+
+__all__ = ["Outlook"]
+
+_LEAST: Final = 0.2
+"""Least standard deviation of an input ahead, in units of its noise: a controller on its limit may leave it."""
+_ROOM: Final = 3.0
+"""How far beyond the levels visited a set-point still counts as visited, in the output's noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """A twin at one sample, ready to be asked; it does not change."""
+
+    sample: Sample
+    """The newest one it knows."""
+    candidate: str
+    parameters: Parameters
+    states: FloatArray
+    """At that sample, its reading taken in, shape (n,)."""
+    covariance: FloatArray
+    """Of the states and of the parameters `unsure`, shape (n + m, n + m)."""
+    unsure: tuple[str, ...]
+    controller: PidState
+    """What the controller remembers after that sample."""
+    gains: PidGains
+    leads: tuple[int, ...]
+    """Samples ahead at which the widths are known, shape (L,)."""
+    widths: FloatArray
+    """Half widths of the band there, in standard deviations, shape (2, L)."""
+    visited: tuple[float, float]
+    """Least and greatest output seen so far."""
+    notes: tuple[str, ...] = ()
+    """What no band can promise now."""
+
+    def foretold(self, reference: ArrayLike, disturbances: ArrayLike | None = None) -> Foretold:
+        """Mean and variance of the N samples ahead under these set-points, shape (N,)."""
+        if disturbances is None and self.sample.disturbances:
+            disturbances = np.array(self.sample.disturbances)
+        return foretell(
+            self.parameters,
+            states=self.states,
+            covariance=self.covariance,
+            unsure=self.unsure,
+            input=self.sample.input,
+            drift=drift_of(self.parameters.model),
+            reference=reference,
+            controller=self.controller,
+            gains=self.gains,
+            disturbances=disturbances,
+        )
+
+    def deviations(self, foretold: Foretold) -> FloatArray:
+        """Standard deviations of output and input that the twin reckons with, shape (2, N)."""
+        least = (_LEAST * self.parameters.model.plant.drive.noise) ** 2
+        return np.sqrt(np.stack([foretold.output_variance, foretold.input_variance + least]))
+
+    def forecast(self, reference: ArrayLike) -> Forecast:
+        """What comes under these set-points, shape (N,), from the next sample on.
+
+        Raises:
+            ForecastError: there is none, or one that is not finite.
+        """
+        set_points = np.array(reference, dtype=np.float64)
+        if set_points.ndim != 1 or not set_points.size or not np.isfinite(set_points).all():
+            msg = "forecast: the set-points ahead are no list of finite numbers; give one for each sample"
+            raise ForecastError(msg)
+        foretold = self.foretold(set_points)
+        half = self.deviations(foretold) * self._widths(set_points.size)
+        plant = self.parameters.model.plant
+        low, high = max(self.gains.low, plant.drive.limits[0]), min(self.gains.high, plant.drive.limits[1])
+        return Forecast(
+            sample=self.sample.index,
+            candidate=self.candidate,
+            structure=self.parameters.model.structure_name,
+            confidence=CONFIDENCE,
+            time=self.gains.period * np.arange(1, set_points.size + 1),
+            reference=set_points,
+            output=Band(foretold.output, foretold.output - half[0], foretold.output + half[0]),
+            input=Band(
+                foretold.input,
+                np.clip(foretold.input - half[1], low, high),
+                np.clip(foretold.input + half[1], low, high),
+            ),
+            notes=self.notes + self._beyond(foretold.output),
+        )
+
+    def _widths(self, samples: int) -> FloatArray:
+        ahead, knots = np.log(np.arange(1, samples + 1)), np.log(np.array(self.leads, dtype=np.float64))
+        return np.stack([np.interp(ahead, knots, row) for row in self.widths])
+
+    def _beyond(self, output: FloatArray) -> tuple[str, ...]:
+        """Whether the forecast leaves what was ever visited."""
+        plant = self.parameters.model.plant
+        room, unit = _ROOM * plant.output.noise, plant.output.unit
+        low, high = self.visited[0] - room, self.visited[1] + room
+        reach = float(output.min()), float(output.max())
+        if low <= reach[0] and reach[1] <= high:
+            return ()
+        span = f"{self.visited[0]:.4g} to {self.visited[1]:.4g} {unit}"
+        went = f"{reach[0]:.4g} to {reach[1]:.4g} {unit}"
+        return (f"it goes from {went}, and only {span} was visited: outside the band is no promise",)

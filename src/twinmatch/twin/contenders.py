@@ -1,0 +1,117 @@
+"""Structures that compete in the family: each of them fitted again and again to the newest samples.
+
+A match of three parameters is made on one step of the set-point. What a sink holds, or how warm the room is,
+shows over many: such structures are fitted to the newest forty minutes, from the first excited window on. The
+plant file's typical values count as one observation of each parameter, so that the first minutes do not lead
+into the valley where many parameters fit alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from twinmatch.discrimination import Candidate
+from twinmatch.dynamics import Model, PidGains
+from twinmatch.errors import TwinmatchError
+from twinmatch.matching import Noise, StructureFit, fit_structure
+from twinmatch.signals import FloatArray, Window
+from twinmatch.twin.history import History
+
+__all__ = ["Contender", "Contenders"]
+
+LONGEST_S: Final = 2400.0
+"""Newest stretch that is fitted, s."""
+EVERY_S: Final = 600.0
+"""A fit this old is made anew although nothing moved since, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A structure as it was fitted last."""
+
+    candidate: Candidate
+    fit: StructureFit
+    last: int
+    """Index of the newest sample of that fit."""
+
+    @property
+    def fit_first(self) -> int:
+        """Index of its first sample."""
+        window = self.candidate.window
+        return window.first if window is not None else self.last + 1
+
+    def states_at(self, sample: int) -> FloatArray | None:
+        """Of the twin at a sample of the fit; None outside."""
+        states = self.fit.states[-1]
+        place = sample - (self.last - len(states) + 1)
+        return states[place] if 0 <= place < len(states) else None
+
+
+class Contenders:
+    """Keeps the history and the structures' newest fits; all depends on the windows alone."""
+
+    def __init__(self, models: tuple[Model, ...], noise: Noise, gains: PidGains) -> None:
+        """Begin without samples.
+
+        Args:
+            models: the plant in each structure that competes.
+            noise: what residuals are measured in.
+            gains: of the running controller.
+        """
+        self._models, self._noise, self._gains = models, noise, gains
+        self._history = History(max(round(LONGEST_S / gains.period), 1))
+        self._every = round(EVERY_S / gains.period)
+        self._held: dict[str, Contender] = {}
+
+    @property
+    def held(self) -> tuple[Contender, ...]:
+        """The contenders, the one whose fit is worth most first."""
+        return tuple(sorted(self._held.values(), key=lambda c: c.fit.charge))
+
+    def push(self, window: Window, *, excited: bool) -> bool:
+        """Take one window of a healthy plant; return whether there are new fits."""
+        history = self._history.push(window)
+        newest = max((c.last for c in self._held.values()), default=None)
+        if newest is None and not excited:
+            return False
+        if newest is not None and not excited and 0 <= history.last - newest < self._every:
+            return False
+        fresh = [self._fitted(model, history) for model in self._models]
+        found = {c.candidate.name: c for c in fresh if c is not None}
+        self._held.update(found)
+        return bool(found)
+
+    def expel(self, first: int, last: int) -> tuple[str, ...]:
+        """Forget fits and samples that touch `first` to `last`; return the names of those who go."""
+        held = self._history.window
+        if held is not None and held.last >= first:
+            self._history = History(self._history.longest)
+        gone = tuple(
+            name
+            for name, c in self._held.items()
+            if c.candidate.window is not None and c.last >= first and c.candidate.window.first <= last
+        )
+        for name in gone:
+            del self._held[name]
+        return gone
+
+    def _fitted(self, model: Model, history: Window) -> Contender | None:
+        before = self._held.get(model.structure_name)
+        try:
+            fit = fit_structure(
+                [history],
+                model,
+                start=before.fit if before else None,
+                noise=self._noise,
+                gains=self._gains,
+                thorough=False,
+                informed=True,
+            )
+        except TwinmatchError:
+            return None  # too few samples yet, or no fit: the one before stands
+        point = float(np.median(history.reference))
+        candidate = Candidate(model.structure_name, point, fit.parameters, history)
+        return Contender(candidate, fit, history.last)
