@@ -84,4 +84,3 @@ def _half_normal(levels: FloatArray) -> FloatArray:
     from scipy.special import ndtri  # noqa: PLC0415 — slow to import
 
     return np.asarray(ndtri(0.5 + 0.5 * np.asarray(levels)), dtype=np.float64)
-

@@ -17,7 +17,7 @@ from twinmatch.signals import FloatArray, Sample
 __all__ = ["Outlook"]
 
 _LEAST: Final = 0.2
-"""Least standard deviation of an input ahead, in units of its noise: a controller on its limit may leave it."""
+"""Least standard deviation of an input ahead, in units of its noise: a limit may be left."""
 _ROOM: Final = 3.0
 """How far beyond the levels visited a set-point still counts as visited, in the output's noise."""
 
@@ -88,7 +88,7 @@ class Outlook:
             candidate=self.candidate,
             structure=self.parameters.model.structure_name,
             confidence=CONFIDENCE,
-            time=self.gains.period * np.arange(1, set_points.size + 1),
+            time=np.arange(1, set_points.size + 1, dtype=np.float64) * self.gains.period,
             reference=set_points,
             output=Band(foretold.output, foretold.output - half[0], foretold.output + half[0]),
             input=Band(
