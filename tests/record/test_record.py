@@ -15,8 +15,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.discrimination import CandidateScore,
-    ForecastScore, Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.discrimination import (
+    CandidateScore,
+    Criteria,
+    ForecastScore,
+    OrderScore,
+    TrustLevel,
+    Verdict,
+)
 from twinmatch.matching import Status
 from twinmatch.matching.result import without_fit
 from twinmatch.plants import Peltier
@@ -114,7 +120,9 @@ def test_the_message_has_the_fields_of_the_record(name: str) -> None:
     assert told - OF_THE_MESSAGE == entries(RECORDS[name])
 
 
-@pytest.mark.parametrize("name", ["ModelScore", "Candidate", "ForecastScore", "OrderScore", "Criteria", "Match"])
+@pytest.mark.parametrize(
+    "name", ["ModelScore", "Candidate", "ForecastScore", "OrderScore", "Criteria", "Match"]
+)
 def test_the_method_says_how_to_read_every_field(name: str) -> None:
     said = set(re.findall(r"`(\w+)`", METHOD))
     missing = {entry.removesuffix("_name") for entry in entries(RECORDS[name])} - said
