@@ -14,7 +14,7 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.plants import Lag, Motor
+from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
     Foretold,
     Parameters,
@@ -95,6 +95,14 @@ def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
     return base, unsure, joint, np.array([0.5]), first, gains, np.repeat([100.0, 130.0], 60)
 
 
+def tank_case() -> Case:
+    base, unsure = Tank.model().parameters(), ["hole", "area"]
+    rest = rest_at(base, 1.2)
+    first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
+    gains, joint = gains_of(Tank, 1.0), scattered(unsure, base, [0.03], 0.01)
+    return base, unsure, joint, np.array([0.03]), first, gains, np.repeat([1.2, 1.5], [20, 60])
+
+
 def foretold(case: Case, inputs: Array | None) -> Foretold:
     """The same by small movements."""
     base, unsure, joint, drift, first, gains, reference = case
@@ -115,8 +123,8 @@ def agree(drawn: Array, mean: Array, variance: Array, most: float = 0.15) -> Non
 
 @pytest.mark.parametrize(
     "case",
-    [lambda: peltier_case(HELD), lambda: peltier_case(MASSIVE), motor_case],
-    ids=["held sink", "sink with mass", "motor"],
+    [lambda: peltier_case(HELD), lambda: peltier_case(MASSIVE), motor_case, tank_case],
+    ids=["held sink", "sink with mass", "motor", "tank"],
 )
 def test_the_variances_are_those_of_many_runs(case: Any) -> None:
     found = foretold(case(), None)

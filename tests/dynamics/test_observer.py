@@ -12,7 +12,7 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.plants import Lag, Motor
+from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
     Observer,
     Parameters,
@@ -84,15 +84,17 @@ class Textbook:
         (MASSIVE.parameters(), ["conductance", "seebeck"], 22.85, 1.0),
         (Peltier.model("sink with mass, sensor lag").parameters(), ["heat_capacity"], 30.0, 1.0),
         (MOTOR.parameters(), ["dry", "k"], 20.0, 0.05),
+        (Tank.model().parameters(), ["hole"], 1.5, 1.0),
     ],
-    ids=["Peltier", "Peltier, parameters wander", "Peltier with sensor lag", "motor"],
+    ids=["Peltier", "Peltier, parameters wander", "Peltier with sensor lag", "motor", "tank"],
 )
 def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: float, period: float) -> None:
     model = base.model
-    drive, n = model.plant.drive, len(model.states)
+    drive = model.plant.drive
     rng = np.random.default_rng(3)
     states = begin(base, first)
-    drift, start = np.full(n, 0.02), np.full(n, 2.0)
+    start = np.array([0.013 * np.ptp(model.plant.states[name].span) for name in model.states])
+    drift = 0.01 * start
     wandering = {name: Wander(1e-3 * base[name], 0.03 * base[name]) for name in names}
     observer = Observer(base, first, period=period, drift=drift, start=start, wandering=wandering)
     slow = [w.drift for w in wandering.values()]
@@ -109,7 +111,7 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
         reading = read(base, states, row) + model.plant.output.noise * rng.standard_normal()
         expected = textbook.correct(reading, row)
         np.testing.assert_allclose(observer.correct(reading, row), expected, rtol=1e-4, atol=1e-6)
-        u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else -0.5)
+        u = 0.4 * drive.limits[1] * (1.0 if k % 40 < 20 else (-0.5 if drive.limits[0] < 0 else 0.5))
         states = advance(base, states, u, period, row)
         observer.predict(u)
         textbook.predict(u, period, row)
@@ -258,6 +260,17 @@ def test_the_covariance_stays_one(seed: int, drift: float, start: float, limit: 
         np.testing.assert_array_equal(joint, joint.T)
         scale = np.sqrt(np.diag(joint)) + 1e-300
         assert np.min(np.linalg.eigvalsh(joint / np.outer(scale, scale))) > -1e-9
+
+
+def test_states_that_are_lost_are_said() -> None:
+    """A tank that holds less than nothing has no outflow; the filter would carry that on for ever."""
+    observer = Observer(Tank.model().parameters(), 0.1, period=1.0, drift=[0.1], start=[5.0])
+    observer.correct(-3.0)
+    observer.predict(0.0)
+    with pytest.raises(
+        PlantError, match="Tank, open: its equations give nothing at the states that the obser"
+    ):
+        observer.correct(0.1)
 
 
 def test_what_an_observer_cannot_use_is_refused() -> None:

@@ -16,7 +16,7 @@ from twinmatch.dynamics import (
     magnitude,
 )
 
-__all__ = ["Lag", "Motor"]
+__all__ = ["Lag", "Motor", "Tank"]
 
 
 class Lag(Plant, name="lag"):
@@ -68,4 +68,27 @@ class Motor(Plant, name="motor"):
             output=self.omega,
             start={self.omega: self.speed},
             quantities={"current": current},
+        )
+
+
+class Tank(Plant, name="tank"):
+    """A tank that runs out through a hole, whose outflow is measured: an output bent and with a parameter."""
+
+    outflow = Output(unit="l/s", noise=0.005, span=(0.05, 5.0))
+    inflow = Drive(unit="l/s", limits=(0.0, 4.0), noise=0.05)
+    level = State(unit="dm", span=(0.1, 10.0))
+    area = Parameter(unit="dm²", default=6.0, bounds=(1.0, 30.0), positive=True)
+    hole = Parameter(unit="l/s/√dm", default=0.8, bounds=(0.1, 3.0), positive=True)
+    structures = {"open": Structure(free=("area", "hole"))}  # noqa: RUF012
+    loop = PidGains(1.5, 0.15, 0.0, 1.0, 0.0, 4.0)
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """Torricelli's law."""
+        import sympy
+
+        leaving = self.hole * sympy.sqrt(self.level)
+        return Equations(
+            rates={self.level: (self.inflow - leaving) / self.area},
+            output=leaving,
+            start={self.level: (self.outflow / self.hole) ** 2},
         )

@@ -153,7 +153,8 @@ class Observer:
         """Take a reading; return by how much it surprised, and the variance that surprise was to have.
 
         Raises:
-            PlantError: the reading or a disturbance is not finite; nothing has moved then.
+            PlantError: the reading or a disturbance is not finite, and nothing has moved; or the equations
+                mean nothing any more at the states, and a new observer has to begin.
         """
         if not math.isfinite(output):
             raise PlantError(f"{self._title}: the reading is {output}; only finite values can be used")
@@ -171,6 +172,9 @@ class Observer:
             self._which,
             self._bounds,
         )
+        if not math.isfinite(found[0] + found[1]):
+            msg = f"{self._title}: its equations give nothing at the states that the observer has come to"
+            raise PlantError(f"{msg}; begin a new one")
         return found
 
     def predict(self, input: float) -> None:
