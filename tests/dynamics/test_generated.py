@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.plants import Lag, Motor
+from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
     Experiment,
     Parameters,
@@ -132,12 +132,17 @@ def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust
 
 
 @pytest.mark.parametrize("closed", [True, False])
-@pytest.mark.parametrize("plant", ["motor", "sink"])
+@pytest.mark.parametrize("plant", ["motor", "sink", "tank"])
 def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
     """Sums over all samples at once, against the response to the noise of each sample by differences."""
     if plant == "motor":
         base, gains = MOTOR.parameters(most=3.0), Motor.loop
         window = motor_run(base, 90, None)
+    elif plant == "tank":
+        base, gains = Tank.model().parameters(), Tank.loop
+        reference = np.repeat([1.2, 0.6], 45)
+        run = simulate_closed_loop(base, reference, states=begin(base, 1.0))
+        window = Window(reference, run.output, run.input)
     else:
         base, gains = Peltier.model("sink with mass").parameters(), Peltier.loop
         reference = np.repeat([30.0, 36.0], 45)

@@ -108,7 +108,7 @@ def foretell(
     # another way.
     output, commanded, _ = kernels.run(vector, begun, *loop, *still, *ahead)
     columns, compared = np.eye(n, m + n, m), np.zeros((2, size))
-    _, _, by, by_state, by_drive, free, _, seen = kernels.run_with_tangents(
+    _, _, by, by_state, by_drive, free, seen, _ = kernels.run_with_tangents(
         vector, which[0], begun, columns, *loop, *ahead, compared, compared, False, True, np.inf
     )
     variances = _variances(

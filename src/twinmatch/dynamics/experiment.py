@@ -48,6 +48,8 @@ class Tangents(NamedTuple):
     """Of the states one period later by u, shape (N, nx)."""
     free: FloatArray
     """1 where the controller was not limited, else 0, shape (N,)."""
+    seen: FloatArray
+    """Derivatives of the output by the states, shape (N, nx)."""
 
 
 class Experiment:
@@ -237,7 +239,7 @@ class Experiment:
             True,
             np.inf,
         )
-        return Tangents(*found[:6])
+        return Tangents(*found[:7])
 
     @cached_property
     def start_slope(self) -> FloatArray:
@@ -245,14 +247,6 @@ class Experiment:
         slope = self._begun(self.base.vector)[1]
         slope[self._posed.started] = 0.0
         return np.asarray(slope, dtype=np.float64)
-
-    @cached_property
-    def output_slope(self) -> FloatArray:
-        """Derivatives of the output by the states where the window starts, shape (nx,)."""
-        vector, states, _, _ = self._start(self.values_of(self.base))
-        rest = self.model.plant.drive.rest
-        slopes = self._kernels.slopes_at(vector, states, rest, self._posed.disturbances[0])[4]
-        return np.asarray(slopes, dtype=np.float64)
 
     def _begun(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         begun: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(

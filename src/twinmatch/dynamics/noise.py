@@ -30,12 +30,11 @@ def noise_scores(
         squared residual left by all of them. Noise of the first reading also misplaces the twin's start.
         A driven twin meets noise only in the readings it is compared with, and in its start.
     """
-    slopes = experiment.output_slope
     return _noise_scores(
         np.ascontiguousarray(tangents.by_state),
         np.ascontiguousarray(tangents.by_drive),
         tangents.free,
-        slopes,
+        np.ascontiguousarray(tangents.seen),
         experiment.start_slope,
         np.ascontiguousarray(weighed),
         float(weights[0]),
@@ -69,7 +68,7 @@ def _noise_scores(
     ahead, power = np.zeros((m, n)), np.zeros((m, m))
     a, b, of_u = np.zeros((m, m)), np.zeros(m), np.zeros(m)
     for k in range(size - 1, -1, -1):
-        noise_u = around_loop(gains, closed, free[k], seen, by_state[k], by_drive[k], a, b, of_u)
+        noise_u = around_loop(gains, closed, free[k], seen[k], by_state[k], by_drive[k], a, b, of_u)
         out_y, out_u = weight_y, weight_u * noise_u
         if k == 0:
             # The first reading is where the twin starts, so its noise moves both, and only the plant's own
@@ -91,7 +90,7 @@ def _noise_scores(
             for j in range(m):
                 total = weight_u * weighed[1, k, p] * of_u[j]
                 if j < nx:
-                    total += weight_y * weighed[0, k, p] * seen[j]
+                    total += weight_y * weighed[0, k, p] * seen[k, j]
                 for i in range(m):
                     total += a[i, j] * ahead[i, p]
                 moved[j, p] = total
@@ -101,7 +100,7 @@ def _noise_scores(
             for j in range(m):
                 power[i, j] += weight_u * weight_u * of_u[i] * of_u[j]
                 if i < nx and j < nx:
-                    power[i, j] += weight_y * weight_y * seen[i] * seen[j]
+                    power[i, j] += weight_y * weight_y * seen[k, i] * seen[k, j]
     outputs = 2.0 if weight_u != 0.0 else 1.0
     return scores, squares / (outputs * size)
 

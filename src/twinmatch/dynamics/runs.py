@@ -86,9 +86,9 @@ def run_with_tangents(
     others (starts) that act only through x. `measured` holds output and input, shape (2, N), and `weights`
     of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
     of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
-    (N,), [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1); its
-    last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²); and the
-    derivatives of the output by state (N, N_STATES). A run whose sum comes above `limit` ends there.
+    (N,), the derivatives of the output by state (N, N_STATES), and [J r]ᵀ[J r] of the weighed residuals
+    r = weights·(simulated − measured), shape (n + 1, n + 1); its last entry is the sum of r², or of
+    2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²). A run whose sum comes above `limit` ends there.
     """
     size, n = disturbances.shape[0], columns.shape[1]
     kept = size if stored else 0
@@ -150,7 +150,7 @@ def run_with_tangents(
     for i in range(n + 1):
         for j in range(i):
             normal[j, i] = normal[i, j]
-    return y_all, u_all, by, by_state, by_drive, free_all, normal, seen
+    return y_all, u_all, by, by_state, by_drive, free_all, seen, normal
 
 
 @compiled
@@ -191,7 +191,7 @@ def normal_at(posed: Posed, values: FloatArray, limit: float) -> tuple[float, Fl
         p, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
         posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
         posed.weights, posed.robust, False, limit,
-    )[6]  # fmt: skip
+    )[7]  # fmt: skip
     cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
     for j in range(n):
         if posed.pull[j] > 0.0:
