@@ -46,7 +46,7 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
 def _use(parameters: Parameters) -> None:
     """Call once every kernel that this structure has: numba compiles at the first call.
 
-    What linearisations call, the observer calls too; what forecasts call, tangents.
+    What linearisations call besides slopes, the observer calls too.
     """
     model = parameters.model
     gains, rest = model.plant.loop, model.plant.drive.rest
@@ -54,6 +54,7 @@ def _use(parameters: Parameters) -> None:
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)
     quantities(parameters, advance(parameters, states, rest, period), rest)
+    model.kernels.slopes_at(parameters.vector, states, float(rest), model.disturbances)
     # What the energy balance asks, sample by sample.
     model.kernels.parts(
         parameters.vector,
