@@ -19,14 +19,14 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from twinmatch.emulation.virtual_rig import VirtualRig
 
-__all__ = ["EXIT_LOST", "add_options", "run"]
+__all__ = ["EXIT_LOST", "add_arguments", "run"]
 
 EXIT_LOST = 1
 """Exit code after a part of the rig has ended by itself."""
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `twinmatch virtual-rig`."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     width = max(map(len, KINDS))

@@ -1,0 +1,35 @@
+"""Files that commands read and write."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["add_terms", "check_writable"]
+
+
+def add_terms(parser: argparse.ArgumentParser) -> None:
+    """The files on whose terms a session is judged."""
+    parser.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="parameters (.yaml), as the nodes take them"
+    )
+
+
+def check_writable(*outputs: Path | None) -> None:
+    """Before a minute of work, not after.
+
+    Raises:
+        TwinmatchError: there is no folder for one of them, or it is a folder.
+    """
+    for output in outputs:
+        if output is None:
+            continue
+        if not output.absolute().parent.is_dir():
+            msg = f"{output}: there is no folder {output.parent} to write into; create it first"
+            raise TwinmatchError(msg)
+        if output.is_dir():
+            msg = f"{output}: is a folder; name the file to write"
+            raise TwinmatchError(msg)

@@ -1,0 +1,32 @@
+"""`twinmatch repair`: a session whose recorder was killed, made whole."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("session", type=Path, help="session folder")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Repair; returns the exit code.
+
+    Raises:
+        TwinmatchError: the session cannot be repaired.
+    """
+    from twinmatch.sessions.repair import repair_session  # noqa: PLC0415 — keeps --help fast
+
+    found = repair_session(options.session)
+    held = f"{found.messages} messages over {found.duration:.1f} s"
+    if not found.faults:
+        print(f"{options.session}: is whole, {held}; nothing to repair")
+        return 0
+    print(f"{options.session}: repaired ({'; '.join(found.faults)}); {held} were saved")
+    if found.original is not None:
+        print(f"There was damage before the end, so the original was kept: {found.original}")
+    return 0
