@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics import Model, Observer, Parameters
+from twinmatch.dynamics import Model, Observer, Parameters, PlantError
 from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["Follower", "drift_of"]
@@ -50,8 +50,17 @@ class Follower:
         self._input = 0.0
 
     def push(self, sample: Sample) -> None:
-        """Take one sample; it follows the one before it."""
+        """Take one sample; it follows the one before it.
+
+        States at which the twin's equations mean nothing any more are given up, and it begins anew here.
+        """
         row = np.array(sample.disturbances) if sample.disturbances else None
+        if self._observer is not None:
+            self._observer.predict(self._input)
+            try:
+                self._observer.correct(sample.output, row)
+            except PlantError:
+                self.restart()
         if self._observer is None:
             self._observer = Observer(
                 self.parameters,
@@ -63,9 +72,7 @@ class Follower:
                 states=self._states,
                 limit=LIMIT,
             )
-        else:
-            self._observer.predict(self._input)
-        self._observer.correct(sample.output, row)
+            self._observer.correct(sample.output, row)
         self._input = sample.input
 
     def restart(self) -> None:
