@@ -13,7 +13,7 @@ from rich.console import Console
 from tests.backtest.forecasts import linear_loop, set_points
 from twinmatch.backtest.document import document
 from twinmatch.backtest.figure import draw_backtest
-from twinmatch.backtest.moments import ask, mark, moments
+from twinmatch.backtest.origins import ask, mark, origins, regular
 from twinmatch.backtest.peers import Absent, peers
 from twinmatch.backtest.result import LEADER, Backtest, over_all
 from twinmatch.backtest.scoring import Marks, SignalMarks
@@ -30,11 +30,11 @@ def tested() -> Backtest:
     """Ten minutes of a loop, forecast by those who need no twin."""
     loop = linear_loop(set_points(600, 21), np.random.default_rng(22))
     marked, shown = [], []
-    for moment in moments([loop], [], 60.0, HORIZONS):
+    for origin in origins([loop], regular([loop], 60.0), HORIZONS):
         for peer in peers(Peltier, ["persistence", "arx"])[0]:
-            forecast = ask(peer, moment)
+            forecast = ask(peer, origin)
             if forecast is not None:
-                marked += mark("loop", peer.name, forecast, moment, horizons=HORIZONS, plant=Peltier)
+                marked += mark("loop", peer.name, forecast, origin, horizons=HORIZONS, plant=Peltier)
                 shown.append(forecast)
     return Backtest(
         name="loop",
@@ -94,7 +94,7 @@ def test_the_sentence_says_how_the_leader_did() -> None:
 def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:
     text = json.dumps(document(tested), allow_nan=False)
     read = json.loads(text)
-    assert (read["name"], read["plant"], read["moments"]) == ("loop", "peltier", 9)
+    assert (read["name"], read["plant"], read["origins"]) == ("loop", "peltier", 9)
     assert read["noise"] == {"output": 0.1, "input": 7.0}
     assert len(read["forecasts"]) == len(tested.marked) == 36
     assert read["absent"] == [{"name": "somebody", "reason": "is not here"}]

@@ -45,7 +45,7 @@ def test_sessions_and_horizons_are_kept_apart() -> None:
     assert len(best_in_hindsight(held)) == 4
 
 
-def test_all_are_compared_on_the_same_moments() -> None:
+def test_all_are_compared_from_the_same_origins() -> None:
     held = [marked("one", 1, 1.0), marked("one", 2, 1.0), marked("other", 2, 1.0), marked("other", 3, 1.0)]
     assert [(m.who, m.sample) for m in common(held)] == [("one", 2), ("other", 2)]
 

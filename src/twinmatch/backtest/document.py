@@ -23,7 +23,7 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
         "confidence": backtest.confidence,
         "horizons": list(backtest.horizons),
         "noise": {"output": plant.output.noise, "input": plant.drive.noise},
-        "moments": backtest.moments,
+        "origins": backtest.origins,
         "cards": [_finite(asdict(card)) for card in backtest.cards],
         "absent": [absent._asdict() for absent in backtest.absent],
         "notes": list(backtest.notes),
@@ -35,6 +35,7 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
                 "sample": one.sample,
                 "horizon": one.horizon,
                 "who": one.who,
+                "candidate": one.candidate,
                 "error": one.marks.error,
                 **_finite(asdict(one.marks)),
             }

@@ -22,7 +22,7 @@ _LOOKS: Final = {
     LEADER: (CLOSED, "o"),
     NOMINAL: (DRIVEN, "s"),
     NEWEST: ("#009E73", "^"),
-    CONSTANT: (DRIVEN, "x"),
+    CONSTANT: (DRIVEN, "d"),
     HINDSIGHT: (MODEL, "*"),
 }
 _PEERS: Final = ((SET_POINT, "v"), ("#56B4E9", "D"), ("#E69F00", "P"))
@@ -152,7 +152,8 @@ def _dress(axes: tuple[Axes, Axes, Axes], backtest: Backtest) -> None:
         begin, last = (f.sample * backtest.period for f in (backtest.shown[0], backtest.shown[-1]))
         reach = float(backtest.shown[-1].time[-1])
         output.set_xlim(begin - 0.2 * reach, last + 1.1 * reach)
-    output.set_title("Forecasts of the leader, one after another, each made before what it shows")
+    whose = backtest.pictured or backtest.name
+    output.set_title(f"{whose}: forecasts of the leader, one after another, each made before what it shows")
     output.set_ylabel(words.output_label)
     left.set_ylabel(with_unit("came − forecast", words.output_unit))
     left.axhline(0, color=SET_POINT, lw=0.6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from twinmatch.backtest.peers import Absent
@@ -36,9 +36,11 @@ class Backtest:
     confidence: float
     """Share of the samples that every band is to hold."""
     marked: tuple[Marked, ...]
-    """Every forecast at every horizon, of the moments at which all were asked and could answer."""
+    """Every forecast at every horizon, of the origins at which all could answer."""
     came: tuple[Window, ...] = ()
     """The unbroken stretches of samples."""
+    pictured: str = ""
+    """Name of the session that these are of; empty: this one's."""
     shown: tuple[Forecast, ...] = ()
     """Forecasts of the leader, one after another, for a picture."""
     absent: tuple[Absent, ...] = ()
@@ -52,22 +54,27 @@ class Backtest:
         return cards(self.marked)
 
     @property
-    def moments(self) -> int:
+    def origins(self) -> int:
         """At how many samples forecasts were made and judged at some horizon."""
         return len({(one.session, one.sample) for one in self.marked})
 
 
 def over_all(found: Sequence[Backtest]) -> Backtest:
     """Several sessions of one plant as one; every forecast counts the same."""
-    first = found[0]
+    first, names = found[0], [each.name for each in found]
+    marked: list[Marked] = []
+    for number, each in enumerate(found, 1):
+        mine = f"{each.name} ({number})" if names.count(each.name) > 1 else each.name
+        marked += [replace(one, session=mine) for one in each.marked]
     return Backtest(
         name=f"all {len(found)} sessions",
         plant=first.plant,
         period=first.period,
         horizons=first.horizons,
         confidence=first.confidence,
-        marked=tuple(one for each in found for one in each.marked),
+        marked=tuple(marked),
         came=first.came,
+        pictured=first.name,
         shown=first.shown,
         absent=tuple(dict.fromkeys(a for each in found for a in each.absent)),
         notes=tuple(f"{each.name}: {note}" for each in found for note in each.notes),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class Marked:
     who: str
     """Name of the forecaster."""
     marks: Marks
+    candidate: str = ""
+    """Name of the twin that was asked; empty for a peer."""
 
     @property
     def place(self) -> tuple[str, int, float]:
@@ -63,7 +65,7 @@ class Card:
 
 
 def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
-    """Of every moment and horizon the forecast with the least error, under the name `HINDSIGHT`.
+    """Of every origin and horizon the forecast with the least error, under the name `HINDSIGHT`.
 
     Args:
         marked: forecasts of candidates. Of equal ones the first is taken.
@@ -72,7 +74,7 @@ def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
     for one in marked:
         if one.place not in best or one.marks.error < best[one.place].marks.error:
             best[one.place] = one
-    return [Marked(o.session, o.sample, o.horizon, HINDSIGHT, o.marks) for o in best.values()]
+    return [replace(one, who=HINDSIGHT) for one in best.values()]
 
 
 def common(marked: Sequence[Marked]) -> list[Marked]:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from twinmatch import __version__
-from twinmatch.cli import importing, preparing, repairing, replaying, verifying
+from twinmatch.cli import backtesting, importing, preparing, repairing, replaying, verifying
 from twinmatch.dashboard import command as dashboard
 from twinmatch.emulation import virtual_rig_program as virtual_rig
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
@@ -38,6 +38,11 @@ _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("import", importing, "turn a rig recording (.mat or .csv) into an MCAP session"),
     ("replay", replaying, "judge recorded sessions offline, as fast as it goes"),
     ("verify", verifying, "judge a recorded session again and compare the verdicts, bit for bit"),
+    (
+        "backtest",
+        backtesting,
+        "the twin's forecasts of recorded sessions, against what came and against others'",
+    ),
     ("repair", repairing, "make a session whole whose recorder was killed"),
     ("report", reporting, "write a session up as one HTML file, with its figures and tables"),
     ("dashboard", dashboard, "the live page: what the graph says, in a browser"),

@@ -59,6 +59,7 @@ def judge(
     *,
     watch: Watch | None = None,
     told: Callable[[int, Outcome], None] | None = None,
+    beside: Callable[[Twin, Sample, Outcome], None] | None = None,
 ) -> Judgement:
     """Judge a session on these terms; see `judge_samples`."""
     return judge_samples(
@@ -70,6 +71,7 @@ def judge(
         notes=session.notes,
         watch=watch,
         told=told,
+        beside=beside,
     )
 
 
@@ -83,11 +85,13 @@ def judge_samples(
     notes: Sequence[str] = (),
     watch: Watch | None = None,
     told: Callable[[int, Outcome], None] | None = None,
+    beside: Callable[[Twin, Sample, Outcome], None] | None = None,
 ) -> Judgement:
     """Push samples through a twin, one by one, as the live nodes do; Ctrl-C takes effect between two of them.
 
     `matching` are the settings of matches, if they have their own. `watch` is called now and then, `told`
-    after every sample with its number, from 1, and what came of it.
+    after every sample with its number, from 1, and what came of it; so is `beside`, with the twin as it is
+    then.
     """
     twin = Twin(settings, given, matching=matching)
     matches: list[MatchReport] = []
@@ -100,6 +104,8 @@ def judge_samples(
             verdicts += outcome.verdicts
             if told is not None:
                 told(done + 1, outcome)
+            if beside is not None:
+                beside(twin, sample, outcome)
             if watch is not None and done % EVERY == 0:
                 watch(done, len(samples))
             check_interrupt()

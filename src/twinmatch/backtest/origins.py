@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from twinmatch.backtest.peer import Peer
 from twinmatch.backtest.scoring import marks, samples_within
 from twinmatch.backtest.summary import Marked
@@ -15,11 +13,11 @@ from twinmatch.forecasting import Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin.threads import one_thread
 
-__all__ = ["Moment", "ask", "mark", "moments", "stretches"]
+__all__ = ["Origin", "ask", "mark", "origins", "regular", "stretches"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
+class Origin:
     """A sample at which everybody is asked for a forecast."""
 
     sample: int
@@ -50,40 +48,47 @@ def stretches(samples: Sequence[Sample], period: float) -> tuple[Window, ...]:
     return tuple(Window.from_samples(stretch, period) for stretch in unbroken(samples))
 
 
-def moments(
-    held: Sequence[Window], verdicts: Iterable[int], every: float, horizons: Sequence[float]
-) -> list[Moment]:
-    """At every verdict and every so many seconds, where at least the nearest horizon can still be judged.
+def regular(held: Sequence[Window], every: float) -> list[int]:
+    """The samples at which so many seconds of a stretch are over, again and again.
+
+    Raises:
+        BacktestError: `every` is shorter than one sample.
+    """
+    found: list[int] = []
+    for stretch in held:
+        pace = samples_within(every, stretch.period)
+        found += range(stretch.first + pace - 1, stretch.last + 1, pace)
+    return found
+
+
+def origins(held: Sequence[Window], samples: Iterable[int], horizons: Sequence[float]) -> list[Origin]:
+    """At these samples, where at least the nearest horizon can still be judged.
 
     Args:
         held: the session's stretches.
-        verdicts: samples that verdicts were made at.
-        every: seconds between two forecasts, counted from the beginning of a stretch.
+        samples: indices.
         horizons: how far ahead, s, from near to far.
 
     Raises:
-        BacktestError: a horizon or `every` is shorter than one sample.
+        BacktestError: a horizon is shorter than one sample.
     """
-    told = np.array(sorted(set(verdicts)), dtype=np.int64)
+    wanted = sorted(set(samples))
     found = []
     for stretch in held:
         nearest, farthest = (samples_within(horizons[k], stretch.period) for k in (0, -1))
-        pace = samples_within(every, stretch.period)
-        regular = np.arange(stretch.first + pace - 1, stretch.last + 1, pace)
-        inside = told[(stretch.first <= told) & (told <= stretch.last)]
         found += [
-            Moment(int(k), stretch, min(farthest, stretch.last - int(k)))
-            for k in np.union1d(regular, inside)
-            if k + nearest <= stretch.last
+            Origin(k, stretch, min(farthest, stretch.last - k))
+            for k in wanted
+            if stretch.first <= k <= stretch.last - nearest
         ]
     return found
 
 
-def ask(peer: Peer, moment: Moment) -> Forecast | None:
+def ask(peer: Peer, origin: Origin) -> Forecast | None:
     """A peer's forecast; None where its past does not suffice."""
     try:
         with one_thread():
-            return peer.forecast(moment.past, moment.ahead)
+            return peer.forecast(origin.past, origin.ahead)
     except ForecastError:
         return None
 
@@ -92,15 +97,16 @@ def mark(
     session: str,
     who: str,
     forecast: Forecast,
-    moment: Moment,
+    origin: Origin,
     *,
     horizons: Sequence[float],
     plant: type[Plant],
+    candidate: str = "",
 ) -> list[Marked]:
     """A forecast judged at every horizon of which all samples came."""
-    came = moment.came
+    came = origin.came
     return [
-        Marked(session, moment.sample, horizon, who, marks(forecast, came, horizon, plant))
+        Marked(session, origin.sample, horizon, who, marks(forecast, came, horizon, plant), candidate)
         for horizon in horizons
-        if samples_within(horizon, came.period) <= moment.count
+        if samples_within(horizon, came.period) <= origin.count
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.backtest.forecasts import forecast_of, linear_loop, set_points
 from twinmatch.backtest.errors import BacktestError
-from twinmatch.backtest.moments import ask, mark, moments, stretches
+from twinmatch.backtest.origins import Origin, ask, mark, origins, regular, stretches
 from twinmatch.backtest.persistence import Persistence
 from twinmatch.forecasting import HORIZONS
 from twinmatch.plants import Peltier
@@ -21,22 +23,26 @@ def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
     return Window(values, values, values, first=first, period=period)
 
 
+def at(held: Sequence[Window], told: Sequence[int], every: float, horizons: Sequence[float]) -> list[Origin]:
+    return origins(held, [*regular(held, every), *told], horizons)
+
+
 def test_every_minute_and_every_verdict() -> None:
-    found = moments([window(400)], [75, 119, 380], 60.0, HORIZONS)
+    found = at([window(400)], [75, 119, 380], 60.0, HORIZONS)
     assert [m.sample for m in found] == [59, 75, 119, 179, 239, 299, 359, 380]
     assert [m.count for m in found] == [300, 300, 280, 220, 160, 100, 40, 19]
 
 
 def test_nothing_is_forecast_that_cannot_be_judged() -> None:
-    assert [m.sample for m in moments([window(70)], [65, 59, 60], 60.0, HORIZONS)] == [59]
-    assert moments([window(60)], [], 60.0, HORIZONS) == []
+    assert [m.sample for m in at([window(70)], [65, 59, 60], 60.0, HORIZONS)] == [59]
+    assert at([window(60)], [], 60.0, HORIZONS) == []
 
 
 def test_stretches_are_forecast_by_themselves() -> None:
     """After a gap the past begins anew, and no forecast reaches over one."""
     samples = [Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))]
     held = stretches(samples, 1.0)
-    found = moments(held, [], 60.0, (10.0, 60.0))
+    found = at(held, [], 60.0, (10.0, 60.0))
     assert [m.sample for m in found] == [59, 209, 269, 329, 389]
     assert (found[0].count, found[1].count) == (40, 60)
     assert (found[1].past.first, found[1].past.last) == (150, 209)
@@ -44,37 +50,37 @@ def test_stretches_are_forecast_by_themselves() -> None:
 
 
 def test_seconds_count_and_not_samples() -> None:
-    found = moments([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
+    found = at([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
     assert [(m.sample, m.count) for m in found] == [(19, 20), (39, 20), (59, 20), (79, 20)]
     with pytest.raises(BacktestError, match="shorter than one sample"):
-        moments([window(100, period=3.0)], [], 60.0, (1.0, 60.0))
+        at([window(100, period=3.0)], [], 60.0, (1.0, 60.0))
 
 
 @given(st.integers(20, 500), st.lists(st.integers(0, 600), max_size=20), st.integers(1, 200))
 def test_past_and_future_meet_and_nothing_is_in_both(samples: int, told: list[int], every: int) -> None:
-    for moment in moments([window(samples, first=7)], told, float(every), (10.0, 100.0)):
-        assert moment.past.first == 7
-        assert moment.past.last + 1 == moment.came.first
-        assert len(moment.came) == len(moment.ahead) == moment.count
-        assert 10 <= moment.count <= 100
+    for origin in at([window(samples, first=7)], told, float(every), (10.0, 100.0)):
+        assert origin.past.first == 7
+        assert origin.past.last + 1 == origin.came.first
+        assert len(origin.came) == len(origin.ahead) == origin.count
+        assert 10 <= origin.count <= 100
 
 
 def test_a_forecast_is_marked_at_the_horizons_that_came() -> None:
     loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
-    (moment,) = moments([loop], [119], 1000.0, HORIZONS)
-    forecast = ask(Persistence(Peltier), moment)
+    (origin,) = origins([loop], [119], HORIZONS)
+    forecast = ask(Persistence(Peltier), origin)
     assert forecast is not None
-    found = mark("a", "somebody", forecast, moment, horizons=HORIZONS, plant=Peltier)
+    found = mark("a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier)
     assert [(m.session, m.sample, m.who, m.horizon) for m in found] == [
         ("a", 119, "somebody", 10.0),
         ("a", 119, "somebody", 60.0),
     ]
     perfect = forecast_of(119, loop.output[120:], loop.input[120:])
     assert all(
-        m.marks.error == 0.0 for m in mark("a", "s", perfect, moment, horizons=HORIZONS, plant=Peltier)
+        m.marks.error == 0.0 for m in mark("a", "s", perfect, origin, horizons=HORIZONS, plant=Peltier)
     )
 
 
 def test_who_knows_too_little_says_nothing() -> None:
-    (moment,) = moments([window(40)], [10], 1000.0, (10.0,))
-    assert ask(Persistence(Peltier), moment) is None
+    (origin,) = origins([window(40)], [10], (10.0,))
+    assert ask(Persistence(Peltier), origin) is None

@@ -1,0 +1,243 @@
+"""A session through the twin, and everybody's forecasts against what came."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from twinmatch.backtest.constant import with_constant_band
+from twinmatch.backtest.errors import BacktestError
+from twinmatch.backtest.origins import Origin, ask, mark, origins, regular, stretches
+from twinmatch.backtest.peer import Peer
+from twinmatch.backtest.peers import PEERS, peers
+from twinmatch.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
+from twinmatch.backtest.scoring import samples_within
+from twinmatch.backtest.summary import Marked, best_in_hindsight, common
+from twinmatch.forecasting import CONFIDENCE, HORIZONS, Forecast, Outlook
+from twinmatch.judging.interrupt import held_interrupts
+from twinmatch.judging.judgement import Judgement, Watch, judge
+from twinmatch.judging.terms import Terms, terms_from_files
+from twinmatch.sessions import Session, open_any
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import Outcome, Twin
+from twinmatch.twin.threads import one_thread
+
+__all__ = ["Choices", "Listener", "backtest", "backtest_session", "graded"]
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What is tested, and how often.
+
+    Raises:
+        BacktestError: there is no horizon, or no such peer.
+    """
+
+    every: float = 60.0
+    """Seconds between two forecasts, beside those at every verdict."""
+    horizons: tuple[float, ...] = HORIZONS
+    """How far ahead, s; from near to far."""
+    peers: tuple[str, ...] = tuple(PEERS)
+    """Names of those who are asked beside the twin."""
+
+    def __post_init__(self) -> None:
+        if not self.horizons:
+            raise BacktestError("backtest: there is no horizon; give at least one, in seconds")
+        unknown = [name for name in self.peers if name not in PEERS]
+        if unknown:
+            raise BacktestError(f"no peer {unknown[0]!r}; there are {', '.join(PEERS)}")
+        object.__setattr__(self, "horizons", tuple(sorted(set(self.horizons))))
+
+
+class _Asked(NamedTuple):
+    """What every candidate knew at one sample, and who was who."""
+
+    outlooks: dict[str, Outlook]
+    who: dict[str, str]
+    """Name of the candidate by its part: leader, nominal, newest."""
+
+
+@dataclass
+class Listener:
+    """Sits beside the twin while a session is judged, and keeps what its candidates know at some samples."""
+
+    wanted: frozenset[int]
+    """Samples at which that is kept, beside those of the verdicts."""
+    asked: dict[int, _Asked] = field(default_factory=dict)
+    twin: Twin | None = None
+
+    @classmethod
+    def to(cls, samples: Sequence[Sample], period: float, choices: Choices) -> Listener:
+        """One for these samples.
+
+        Raises:
+            BacktestError: a horizon or the time between two forecasts is shorter than one sample.
+        """
+        samples_within(choices.horizons[0], period)
+        return cls(frozenset(regular(stretches(samples, period), choices.every)))
+
+    def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
+        """Take what one sample brought about."""
+        self.twin = twin
+        if not (outcome.verdicts or sample.index in self.wanted):
+            return
+        forecaster, nominal = twin.discriminator.forecaster, twin.discriminator.nominal
+        names, structures = forecaster.names, twin.settings.plant.structures
+        who = {
+            LEADER: forecaster.leader,
+            NOMINAL: nominal.name if nominal else None,
+            NEWEST: next((name for name in names if name not in structures), None),
+        }
+        parts = {part: name for part, name in who.items() if name in names}
+        self.asked[sample.index] = _Asked({name: forecaster.outlook(name) for name in names}, parts)
+
+    def spoilt(self, first: int, last: int) -> bool:
+        """Whether the plant was found to be at fault between two samples."""
+        monitor = self.twin.discriminator.monitor if self.twin else None
+        return monitor is not None and monitor.fault_between(first, last) is not None
+
+
+def backtest_session(
+    path: Path,
+    choices: Choices | None = None,
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    watch: Watch | None = None,
+) -> Backtest:
+    """Test the twin on a session, an .mcap file or a recording.
+
+    Args:
+        path: what to test on.
+        choices: how far ahead, how often, and against whom.
+        config: file of parameters; without it the defaults.
+        candidates: file of candidates to begin with.
+        watch: called now and then.
+
+    Raises:
+        TwinmatchError: one of the files cannot be used, or a horizon is too short for the session.
+    """
+    session = open_any(path)
+    return backtest(session, terms_from_files(session, config, candidates), choices, watch=watch)
+
+
+def backtest(
+    session: Session, terms: Terms, choices: Choices | None = None, *, watch: Watch | None = None
+) -> Backtest:
+    """Test the twin on a session, on these terms; see `backtest_session`."""
+    choices = choices or Choices()
+    listener = Listener.to(session.samples, terms.settings.period, choices)
+    total = 2 * len(session.samples)
+    first = None if watch is None else (lambda done, _: watch(done, total))
+    second = None if watch is None else (lambda done, _: watch(total // 2 + done, total))
+    judgement = judge(session, terms, watch=first, beside=listener)
+    return graded(judgement, listener, choices, watch=second)
+
+
+def graded(
+    judgement: Judgement, listener: Listener, choices: Choices, *, watch: Watch | None = None
+) -> Backtest:
+    """Hold what a listener kept, and what the peers say, against what came.
+
+    A forecast whose path meets a fault of the plant is left out: nobody can foresee one.
+    """
+    plant, period = judgement.settings.plant, judgement.settings.period
+    held = stretches(judgement.samples, period)
+    found = origins(held, listener.asked, choices.horizons)
+    others, absent = peers(plant, choices.peers)
+    grading = _Grading(judgement, listener, choices)
+    with held_interrupts() as check_interrupt:
+        for done, origin in enumerate(found):
+            grading.at(origin, others)
+            if watch is not None:
+                watch(done * len(judgement.samples) // len(found), len(judgement.samples))
+            check_interrupt()
+    marked = common(grading.marked)
+    judged = {one.sample for one in marked}
+    return Backtest(
+        name=judgement.name,
+        plant=plant,
+        period=period,
+        horizons=choices.horizons,
+        confidence=CONFIDENCE,
+        marked=tuple(marked),
+        came=held,
+        shown=_one_after_another(f for f in grading.shown if f.sample in judged),
+        absent=tuple(absent),
+        notes=tuple(_notes(len(found), len(judged), grading)),
+    )
+
+
+class _Grading:
+    """The marks of one session, gathered origin by origin."""
+
+    def __init__(self, judgement: Judgement, listener: Listener, choices: Choices) -> None:
+        self._judgement, self._listener, self._choices = judgement, listener, choices
+        self.marked: list[Marked] = []
+        self.shown: list[Forecast] = []
+        self.spoilt = 0
+        """Origins whose nearest horizon already met a fault."""
+        self.unasked = 0
+        """Origins at which there was no candidate."""
+
+    def at(self, origin: Origin, others: Sequence[Peer]) -> None:
+        """Ask everybody who can answer, and judge the answers."""
+        horizons = [h for h in self._choices.horizons if not self._meets_fault(origin, h)]
+        if not horizons:
+            self.spoilt += 1
+            return
+        asked = self._listener.asked[origin.sample]
+        if LEADER not in asked.who:
+            self.unasked += 1
+            return
+
+        def add(who: str, forecast: Forecast, candidate: str = "") -> list[Marked]:
+            plant = self._judgement.settings.plant
+            name = self._judgement.name
+            return mark(name, who, forecast, origin, horizons=horizons, plant=plant, candidate=candidate)
+
+        with one_thread():
+            said = {name: outlook.forecast(origin.ahead) for name, outlook in asked.outlooks.items()}
+            for part, name in asked.who.items():
+                self.marked += add(part, said[name], name)
+            if NOMINAL in asked.who:
+                self.marked += add(CONSTANT, self._constant(asked, said, origin.past), asked.who[NOMINAL])
+        self.marked += best_in_hindsight(
+            m for name, forecast in said.items() for m in add(name, forecast, name)
+        )
+        self.shown.append(said[asked.who[LEADER]])
+        for peer in others:
+            forecast = ask(peer, origin)
+            if forecast is not None:
+                self.marked += add(peer.name, forecast)
+
+    def _meets_fault(self, origin: Origin, horizon: float) -> bool:
+        count = samples_within(horizon, self._judgement.settings.period)
+        return self._listener.spoilt(origin.sample, origin.sample + count)
+
+    def _constant(self, asked: _Asked, said: dict[str, Forecast], past: Window) -> Forecast:
+        name = asked.who[NOMINAL]
+        gains = self._judgement.settings.gains
+        return with_constant_band(said[name], asked.outlooks[name].parameters, past, gains)
+
+
+def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
+    """Those that begin where the one before ends."""
+    found: list[Forecast] = []
+    for forecast in forecasts:
+        if not found or forecast.sample >= found[-1].sample + found[-1].time.size:
+            found.append(forecast)
+    return tuple(found)
+
+
+def _notes(asked: int, judged: int, grading: _Grading) -> Iterable[str]:
+    """What was left out and why."""
+    if grading.unasked:
+        yield f"{grading.unasked} of {asked} forecasts could not be made: there was no candidate yet"
+    if grading.spoilt:
+        yield f"{grading.spoilt} of {asked} forecasts are left out: nobody foresees a fault of the plant"
+    short = asked - judged - grading.unasked - grading.spoilt
+    if short > 0:
+        yield f"{short} of {asked} forecasts are left out: not everybody could answer"

@@ -1,0 +1,150 @@
+"""`twinmatch backtest`: the report card of the twin on recorded sessions."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from twinmatch.archive.sources import find_sessions
+from twinmatch.cli.files import add_terms, check_writable
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.judging.progress import Progress
+
+if TYPE_CHECKING:
+    from twinmatch.backtest.result import Backtest
+
+__all__ = ["EXIT_PARTLY", "add_arguments", "run"]
+
+EXIT_PARTLY = 3
+"""Some sessions were tested and some passed over."""
+PEERS: Final = ("persistence", "arx", "statsmodels")
+WIDTH = 140
+"""Of the tables where nobody looks at them in a terminal."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "sessions",
+        type=Path,
+        nargs="+",
+        metavar="SESSION",
+        help="session folder, .mcap file, recording (.mat, .csv), folder of any of these, or pattern",
+    )
+    parser.add_argument(
+        "--every",
+        type=_seconds,
+        default=60.0,
+        metavar="S",
+        help="seconds between two forecasts, beside those at every verdict (default: 60)",
+    )
+    parser.add_argument(
+        "--horizon",
+        type=_seconds,
+        nargs="+",
+        metavar="S",
+        help="how far ahead, in seconds (default: 10 60 300)",
+    )
+    parser.add_argument(
+        "--peers",
+        nargs="*",
+        choices=PEERS,
+        default=list(PEERS),
+        help="who is asked beside the twin; none after it: nobody (default: all)",
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="OUT", help="write cards and every forecast's marks here"
+    )
+    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw the cards (.png, .svg or .pdf)")
+    add_terms(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Test the twin; returns the exit code: 0 on all sessions, 3 some were passed over, 2 on none.
+
+    Raises:
+        TwinmatchError: the only session cannot be used, or a file cannot be written.
+    """
+    from twinmatch.backtest.result import over_all  # noqa: PLC0415 — keeps --help fast
+
+    check_writable(options.json, options.figure)
+    sessions = find_sessions(options.sessions)
+    found: list[Backtest] = []
+    for path in sessions:
+        try:
+            found.append(_one(path, options))
+        except TwinmatchError as error:
+            if len(sessions) == 1:
+                raise
+            print(f"twinmatch: passed over {path}: {error}", file=sys.stderr)
+    if not found:
+        return EXIT_USER_ERROR
+    total = found[0] if len(found) == 1 else over_all(found)
+    if len(found) > 1:
+        _print(total)
+    _write(found, total, options)
+    return 0 if len(found) == len(sessions) else EXIT_PARTLY
+
+
+def _one(path: Path, options: argparse.Namespace) -> Backtest:
+    from twinmatch.backtest.run import Choices, backtest_session  # noqa: PLC0415 — as above
+    from twinmatch.forecasting import HORIZONS  # noqa: PLC0415
+
+    choices = Choices(options.every, tuple(options.horizon or HORIZONS), tuple(options.peers))
+    with Progress() as progress:
+        tested = backtest_session(
+            path,
+            choices,
+            config=options.config,
+            candidates=options.candidates,
+            watch=progress.advance,
+        )
+    _print(tested)
+    return tested
+
+
+def _print(tested: Backtest) -> None:
+    from rich.console import Console  # noqa: PLC0415 — only who prints needs it
+
+    from twinmatch.backtest.table import sentences, tables  # noqa: PLC0415
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = WIDTH
+    for table in tables(tested):
+        console.print(table)
+        console.print()
+    for line in (*sentences(tested), *tested.notes, *(f"{a.name}: {a.reason}" for a in tested.absent)):
+        print(line)
+
+
+def _write(found: Sequence[Backtest], total: Backtest, options: argparse.Namespace) -> None:
+    if options.json is not None:
+        from twinmatch.backtest.document import document  # noqa: PLC0415
+
+        entry = {
+            "sessions": [document(each) for each in found],
+            "total": document(total, forecasts=False),
+        }
+        text = json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False)
+        options.json.write_text(text + "\n", encoding="utf-8")
+    if options.figure is not None:
+        from twinmatch.backtest.figure import draw_backtest  # noqa: PLC0415
+        from twinmatch.views.figures import save  # noqa: PLC0415
+
+        save(draw_backtest(total), options.figure)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        msg = f"{text!r} is no time in seconds; give a positive number"
+        raise argparse.ArgumentTypeError(msg)
+    return value
