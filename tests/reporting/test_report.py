@@ -188,7 +188,7 @@ def test_the_report_says_how_it_was_made(page: Element) -> None:
     shown = {r[0].text: r[1].text for r in grid(parameters)}
     assert shown["schedule.stride"] == "60"
     assert shown["pid.proportional"] == "38.57"
-    assert shown["limits.doubtful_y"] == "7"
+    assert shown["limits.doubtful"] == "2"
 
 
 def test_a_parameter_that_is_not_the_default_is_marked() -> None:

@@ -260,7 +260,7 @@ def test_before_anything_moves_nothing_is_known() -> None:
         (lambda: TwinSettings(most_candidates=0), "most_candidates is 0"),
         (lambda: TwinSettings(regime_width=0.0), "regime_width is 0.0; it must"),
         (lambda: TwinSettings(period=0.1), "give both the same period"),
-        (lambda: TrustLimits(doubtful_y=0.0), "doubtful_y is 0.0; it must be positive"),
+        (lambda: TrustLimits(doubtful=0.0), "doubtful is 0.0; it must be positive"),
     ],
 )
 def test_settings_that_cannot_work_are_refused(make: object, message: str) -> None:

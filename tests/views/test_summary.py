@@ -34,8 +34,8 @@ SUMMARY = Summary(
         ),
         (
             {"level": TrustLevel.DOUBTFUL},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: plant and twin differ "
-            "by more than they should (it held between 25 and 92 °C).",
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: what comes lies "
+            "outside the bands (it held between 25 and 92 °C).",
         ),
         (
             {"level": TrustLevel.FAULT, "fault": "drive-lost"},

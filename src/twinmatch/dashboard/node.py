@@ -154,7 +154,7 @@ class Dashboard(TwinmatchNode):
     def _sum_up(self) -> None:
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
-            say(self.state, self._settings.gains, self._settings.limits)
+            say(self.state, self._settings.gains)
 
     def _do_what_was_asked(self) -> None:
         while True:

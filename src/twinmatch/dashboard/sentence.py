@@ -8,17 +8,16 @@ from dataclasses import replace
 from twinmatch.dashboard.state import DashboardState
 from twinmatch.dynamics import PidGains
 from twinmatch.signals import FloatArray, Sample
-from twinmatch.twin import TrustLimits
 from twinmatch.views import sentence, summarise
 
 __all__ = ["say"]
 
 
-def say(state: DashboardState, gains: PidGains, limits: TrustLimits) -> None:
+def say(state: DashboardState, gains: PidGains) -> None:
     """Sum up the samples that are kept, with the newest verdict, into `state.sentence`.
 
     Takes a few milliseconds; call it when there is a new verdict, not for every sample. `gains` are those of
-    the running controller, `limits` those of the trust level.
+    the running controller.
     """
     with state.lock:
         verdict, period = state.verdict, state.period
@@ -27,7 +26,7 @@ def say(state: DashboardState, gains: PidGains, limits: TrustLimits) -> None:
     if verdict is not None and verdict.nominal is not None:
         samples = _samples(columns)
         if samples:
-            said = sentence(summarise(samples, [verdict], replace(gains, period=period), limits=limits))
+            said = sentence(summarise(samples, [verdict], replace(gains, period=period)))
     with state.lock:
         if state.verdict is verdict:
             state.sentence = said

@@ -19,14 +19,14 @@ REFUSED: Final = "refused"
 
 
 class TrustLevel(Enum):
-    """How far to trust the nominal twin, from the newest window."""
+    """How far to trust the leader, from the newest window."""
 
     UNKNOWN = "unknown"
-    """There is no candidate yet."""
+    """There is no candidate yet, or nothing has come of what it foretold."""
     TRUSTED = "trusted"
-    """The twin does what the plant does, within the noise it is known to have."""
+    """What came lies in the bands that were given before."""
     DOUBTFUL = "doubtful"
-    """The twin and the plant differ by more than they used to."""
+    """What came lies outside, or a window cannot be explained; `miss_since` says since when."""
     FAULT = "fault"
     """No parameters explain what the plant does; look at the plant."""
 
@@ -133,6 +133,20 @@ class Verdict:
     leader_confidence: float = math.nan
     """How often the leader's error of the longest horizon was, so far, within 3 % of the best candidate's in
     hindsight; NaN without a leader."""
+    miss_y: float = math.nan
+    """RMS over the newest samples of output minus forecast, in half widths of the band that the leader gave
+    before them; NaN where none was given."""
+    miss_u: float = math.nan
+    """The same of the input."""
+    inside_y: float = math.nan
+    """Share of those samples whose output lay in the band; 0.9 is promised."""
+    inside_u: float = math.nan
+    miss_since: int | None = None
+    """Index of the first sample of the stretch in which what came lies outside; None while it does not."""
+    held_low: float = math.nan
+    """Least output of the levels at which forecasts came true, as far as they hang together; NaN for none."""
+    held_high: float = math.nan
+    """Greatest output of these levels."""
     horizons: tuple[float, ...] = ()
     """Of the forecasts, s."""
     forecasts: tuple[ForecastScore, ...] = ()

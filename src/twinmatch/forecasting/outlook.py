@@ -16,7 +16,7 @@ from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["Outlook"]
 
-_LEAST: Final = 0.2
+_LEAST: Final = 0.3
 """Least standard deviation of an input ahead, in units of its noise: a limit may be left."""
 _ROOM: Final = 3.0
 """How far beyond the levels visited a set-point still counts as visited, in the output's noise."""

@@ -109,5 +109,5 @@ def judge_samples(
             if watch is not None and done % EVERY == 0:
                 watch(done, len(samples))
             check_interrupt()
-        summary = summarise(samples, verdicts, settings.gains, notes, limits=settings.limits)
+        summary = summarise(samples, verdicts, settings.gains, notes)
     return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)

@@ -73,9 +73,7 @@ def play(replay: Replay) -> int:
         view.say(f"interrupted after {len(replay.verdicts)} verdicts")
         return EXIT_INTERRUPTED
     if code == 0:
-        replay.summary = summarise(
-            session.samples, replay.verdicts, settings.gains, session.notes, limits=settings.limits
-        )
+        replay.summary = summarise(session.samples, replay.verdicts, settings.gains, session.notes)
         for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
             view.say(line)
     return code

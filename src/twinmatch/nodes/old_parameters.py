@@ -19,8 +19,15 @@ RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
     "camera.resolution": ("sensor.resolution",),
     "pid.limit": ("pid.low", "pid.high"),
 }
-GONE: Final = ("limits.fault_y", "limits.fault_u")
-"""What was told by residuals once; faults are the health monitor's to tell."""
+_MONITOR: Final = "only the health monitor tells a fault"
+_BANDS: Final = "limits.doubtful says how far beyond its bands a twin is doubtful"
+GONE: Final = {
+    "limits.fault_y": _MONITOR,
+    "limits.fault_u": _MONITOR,
+    "limits.doubtful_y": _BANDS,
+    "limits.doubtful_u": _BANDS,
+}
+"""What was told by residuals once, and what tells it now."""
 _START: Final = "start."
 
 
@@ -34,9 +41,9 @@ def refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
         if name in given:
             msg = f"{place}: {name} is now called {' and '.join(now)}; rename it"
             raise ParameterError(msg)
-    for name in GONE:
+    for name, instead in GONE.items():
         if name in given:
-            msg = f"{place}: {name} is no longer used: only the health monitor tells a fault; remove it"
+            msg = f"{place}: {name} is no longer used: {instead}; remove it"
             raise ParameterError(msg)
 
 

@@ -280,11 +280,8 @@ def _family(has: TwinSettings) -> tuple[Parameter, ...]:
 
 def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
     """Limits of the trust level and of the plant's health."""
-    y, u = has.plant.output.unit, unit_of(has.plant.drive)
-    limits = (
-        ("doubtful_y", "Residual RMS that makes the twin doubtful.", y),
-        ("doubtful_u", "The same for the control.", u),
-    )
+    y = has.plant.output.unit
+    doubt = "What came minus what was foretold, RMS in half widths of the band, that makes the twin doubtful."
     health = (
         ("lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
         ("weak", "The same below which it is weak, if that lasts.", "", 0.01, 0.99),
@@ -294,10 +291,7 @@ def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
         ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
     )
     return (
-        *(
-            Parameter(f"limits.{n}", getattr(has.limits, n), text, unit, 1e-6, 1e6)
-            for n, text, unit in limits
-        ),
+        Parameter("limits.doubtful", has.limits.doubtful, doubt, "", 1e-6, 1e6),
         *(
             Parameter(f"health.{n}", getattr(has.health, n), text, unit, low, high)
             for n, text, unit, low, high in health

@@ -17,9 +17,15 @@ RENAMED = {
 }
 """Fields that were called otherwise before."""
 
+BY_RESIDUALS = ("level", "nominal", "decided", "certainty", "order", "candidates", "nu_gap")
+"""What a verdict said by other rules before it had a leader: structures were no candidates, and residuals of
+the nominal twin made the level."""
+
 
 def comparable(tree: Tree) -> Tree:
     """The tree under today's names, with every named value under its own name."""
+    if {"level", "candidates"} <= tree.keys() and "leader" not in tree:
+        tree = {name: value for name, value in tree.items() if name not in BY_RESIDUALS}
     tree = {RENAMED.get(name, name): _inside(value) for name, value in tree.items()}
     if {"plant", "names", "values"} <= tree.keys():
         held = dict(zip(tree["names"], tree["values"], strict=True))

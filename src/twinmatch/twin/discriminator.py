@@ -18,6 +18,7 @@ from twinmatch.twin.contenders import Contenders
 from twinmatch.twin.forecaster import Entrant, Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest
 from twinmatch.twin.members import Judged, Members, plant_model
+from twinmatch.twin.promises import Promise, Promises
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinSettings
@@ -83,6 +84,7 @@ class Discriminator:
         )
         self.forecaster = Forecaster(self.settings.gains, self.settings.forecasts, self._spoilt)
         """Of all candidates, at the newest sample of which everything is said."""
+        self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
         self._successors: dict[str, str] = {}
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
@@ -138,6 +140,7 @@ class Discriminator:
                 self._settled = item.index
                 told = self._watch(item)
                 self.forecaster.push(item)
+                self.forecaster.notes = self._notes()
                 verdicts += [self._forecast(verdict) for verdict in told]
             elif not item.excited:
                 verdicts.append(self._judged(item, None))
@@ -241,6 +244,16 @@ class Discriminator:
             forecasts=forecaster.scores,
         )
 
+    def _notes(self) -> tuple[str, ...]:
+        """What no forecast can promise at this sample."""
+        health, since = self._health, self._promises.since
+        if health is not None and health.state is State.FAULT and health.fault is not None:
+            told = f"the plant shows {health.fault.value} since sample {health.since}"
+            return (f"{told}: this is what a healthy plant would do",)
+        if since is not None:
+            return (f"what came lies outside the bands since sample {since}: these may not hold",)
+        return ()
+
     def _spoilt(self, first: int, last: int) -> bool:
         """Whether the plant was known to be at fault between two samples."""
         return self.monitor.fault_between(first, last) is not None
@@ -281,7 +294,8 @@ class Discriminator:
     def _at(self, verdict: Verdict, sample: int, window: Window, *, doubtful: bool = False) -> Verdict:
         """The verdict with what holds at this sample: window, residuals of the nominal, fault, level."""
         found, choice = self._residuals(verdict.nominal, window), self._structure.choice
-        level, fault, since = trust_level(found, self.settings.limits), "", None
+        promise, held = self._promised(window), self._promises.held or (float("nan"), float("nan"))
+        level, fault, since = trust_level(promise, self.settings.limits), "", None
         if doubtful and level is TrustLevel.TRUSTED:
             level = TrustLevel.DOUBTFUL
         health = self._health
@@ -301,7 +315,21 @@ class Discriminator:
             structure_parameters=choice.parameters if choice else None,
             driven_rms_y=found.y,
             closed_rms_u=found.u,
+            **promise._asdict(),
+            miss_since=self._promises.since,
+            held_low=held[0],
+            held_high=held[1],
         )
+
+    def _promised(self, window: Window) -> Promise:
+        """How the newest samples lie in the bands that the leader gave before them."""
+        samples = min(self.settings.schedule.stride, len(window))
+        promise = self.forecaster.promise(samples)
+        if promise is None:
+            return Promise(*[float("nan")] * 4)
+        newest = [s.output for s in self._recent][-samples:]
+        self._promises.push(promise, self._recent[-1].index - len(newest) + 1, np.array(newest))
+        return promise
 
     def _nothing(self) -> Verdict:
         return Verdict(
@@ -350,10 +378,8 @@ class Discriminator:
         return residuals(self._members.candidate(nominal).parameters, newest, self.settings.gains)
 
 
-def trust_level(found: Residuals, limits: TrustLimits) -> TrustLevel:
-    """How far residuals of this size leave the nominal twin to be trusted."""
-    if np.isnan(found.y):
+def trust_level(promise: Promise, limits: TrustLimits) -> TrustLevel:
+    """How far the leader is to be trusted whose promise was kept so."""
+    if np.isnan(promise.miss):
         return TrustLevel.UNKNOWN
-    if found.y >= limits.doubtful_y or found.u >= limits.doubtful_u:
-        return TrustLevel.DOUBTFUL
-    return TrustLevel.TRUSTED
+    return TrustLevel.DOUBTFUL if promise.miss >= limits.doubtful else TrustLevel.TRUSTED

@@ -22,6 +22,7 @@ from twinmatch.forecasting import (
     leads_of,
 )
 from twinmatch.signals import FloatArray, Sample
+from twinmatch.twin.promises import Promise, promise_of
 
 __all__ = ["Entrant", "ForecastSettings", "Forecaster"]
 
@@ -141,6 +142,8 @@ class Forecaster:
         self._run_in = run_in
         self._visited = (np.inf, -np.inf)
         self._pid = Pid(gains)
+        self.notes: tuple[str, ...] = ()
+        """What forecasts cannot promise now, for those who ask."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -223,7 +226,7 @@ class Forecaster:
             self._ledger.keep(twins)
         self._twins, self._order = twins, tuple(twins)
 
-    def outlook(self, name: str | None = None, notes: tuple[str, ...] = ()) -> Outlook:
+    def outlook(self, name: str | None = None) -> Outlook:
         """What a candidate, or the leader, knows at the newest sample.
 
         Raises:
@@ -249,7 +252,28 @@ class Forecaster:
             leads=self._leads,
             widths=twin.calibration.widths,
             visited=self._visited,
-            notes=notes,
+            notes=self.notes,
+        )
+
+    def promise(self, samples: int) -> Promise | None:
+        """How the newest readings lie in the bands that were given before them; None where none was.
+
+        The forecast is that of the leader of its time, from the newest sample before these from which all
+        foretold, under the set-points that came.
+        """
+        if not self._recent:
+            return None
+        newest = self._recent[-1].index
+        made = [d for d in self._departures if d.sample <= newest - samples and d.leader is not None]
+        if not made:
+            return None
+        departure = made[-1]
+        assert departure.leader is not None  # noqa: S101 — only those are looked at
+        came = list(self._recent)[departure.sample - newest :]
+        forecast = departure.outlooks[departure.leader].forecast(np.array([s.reference for s in came]))
+        newest_of = came[-samples:]
+        return promise_of(
+            forecast, np.array([s.output for s in newest_of]), np.array([s.input for s in newest_of])
         )
 
     def _break(self) -> None:

@@ -15,8 +15,6 @@ from twinmatch.twin.schedule import ScheduleSettings
 
 __all__ = ["TrustLimits", "TwinError", "TwinSettings"]
 
-_DOUBTFUL: Final = (70.0, 55.0 / 7.0)
-"""Of output and input, in units of their noise."""
 _REGIME: Final = 100.0
 _STEP: Final = 20.0
 """Width of a regime and smallest step that begins one, in units of the output's noise."""
@@ -28,29 +26,19 @@ class TwinError(TwinmatchError):
 
 @dataclass(frozen=True)
 class TrustLimits:
-    """Where the nominal twin becomes doubtful: RMS of its residuals over the newest samples.
+    """Where the leader becomes doubtful.
 
-    Over six healthy hours of the rig, minute by minute, the driven twin was off by at most 6 °C with
-    parameters matched anywhere in the family and the closed-loop twin by at most 40 counts after the
-    first minute; a lost drive makes it 24 °C and 155 counts within the minute in which it shows. What is
-    wrong with the plant is for the health monitor to say: a residual cannot tell a fault from a bad twin.
+    A promise kept leaves 0.6 half widths. Errors last for about half a minute, so that a minute holds two
+    independent ones; that they come to twice the half width, 3.3 standard deviations, has a chance of less
+    than one in ten thousand.
     """
 
-    doubtful_y: float = 7.0
-    """Measured minus driven-twin output, in its unit."""
-    doubtful_u: float = 55.0
-    """Measured minus closed-loop-twin input, in its unit."""
+    doubtful: float = 2.0
+    """RMS of what came minus what was foretold, in half widths of the band, over the newest samples."""
 
     def __post_init__(self) -> None:
-        for name in ("doubtful_y", "doubtful_u"):
-            if not getattr(self, name) > 0:
-                raise TwinError(f"trust limits: {name} is {getattr(self, name)}; it must be positive")
-
-    @classmethod
-    def of(cls, plant: type[Plant]) -> TrustLimits:
-        """Those for a plant, in proportion to the noise it declares."""
-        y, u = _DOUBTFUL
-        return cls(y * plant.output.noise, u * plant.drive.noise)
+        if not self.doubtful > 0:
+            raise TwinError(f"trust limits: doubtful is {self.doubtful}; it must be positive")
 
 
 def _start() -> Parameters:
@@ -110,7 +98,6 @@ class TwinSettings:
             gains=gains_of(plant, period),
             sensor=plant.sensor or Sensor(),
             regime_width=_REGIME * noise,
-            limits=TrustLimits.of(plant),
             health=HealthSettings.of(plant, period),
         )
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import TrustLimits, closed_loop_fit
+from twinmatch.twin import closed_loop_fit
 from twinmatch.views.quantities import number
 from twinmatch.views.trust_range import TrustRange, trust_range
 from twinmatch.views.words import words_of
@@ -41,7 +41,7 @@ class Summary:
     order: str | None = None
     """Box–Jenkins order that was chosen for the nominal candidate."""
     range: TrustRange | None = None
-    """Temperatures between which the nominal twin was seen to hold, °C."""
+    """Levels between which forecasts came true."""
     fault: str = ""
     """Name of the fault that the plant shows at the end; empty for none."""
 
@@ -51,10 +51,8 @@ def summarise(
     verdicts: Sequence[Verdict],
     gains: PidGains,
     notes: Sequence[str] = (),
-    *,
-    limits: TrustLimits | None = None,
 ) -> Summary:
-    """Sum up a session from what came out of it; `limits` are those of the trust level."""
+    """Sum up a session from what came out of it."""
     last = verdicts[-1] if verdicts else None
     chosen = next((c for c in last.candidates if c.name == last.nominal), None) if last else None
     fit = (math.nan, math.nan)
@@ -79,7 +77,7 @@ def summarise(
         matches=dict(Counter(v.match for v in verdicts if v.match)),
         notes=tuple(remarks),
         order=chosen.chosen_order if chosen else None,
-        range=trust_range(samples, chosen, gains, limits) if chosen else None,
+        range=trust_range(last, chosen.parameters.model.plant.output.unit) if last and chosen else None,
         fault=last.fault if last else "",
     )
 
@@ -107,7 +105,7 @@ def _trust(summary: Summary) -> str:
         return f"do not trust it now: {_trouble(summary)}{before}"
     if summary.level is TrustLevel.DOUBTFUL:
         before = f" (it held {held})" if held else ""
-        return f"doubtful now: plant and twin differ by more than they should{before}"
+        return f"doubtful now: what comes lies outside the bands{before}"
     return f"trust it {held}" if held else "how far to trust it is not known yet"
 
 

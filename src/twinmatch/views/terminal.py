@@ -27,6 +27,8 @@ __all__ = ["Screen", "view_on"]
 
 LEAST_WAIT = 0.25
 """Between two drawings, s."""
+QUARTERS = 4
+"""Parts of a run after each of which it is drawn however little time went by: a short one is seen to move."""
 SHARE = 0.01
 """Of the time that drawing may take from the work that is shown."""
 MOST_EVENTS = 8
@@ -54,7 +56,7 @@ class Screen:
         self._title = title
         self._period = period
         self._total = total
-        self._done = 0
+        self._done = self._part = 0
         self._matches: list[MatchReport] = []
         self._verdicts: list[Verdict] = []
         self._events: list[Event] | None = []
@@ -78,7 +80,9 @@ class Screen:
     def advance(self, done: int) -> None:
         """So many samples were seen, counted from the session's first."""
         self._done = done
-        if time.monotonic() >= self._next:
+        part = QUARTERS * done // self._total if self._total else 0
+        if part > self._part or time.monotonic() >= self._next:
+            self._part = part
             self._draw()
 
     def take_match(self, report: MatchReport) -> None:

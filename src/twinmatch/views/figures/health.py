@@ -11,7 +11,7 @@ from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.figures.drawing import empty, new_figure, stack, styled, time_axis
 from twinmatch.views.style import LEVELS, PLANT, TEXT
-from twinmatch.views.words import with_unit, words_of
+from twinmatch.views.words import words_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,17 +31,17 @@ def draw_health(
     verdicts: Sequence[Verdict],
     settings: TwinSettings,
 ) -> Figure:
-    """Trust level, residuals of every verdict against their limits, matches admitted and refused."""
+    """Trust level, misses of every verdict against their limit, matches admitted and refused."""
     figure = new_figure(10, 4.8)
     axes = stack(figure, (1.2, 2, 2, 0.9))
     first, period = samples[0].index, settings.period
     draw_levels(axes[0], verdicts, period, first)
     limits = settings.limits
-    _draw_residual(axes[1], verdicts, "driven_rms_y", period, limits.doubtful_y)
     words = words_of(settings.plant)
-    axes[1].set_ylabel(f"{words.output}\n{with_unit('RMS', words.output_unit)}")
-    _draw_residual(axes[2], verdicts, "closed_rms_u", period, limits.doubtful_u)
-    axes[2].set_ylabel(f"{words.input}\n{with_unit('RMS', words.input_unit)}")
+    _draw_residual(axes[1], verdicts, "miss_y", period, limits.doubtful)
+    axes[1].set_ylabel(f"{words.output}\nmiss / half band")
+    _draw_residual(axes[2], verdicts, "miss_u", period, limits.doubtful)
+    axes[2].set_ylabel(f"{words.input}\nmiss / half band")
     _draw_matches(axes[3], matches, admitted(verdicts), period, words.output_unit)
     time_axis(axes[-1], period, first, samples[-1].index)
     figure.align_ylabels(axes)

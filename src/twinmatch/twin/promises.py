@@ -1,0 +1,88 @@
+"""Whether what came lay in the bands, since when it does not, and between which levels it did."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.forecasting import Forecast
+from twinmatch.signals import FloatArray
+
+__all__ = ["Promise", "Promises", "promise_of"]
+
+_NEIGHBOURS: Final = 10.0
+"""Spans of output closer than this, in units of its noise, hang together: a sample of a fast step is that far
+apart."""
+
+
+class Promise(NamedTuple):
+    """How readings lie in the band that was given before them."""
+
+    miss_y: float
+    """RMS of what came minus what was foretold, output, in half widths of its band: 0.6 is usual."""
+    inside_y: float
+    """Share of the readings within the band; 0.9 is promised."""
+    miss_u: float
+    inside_u: float
+
+    @property
+    def miss(self) -> float:
+        """The greater of both."""
+        return max(self.miss_y, self.miss_u)
+
+
+def promise_of(forecast: Forecast, output: FloatArray, input: FloatArray) -> Promise:
+    """How the last N samples of a forecast came true, shape (N,) each."""
+    figures: list[float] = []
+    for values, band in ((output, forecast.output), (input, forecast.input)):
+        mean, low, high = (part[-values.size :] for part in (band.mean, band.low, band.high))
+        half = np.where(values > mean, high - mean, mean - low)
+        # On a limit of the controller a band has one side only.
+        half = np.maximum(half, 0.5 * (high - low))
+        figures.append(float(np.sqrt(np.mean(np.square((values - mean) / half)))))
+        figures.append(float(np.mean((low <= values) & (values <= high))))
+    return Promise(*figures)
+
+
+class Promises:
+    """Keeps what was held and what was broken; all depends on what it is given alone."""
+
+    def __init__(self, limit: float, noise: float) -> None:
+        """Begin with nothing.
+
+        Args:
+            limit: RMS miss, in half widths, from which a promise counts as broken.
+            noise: of the output.
+        """
+        self._limit, self._near = limit, _NEIGHBOURS * noise
+        self._spans: list[tuple[float, float]] = []
+        self.since: int | None = None
+        """First sample of the stretch in which promises are broken; None while they are kept."""
+
+    def push(self, promise: Promise, first: int, output: FloatArray) -> None:
+        """Take how samples from index `first` on, with this output, lay in their band."""
+        if promise.miss >= self._limit:
+            self.since = first if self.since is None else self.since
+            return
+        self.since = None
+        self._spans = _merged([*self._spans, (float(output.min()), float(output.max()))], self._near)
+        self._newest = float(output[-1])
+
+    @property
+    def held(self) -> tuple[float, float] | None:
+        """Between which outputs promises were kept: what hangs together with where they were last.
+
+        None if they never were. It says where there is evidence, not where the physics ends.
+        """
+        return next((s for s in self._spans if s[0] <= self._newest <= s[1]), None)
+
+
+def _merged(spans: list[tuple[float, float]], near: float) -> list[tuple[float, float]]:
+    merged: list[tuple[float, float]] = []
+    for low, high in sorted(spans):
+        if merged and low <= merged[-1][1] + near:
+            merged[-1] = merged[-1][0], max(merged[-1][1], high)
+        else:
+            merged.append((low, high))
+    return merged
