@@ -1,5 +1,45 @@
 """The report card of a twin: its forecasts against what came, beside what a user would take instead.
 
-`scoring` judges one forecast, `summary` many; the peers forecast from the same samples and set-points as the
-twin and know nothing else. Import from these modules: they are slow to load, and `--help` is not.
+`backtest_session` runs a session through the twin and asks everybody at every verdict and every minute; a
+`Backtest` holds how that came out. `marks` judges one forecast, `cards` sums up many. A `Peer` forecasts from
+the same samples and set-points as the twin and knows nothing else.
 """
+
+from twinmatch.backtest.document import document
+from twinmatch.backtest.errors import BacktestError
+from twinmatch.backtest.figure import draw_backtest
+from twinmatch.backtest.peer import Peer
+from twinmatch.backtest.peers import PEERS, Absent, peers
+from twinmatch.backtest.result import Backtest, over_all
+from twinmatch.backtest.run import Choices, Listener, backtest, backtest_session, graded
+from twinmatch.backtest.scoring import Marks, SignalMarks, interval_score, marks
+from twinmatch.backtest.summary import Card, Marked, best_in_hindsight, cards, common
+from twinmatch.backtest.table import sentences, tables
+
+__all__ = [
+    "PEERS",
+    "Absent",
+    "Backtest",
+    "BacktestError",
+    "Card",
+    "Choices",
+    "Listener",
+    "Marked",
+    "Marks",
+    "Peer",
+    "SignalMarks",
+    "backtest",
+    "backtest_session",
+    "best_in_hindsight",
+    "cards",
+    "common",
+    "document",
+    "draw_backtest",
+    "graded",
+    "interval_score",
+    "marks",
+    "over_all",
+    "peers",
+    "sentences",
+    "tables",
+]
