@@ -1,0 +1,104 @@
+"""What forecasts cost, in characters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import laplace
+
+from twinmatch.forecasting import PERSISTENCE, Ledger
+from twinmatch.signals import FloatArray
+
+NOISE = np.array([0.1, 7.0])
+
+
+def entered(
+    errors: dict[str, FloatArray], kept: float = 1.0, noise: FloatArray = NOISE, horizons: int = 1
+) -> Ledger:
+    """A ledger after one forecast for each column, shape (2, n) by name."""
+    ledger = Ledger(horizons, noise, kept)
+    for column in range(next(iter(errors.values())).shape[1]):
+        for horizon in range(horizons):
+            ledger.add({name: e[:, column : column + 1] for name, e in errors.items()}, horizon)
+    return ledger
+
+
+def drawn(scale: float, samples: int, seed: int) -> FloatArray:
+    return np.random.default_rng(seed).laplace(0.0, scale * NOISE[:, None], (2, samples))
+
+
+def test_the_price_is_minus_the_logarithm_of_the_density() -> None:
+    """Many errors of known width: the mean price is the entropy of Laplace's distribution in digits, and the
+    gain the difference of two of them, by scipy's density."""
+    n = 6000
+    good, poor = drawn(0.5, n, 1), drawn(4.0, n, 2)
+    gain = entered({PERSISTENCE: poor, "a": good}).gains(["a"])[0, 0]
+    priced = sum(
+        np.mean(-laplace.logpdf(e[k], scale=s * NOISE[k]) / np.log(10.0)) * sign
+        for sign, e, s in ((1.0, poor, 4.0), (-1.0, good, 0.5))
+        for k in range(2)
+    )
+    # Widths are learned on the way: that costs some half log10(n) characters in all.
+    assert gain == pytest.approx(priced, abs=5 * np.log10(n) / n + 0.01)
+    assert gain == pytest.approx(2 * np.log10(8.0), abs=0.06)  # standard error of the mean price 0.011
+
+
+def test_who_foretells_better_saves_more_and_persistence_saves_nothing() -> None:
+    poor = drawn(4.0, 200, 1)
+    ledger = entered({PERSISTENCE: poor, "a": drawn(0.5, 200, 2), "b": drawn(0.6, 200, 3), "same": poor})
+    a, b, same = ledger.gains(["a", "b", "same"])[:, 0]
+    assert a > b > same
+    only = entered({PERSISTENCE: poor, "same": poor}).gains(["same"])
+    assert only[0, 0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_boast_does_not_pay() -> None:
+    """The width is what came before, so a single large error after many small ones costs dearly."""
+    steady = drawn(1.0, 100, 1)
+    calm = np.append(drawn(0.31, 99, 1), 40.0 * NOISE[:, None], axis=1)
+    ledger = entered({PERSISTENCE: drawn(5.0, 100, 2), "steady": steady, "calm": calm}, kept=0.9)
+    steady_gain, calm_gain = ledger.gains(["steady", "calm"])[:, 0]
+    assert steady_gain > calm_gain
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(1e-3, 1e3))
+def test_units_do_not_matter(unit: float) -> None:
+    errors = {PERSISTENCE: drawn(3.0, 20, 1), "a": drawn(1.0, 20, 2)}
+    scaled = {name: unit * e for name, e in errors.items()}
+    one, other = entered(errors), entered(scaled, noise=unit * NOISE)
+    assert other.gains(["a"])[0, 0] == pytest.approx(one.gains(["a"])[0, 0], abs=1e-9)
+
+
+def test_the_past_is_forgotten() -> None:
+    early, late = drawn(0.5, 100, 1), drawn(5.0, 100, 2)
+    turned = np.concatenate([late, early], axis=1)
+    fallen = np.concatenate([early, late], axis=1)
+    persistence = drawn(8.0, 200, 3)
+    ledger = entered({PERSISTENCE: persistence, "fallen": fallen, "turned": turned}, kept=0.97)
+    fallen_gain, turned_gain = ledger.gains(["fallen", "turned"])[:, 0]
+    assert turned_gain > fallen_gain
+    assert ledger.forecasts("turned") == pytest.approx(1 / 0.03, rel=0.01)
+
+
+def test_a_newcomer_is_an_average_member_and_an_heir_goes_on() -> None:
+    ledger = entered({PERSISTENCE: drawn(5.0, 60, 1), "a": drawn(0.5, 60, 2), "b": drawn(1.0, 60, 3)})
+    ledger.inherit("heir", "a")
+    ledger.inherit("nobody's", "gone")
+    a, b, new, heir = ledger.gains(["a", "b", "new", "heir"])[:, 0]
+    assert b < new < a
+    assert heir == a
+    ledger.keep(["b"])
+    assert ledger.forecasts("a") == 0.0
+    assert ledger.forecasts("b") > 0.0
+
+
+def test_nothing_is_said_before_a_forecast_has_come_true() -> None:
+    ledger = Ledger(2, NOISE, 1.0)
+    assert np.isnan(ledger.gains(["a"])).all()
+    ledger.add({PERSISTENCE: np.ones((2, 3)), "a": np.zeros((2, 3))}, 0)
+    first, second = ledger.gains(["a"])[0]
+    assert first > 0.0
+    assert np.isnan(second), "of the longer horizon nothing has come"

@@ -1,0 +1,183 @@
+"""Candidates that foretell, on a plant whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.support.faulty_rig import profile
+from tests.support.rig import rig, run
+from twinmatch.dynamics import Parameters
+from twinmatch.forecasting import ForecastError
+from twinmatch.sessions import samples_of
+from twinmatch.signals import Sample
+from twinmatch.twin import Twin, TwinSettings
+from twinmatch.twin.forecaster import Entrant, Forecaster, ForecastSettings
+
+RICH = "sink with mass, free ambient, switched drive"
+TRUTH = rig(
+    RICH,
+    seebeck=0.058,
+    conductance=0.7,
+    heat_capacity=29.0,
+    ambient=291.0,
+    sink_heat_capacity=300.0,
+    sink_convection=3.2,
+)
+PLAIN = rig(seebeck=0.05, conductance=0.55, heat_capacity=24.0)
+GAINS = TwinSettings().gains
+
+
+def hour(seed: int, samples: int = 2400) -> list[Sample]:
+    window = run(TRUTH, np.clip(profile(seed, samples), 22.0, 90.0), seed=seed)
+    return list(samples_of(window))
+
+
+def entrants(**parameters: Parameters) -> list[Entrant]:
+    return [Entrant(name, p, (0, -1)) for name, p in parameters.items()]
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    return hour(3)
+
+
+def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(entrants(plain=PLAIN, truth=TRUTH))
+    assert forecaster.leader == "plain", "as long as nothing has come, the one named first"
+    for sample in samples[:1500]:
+        forecaster.push(sample)
+    assert forecaster.leader == "truth"
+    plain, truth = forecaster.scores
+    assert truth.gain > plain.gain > 0.0
+    assert len(truth.gains) == 3
+    assert truth.gain == pytest.approx(sum(truth.gains))
+    assert forecaster.confidence > 0.9, "the truth is the best in hindsight, and had to be"
+
+
+def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
+    """Foretold from every twentieth sample; 100 forecasts that overlap are worth some thirty, so that the
+    share within has a standard error of 0.05."""
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(entrants(truth=TRUTH))
+    inside = []
+    for k, sample in enumerate(samples[:2000]):
+        forecaster.push(sample)
+        if k % 20 or k < 100:
+            continue
+        ahead = samples[k + 1 : k + 301]
+        told = forecaster.outlook().forecast([s.reference for s in ahead])
+        for h in (9, 59, 299):
+            for band, value in ((told.output, ahead[h].output), (told.input, ahead[h].input)):
+                inside.append(band.low[h] <= value <= band.high[h])
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.1)
+
+
+def test_a_forecast_knows_nothing_of_what_comes(samples: list[Sample]) -> None:
+    """Whether the session is cut there or goes on, the bits are the same, whoever is asked."""
+    twin, whole = Twin(), {}
+    for sample in samples[:1300]:
+        twin.push(sample)
+        if sample.index in {900, 1111}:
+            forecaster = twin.discriminator.forecaster
+            whole[sample.index] = {name: forecaster.outlook(name) for name in forecaster.names}
+    for cut in (900, 1111):
+        again = Twin()
+        for sample in samples[: cut + 1]:
+            again.push(sample)
+        forecaster = again.discriminator.forecaster
+        assert set(forecaster.names) == set(whole[cut])
+        for name in forecaster.names:
+            one, other = (o.forecast([60.0] * 300) for o in (whole[cut][name], forecaster.outlook(name)))
+            for band, its in ((one.output, other.output), (one.input, other.input)):
+                for side in ("mean", "low", "high"):
+                    assert getattr(band, side).tobytes() == getattr(its, side).tobytes()
+
+
+def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
+    """A plant without noise, and its own parameters: the observer has nothing to correct."""
+    quiet = list(samples_of(run(TRUTH, [40.0] * 200 + [70.0] * 400)))
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(entrants(truth=TRUTH))
+    for sample in quiet[:250]:
+        forecaster.push(sample)
+    told = forecaster.outlook().forecast([s.reference for s in quiet[250:550]])
+    assert told.output.mean == pytest.approx([s.output for s in quiet[250:550]], abs=1e-6)
+    assert told.input.mean == pytest.approx([s.input for s in quiet[250:550]], abs=1e-3)
+
+
+def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None:
+    forecaster = Forecaster(GAINS, spoilt=lambda _first, _last: True)
+    forecaster.enter(entrants(truth=TRUTH))
+    for sample in samples[:700]:
+        forecaster.push(sample)
+    assert np.isnan(forecaster.scores[0].gain)
+    assert forecaster.scores[0].forecasts == 0.0
+
+
+def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(samples: list[Sample]) -> None:
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(entrants(truth=TRUTH))
+    for sample in samples[:800]:
+        forecaster.push(sample)
+    learned = forecaster.scores[0].forecasts
+    for sample in samples[1000:1010]:
+        forecaster.push(sample)
+    assert forecaster.outlook().sample.index == samples[1009].index
+    assert forecaster.scores[0].forecasts == learned
+    assert forecaster.promise(60) is None, "nothing was foretold since the gap"
+
+
+def test_a_plant_that_changes_breaks_its_promises(samples: list[Sample]) -> None:
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(entrants(truth=TRUTH))
+    misses = []
+    for sample in samples[:1200]:
+        # From sample 1000 on the camera reads 3 °C too much: thirty times its noise.
+        shifted = sample if sample.index < 1000 else Sample(
+            sample.index, sample.stamp, sample.reference, sample.output + 3.0, sample.input
+        )  # fmt: skip
+        forecaster.push(shifted)
+        promise = forecaster.promise(60)
+        misses.append(np.nan if promise is None else promise.miss)
+    assert np.nanmax(misses[400:1000]) < 2.0
+    assert misses[1030] > 2.0
+
+
+def test_who_is_asked_too_early_or_by_a_wrong_name_is_told() -> None:
+    forecaster = Forecaster(GAINS)
+    with pytest.raises(ForecastError, match="there is no candidate yet"):
+        forecaster.outlook()
+    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.push(Sample(0, 0, 40.0, 23.0, 0.0))
+    with pytest.raises(ForecastError, match="no candidate 'other'; at this sample there are: truth"):
+        forecaster.outlook("other")
+    with pytest.raises(ForecastError, match="no list of finite numbers"):
+        forecaster.outlook().forecast([40.0, float("nan")])
+    with pytest.raises(ForecastError, match=r"every is 0\.0 s; it must be positive"):
+        ForecastSettings(every=0.0)
+
+
+def test_a_forecast_says_that_it_leaves_what_was_visited(samples: list[Sample]) -> None:
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(entrants(truth=TRUTH))
+    for sample in samples[:150]:
+        forecaster.push(sample)
+    here = samples[149].reference
+    assert not forecaster.outlook().forecast([here] * 100).notes
+    (note,) = forecaster.outlook().forecast([99.0] * 300).notes
+    assert "was visited" in note
+
+
+def test_a_structure_leads_the_family_on_a_rig_that_has_it(samples: list[Sample]) -> None:
+    """The whole twin, from nothing: structures compete with matches, and the one that is there wins."""
+    twin, leaders = Twin(), []
+    for sample in samples:
+        leaders += [v.leader for v in twin.push(sample).verdicts]
+    assert leaders[-1] == RICH
+    assert leaders.count(RICH) > len(leaders) / 2
+    scores = twin.discriminator.forecaster.scores
+    found = next(s for s in scores if s.name == RICH).parameters
+    for name, of in (("conductance", 0.1), ("heat_capacity", 0.25), ("seebeck", 0.25)):
+        assert found[name] == pytest.approx(TRUTH[name], rel=of), name
