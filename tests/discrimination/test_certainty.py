@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -11,27 +10,30 @@ import pytest
 from twinmatch.discrimination import (
     CandidateScore,
     Certainty,
-    SimoModel,
+    Held,
+    PlantGaps,
+    Uncertain,
     family_uncertainty,
-    identify,
     judge_uncertainty,
     loop_margin,
     loop_plant,
-    nu_gap_matrix,
     nu_gap_of,
-    twin_response,
+    plant_gaps,
+    spans_of,
 )
-from twinmatch.dynamics import Parameters, PidGains, begin, simulate_closed_loop
+from twinmatch.dynamics import Parameters, PidGains, gains_of
 from twinmatch.plants import Peltier
-from twinmatch.signals import FloatArray, Window
 
-REFERENCE = np.repeat([30.0, 50.0, 70.0, 55.0], [40, 120, 140, 120])
 MODEL = Peltier.model()
+POINTS = (30.0, 50.0, 70.0, 90.0)
 RIGS = {
     "50 °C": MODEL.parameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),
     "70 °C": MODEL.parameters(seebeck=0.055, conductance=0.55, heat_capacity=28.0),
     "90 °C": MODEL.parameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
 }
+TERMS = Held(gains_of(Peltier, 1.0), spans_of(Peltier))
+COVARIANCE = np.diag([0.002, 0.03, 0.8]) ** 2
+"""Of Seebeck coefficient, conductance and heat capacity, as a good window leaves them."""
 
 
 def scored(name: str, rig: Parameters, operating_point: float | None = None) -> CandidateScore:
@@ -39,38 +41,30 @@ def scored(name: str, rig: Parameters, operating_point: float | None = None) -> 
     return CandidateScore(name, point, rig, 0, 100, (), "22221", 0.1, None, 0.1)
 
 
-@cache
-def models() -> tuple[SimoModel, ...]:
-    run = simulate_closed_loop(RIGS["50 °C"], REFERENCE, states=begin(RIGS["50 °C"], 30.0))
-    window = Window(REFERENCE, run.output, run.input)
-    twins = (
-        twin_response(rig, window, Peltier.loop, Peltier.sensor, k) for k, rig in enumerate(RIGS.values())
-    )
-    return tuple(identify(twin, ["22221"])[0] for twin in twins)
+def twins(factor: float = 1.0) -> list[Uncertain]:
+    return [Uncertain(rig, MODEL.structure.free, factor * COVARIANCE) for rig in RIGS.values()]
 
 
-def gaps(family: tuple[SimoModel, ...]) -> FloatArray:
-    return nu_gap_matrix([m.symbol for m in family])
+def gaps(family: list[Uncertain]) -> PlantGaps:
+    return plant_gaps([t.parameters for t in family], POINTS, TERMS)
 
 
-def judged(nominal: str = "70 °C", factor: float = 1.0, gains: PidGains | None = None) -> Certainty:
-    family = tuple(with_covariance(m, factor) for m in models())
-    candidates = [scored(name, rig) for name, rig in RIGS.items()]
-    return judge_uncertainty(candidates, family, gaps(family), nominal, gains=gains)
-
-
-def with_covariance(model: SimoModel, factor: float) -> SimoModel:
-    parts = [replace(part, covariance=part.covariance * factor) for part in (model.y, model.u)]
-    return SimoModel(model.order, *parts)
+def judged(
+    nominal: str = "70 °C", factor: float = 1.0, gains: PidGains | None = None, family: int = 3
+) -> Certainty:
+    candidates = [scored(name, rig) for name, rig in RIGS.items()][:family]
+    terms = TERMS if gains is None else TERMS._replace(gains=gains)
+    known = twins(factor)[:family]
+    return judge_uncertainty(candidates, known, gaps(known), nominal, terms)
 
 
 def smallest_sum() -> str:
-    return list(RIGS)[int(np.argmin(gaps(models()).sum(axis=0)))]
+    return list(RIGS)[int(np.argmin(gaps(twins()).matrix.sum(axis=0)))]
 
 
 def test_every_field_is_filled_with_what_its_source_says() -> None:
     found = judged()
-    known = family_uncertainty(models(), gaps(models()))
+    known = family_uncertainty(twins(), gaps(twins()), TERMS)
     nominal = loop_plant(RIGS["70 °C"], 70.0)
     for k, (candidate, (name, rig)) in enumerate(zip(found.candidates, RIGS.items(), strict=True)):
         point = float(name.split(maxsplit=1)[0])
@@ -112,7 +106,7 @@ def test_a_choice_against_the_probabilities_is_not_decided() -> None:
 
 
 def test_a_single_candidate_leaves_no_choice() -> None:
-    found = judge_uncertainty([scored("50 °C", RIGS["50 °C"])], models()[:1], gaps(models()[:1]), "50 °C")
+    found = judged("50 °C", family=1)
     assert found.decided
     margin = loop_margin(RIGS["50 °C"], 50.0)
     assert found.certainty == (
@@ -128,16 +122,16 @@ def test_a_controller_that_is_too_hot_holds_nothing() -> None:
 
 
 def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
-    family, matrix = models(), gaps(models())
+    family, matrix = twins(), gaps(twins())
     candidates = [scored(name, rig) for name, rig in RIGS.items()]
     # half the heat capacity, twice the gain: held, but far away
     light = replace(candidates[2], parameters=RIGS["90 °C"].replace(heat_capacity=12.0))
-    found = judge_uncertainty([*candidates[:2], light], family, matrix, "70 °C")
+    found = judge_uncertainty([*candidates[:2], light], family, matrix, "70 °C", TERMS)
     assert found.candidates[2].plant_gap_to_nominal > found.candidates[1].margin > 0
     assert found.candidates[2].margin > 0
     assert "which does not reach 90 °C (0." in found.certainty
     lighter = replace(candidates[2], parameters=RIGS["90 °C"].replace(heat_capacity=0.4))
-    found = judge_uncertainty([*candidates[:2], lighter], family, matrix, "70 °C")
+    found = judge_uncertainty([*candidates[:2], lighter], family, matrix, "70 °C", TERMS)
     assert found.candidates[2].margin == 0.0
     assert found.certainty.endswith(", but not 90 °C")
 
@@ -145,32 +139,41 @@ def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
 def test_a_candidate_out_of_reach_has_no_margin() -> None:
     candidates = [scored(name, rig) for name, rig in RIGS.items()]
     candidates[0] = scored("50 °C", RIGS["50 °C"], operating_point=300.0)
-    found = judge_uncertainty(candidates, models(), gaps(models()), "70 °C")
+    found = judge_uncertainty(candidates, twins(), gaps(twins()), "70 °C", TERMS)
     assert found.candidates[0].margin is None
     assert found.candidates[0].plant_gap_to_nominal is None
     assert found.candidates[1].margin is not None
-    found = judge_uncertainty(candidates, models(), gaps(models()), "50 °C")
+    found = judge_uncertainty(candidates, twins(), gaps(twins()), "50 °C", TERMS)
     assert "the controller has no margin on it, because no input holds it at its set-point" in found.certainty
     assert found.candidates[1].plant_gap_to_nominal is None
 
 
-def test_without_covariances_the_margins_remain() -> None:
-    found = judged(factor=np.nan)
-    assert not found.decided
-    assert found.certainty.startswith("nothing tells how sure the choice is (uncertainty: the model of order")
-    assert all(c.margin for c in found.candidates)
-    assert all(c.nu_gap_low == () for c in found.candidates)
+def test_given_candidates_are_exact() -> None:
+    """They have no covariance, so nothing is left open."""
+    candidates = [scored(name, rig) for name, rig in RIGS.items()]
+    exact = [Uncertain(rig) for rig in RIGS.values()]
+    found = judge_uncertainty(candidates, exact, gaps(exact), smallest_sum(), TERMS)
+    assert found.decided
+    assert all(c.nu_gap_low == c.nu_gap_high for c in found.candidates)
+
+
+def test_points_at_which_a_candidate_has_no_plant_are_told() -> None:
+    hopeless = {**RIGS, "90 °C": RIGS["90 °C"].replace(heat_capacity=1e-9)}
+    family = [Uncertain(rig) for rig in hopeless.values()]
+    candidates = [scored(name, rig) for name, rig in hopeless.items()]
+    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
+    assert "; not compared everywhere: Peltier rig, held sink: its shortest time constant" in found.certainty
 
 
 def test_without_a_nominal_there_is_nothing_to_say() -> None:
-    assert judge_uncertainty([], [], np.zeros((0, 0)), None) == Certainty((), False, "")
+    assert judge_uncertainty([], [], gaps([]), None, TERMS) == Certainty((), False, "")
 
 
 def test_of_two_the_plant_is_asked() -> None:
-    family = tuple(with_covariance(m, 1e-2) for m in models()[:2])
+    family = twins(1e-2)[:2]
     candidates = [scored(name, RIGS[name]) for name in list(RIGS)[:2]]
-    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", plant=family[0])
+    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS, plant=RIGS["50 °C"])
     assert found.decided
-    found = judge_uncertainty(candidates, family, gaps(family), "50 °C")
+    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
     assert not found.decided
     assert found.candidates[0].nominal_probability == pytest.approx(0.5)

@@ -14,7 +14,7 @@ from twinmatch.discrimination.spread import (
     estimates,
     failing_draws,
     fitting_scales,
-    winding_fails,
+    turn,
 )
 
 Responses = np.ndarray
@@ -57,10 +57,27 @@ def test_the_winding_condition_of_stable_models_on_a_grid(seed: int) -> None:
         columns.append((np.polyval(n, z) / np.polyval(d, z))[:, None])
     still = directions(np.array(columns))
     expected = nu_gap_of(*symbols) == 1.0
-    assert winding_fails(still[0], still[1]) == expected
+    assert (abs(turn(still[0], still[1])) > 0.5 * np.pi) == expected
     moved = still[:, None].copy()
     a, _, c = disturbed_pair(still[0], still[1], moved[0], moved[1])
-    assert failing_draws(a, c, moved[0], moved[1], expected).tolist() == [expected]
+    pair = (still[0], still[1]), (moved[0], moved[1])
+    assert failing_draws(a, c, *pair, np.array([expected])).tolist() == [expected]
+
+
+def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
+    """Two lags of gain 2 are near each other at both points; a draw turns one of them round at the second."""
+    z = np.exp(1j * np.linspace(0, np.pi, 400))
+    lag = (0.2 / (z - 0.9))[:, None]
+    near, far = np.concatenate([lag, lag]), np.concatenate([lag, -lag])
+    still, other = directions(np.array([near, 1.1 * near]))
+    moved = directions(np.array([near, near])), directions(np.array([1.1 * near, 1.1 * far]))
+    a, _, c = disturbed_pair(still, other, *moved)
+    assert failing_draws(a, c, (still, other), moved, np.zeros(2, dtype=bool)).tolist() == [False, True]
+    # and where it had failed without the draws, that draw makes it whole
+    across = directions(np.array([1.1 * far]))[0]
+    a, _, c = disturbed_pair(still, across, *moved)
+    failed = np.array([False, True])
+    assert failing_draws(a, c, (still, across), moved, failed).tolist() == [False, True]
 
 
 def test_scales_of_a_known_spread() -> None:

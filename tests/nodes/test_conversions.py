@@ -84,6 +84,8 @@ CANDIDATES = st.builds(
     nu_gap_sum_low=ANY,
     nu_gap_sum_high=ANY,
     nominal_probability=ANY,
+    identified_gap_sum=ANY,
+    identified_gap_to_plant=st.none() | NUMBERS,
 )
 
 
@@ -194,6 +196,8 @@ def verdicts(draw: st.DrawFn) -> Verdict:
         candidates=tuple(candidates),
         order=draw(st.none() | TEXTS.filter(bool)),
         nu_gap=tuple(draw(row) for _ in candidates),
+        nu_gap_points=draw(ROWS),
+        identified_gap=tuple(draw(row) for _ in candidates),
         driven_rms_y=draw(ANY),
         closed_rms_u=draw(ANY),
         match=draw(st.sampled_from(["", ADMITTED, REFUSED])),

@@ -119,7 +119,7 @@ def test_the_criterion_tables_hold_the_verdict_and_the_best_is_bold(page: Elemen
 
 def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: Report) -> None:
     verdict = shipped.judged.judgement.verdicts[-1]
-    table = tables_of(page)[f"ν-gap between the models of order {verdict.order}"]
+    table = tables_of(page)["ν-gap between the plants"]
     rows = grid(table)
     count = len(verdict.candidates)
     shown = np.array([[float(c.text) for c in row[1 : count + 1]] for row in rows])

@@ -46,7 +46,7 @@ def telling(verdict: Verdict) -> Verdict:
             c,
             margin=0.31 + 0.01 * k,
             plant_gap_to_nominal=0.05 * k,
-            nu_gap_sum_low=c.nu_gap_sum - 0.1,
+            nu_gap_sum_low=c.nu_gap_sum / 2,
             nu_gap_sum_high=c.nu_gap_sum + 0.2,
             nominal_probability=0.25,
             orders=tuple(
@@ -75,7 +75,7 @@ def test_what_is_known_of_the_uncertainty_is_shown(shipped: Report) -> None:
     table = gap_table(telling(verdict_of(shipped)))
     row = dict(zip(table.columns, (c.text for c in table.rows[1]), strict=True))
     total = verdict_of(shipped).candidates[1].nu_gap_sum
-    assert row["90 % interval of Σ"] == f"{total - 0.1:.3f} to {total + 0.2:.3f}"
+    assert row["90 % interval of Σ"] == f"{total / 2:.3f} to {total + 0.2:.3f}"
     assert row["P(nominal)"] == "0.25"
     assert row["margin b(P, C)"] == "0.320"
     weights = order_table(telling(verdict_of(shipped)))

@@ -6,9 +6,9 @@ counts for feedback: small where one controller serves both; `stability_margin` 
 for a given controller, and `loop_margin` says it of the running PID.
 
 On these rests the judgement of a `Family` of candidates: `twin_response` runs a candidate's twin on its
-window, `identify` finds Box–Jenkins models of it, `score` holds them against the measured window, and
-`nominal_of` names the candidate nearest to all others. `judge_uncertainty` says how sure all that is. A
-`Verdict` carries it.
+window, `identify` finds Box–Jenkins models of it, and `score` holds them against the measured window.
+`plant_gaps` says how far the candidates' plants are apart, `nominal_of` names the one nearest to all others,
+and `judge_uncertainty` how sure all that is. A `Verdict` carries it.
 """
 
 from twinmatch.discrimination.certainty import Certainty, judge_uncertainty
@@ -22,12 +22,14 @@ from twinmatch.discrimination.criteria import aic, bic, loss, mdl, mdl_as_printe
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.discrimination.family import Candidate, Family
 from twinmatch.discrimination.graph_symbol import GraphSymbol, graph_symbol
+from twinmatch.discrimination.held import Held
 from twinmatch.discrimination.loop import Scales, loop_controller, loop_margin, loop_plant
 from twinmatch.discrimination.margin import stability_margin
 from twinmatch.discrimination.models import SimoModel, identify, twin_response
 from twinmatch.discrimination.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
+from twinmatch.discrimination.plant_gap import PlantGaps, plant_gap, plant_gaps, spans_of
 from twinmatch.discrimination.score import Criteria, OrderScore, choose_order, common_order, score
-from twinmatch.discrimination.uncertainty import FamilyUncertainty, family_uncertainty
+from twinmatch.discrimination.uncertainty import FamilyUncertainty, Uncertain, family_uncertainty
 from twinmatch.discrimination.verdict import (
     ADMITTED,
     REFUSED,
@@ -52,11 +54,14 @@ __all__ = [
     "FamilyUncertainty",
     "ForecastScore",
     "GraphSymbol",
+    "Held",
     "InformationGain",
     "OrderScore",
+    "PlantGaps",
     "Scales",
     "SimoModel",
     "TrustLevel",
+    "Uncertain",
     "Verdict",
     "aic",
     "akaike_weights",
@@ -82,8 +87,11 @@ __all__ = [
     "nu_gap",
     "nu_gap_matrix",
     "nu_gap_of",
+    "plant_gap",
+    "plant_gaps",
     "score",
     "score_orders",
+    "spans_of",
     "stability_margin",
     "twin_response",
     "two_part_length",

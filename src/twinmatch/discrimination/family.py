@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.signals import Window
+from twinmatch.signals import FloatArray, Window
 
 __all__ = ["Candidate", "Family"]
 
@@ -20,6 +22,10 @@ class Candidate:
     parameters: Parameters
     window: Window | None
     """The window it was matched on; None for one that was given, not matched."""
+    free: tuple[str, ...] = ()
+    """Names of the parameters that were fitted."""
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """Of these, in their order and units, shape (n, n); empty for one that was given and counts as exact."""
 
 
 class Family:

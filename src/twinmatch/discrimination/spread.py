@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = ["directions", "disturbed_pair", "estimates", "failing_draws", "fitting_scales"]
+__all__ = ["directions", "disturbed_pair", "estimates", "failing_draws", "fitting_scales", "turn"]
 
 Complex = NDArray[np.complex128]
 
@@ -74,33 +74,53 @@ def disturbed_pair(
 
 
 @compiled
-def winding_fails(direction1: Complex, direction2: Complex) -> bool:
-    """Whether the inner product of two stable models' directions turns around zero over the frequencies."""
-    turn, before = 0.0, 0j
+def turn(direction1: Complex, direction2: Complex) -> float:
+    """By how much the inner product of two models' directions turns over the frequencies, radians."""
+    total, before = 0.0, 0j
     for w in range(direction1.shape[0]):
         inner = 0j
         for m in range(direction1.shape[1]):
             inner += direction1[w, m] * direction2[w, m].conjugate()
         if w > 0:
             ratio = inner * before.conjugate()
-            turn += math.atan2(ratio.imag, ratio.real)
+            total += math.atan2(ratio.imag, ratio.real)
         before = inner
-    return abs(turn) > 0.5 * math.pi
+    return total
 
 
 @compiled
 def failing_draws(
-    a: FloatArray, c: FloatArray, moved1: Complex, moved2: Complex, failed: bool
+    a: FloatArray,
+    c: FloatArray,
+    still: tuple[Complex, Complex],
+    moved: tuple[Complex, Complex],
+    failed: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """In which draws the winding condition fails, shape (draws,), given whether it failed without them.
+    """In which draws the winding condition fails at any operating point, shape (draws,).
 
-    It cannot change while the distance stays below 1 on the way.
+    It cannot change while the distance stays below 1 on the way, and it changes with the turn of the inner
+    product.
+
+    Args:
+        a: of `disturbed_pair`, the frequencies of one operating point after the other.
+        c: likewise.
+        still: directions of the two models, shape (frequencies, 1 + outputs).
+        moved: the same in every draw, shape (draws, frequencies, 1 + outputs).
+        failed: whether the condition fails at each operating point without the draws, shape (points,).
     """
-    fails = np.full(c.shape[0], failed)
+    width = a.size // failed.size
+    fails = np.full(c.shape[0], failed.any())
     top = math.sqrt(a.max())
     for s in range(c.shape[0]):
-        if failed or top + math.sqrt(c[s].max()) >= 1:
-            fails[s] = winding_fails(moved1[s], moved2[s])
+        if not failed.any() and top + math.sqrt(c[s].max()) < 1:
+            continue
+        fails[s] = False
+        for p in range(failed.size):
+            part = slice(p * width, (p + 1) * width)
+            before = turn(still[0][part], still[1][part])
+            changed = abs(turn(moved[0][s, part], moved[1][s, part]) - before) > 0.5 * math.pi
+            if changed != failed[p]:
+                fails[s] = True
     return fails
 
 

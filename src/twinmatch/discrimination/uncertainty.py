@@ -1,32 +1,30 @@
 """How sure the ν-gaps of a family are, and with them its choice.
 
-What is uncertain is what the estimates of the Box–Jenkins models left open: their coefficients come with a
-covariance. Draws of it (fixed seed) disturb every model's frequency response to first order, which stays
-meaningful where a nearly cancelled pole and zero make single coefficients arbitrary. The exact
-ν-gaps stand in the middle; only their spread is computed so.
+What is uncertain is what the matches left open: their parameters come with a covariance. Draws of it (fixed
+seed) move the frequency response of every plant at every operating point to first order, which stays
+meaningful along the valley in which parameters trade off: a straight line through parameters leaves it, its
+tangent does not. The exact ν-gaps stand in the middle; only their spread is computed so. A candidate that was
+given, not matched, has no covariance and is taken as exact.
 
-A ν-gap is a largest distance, and noise makes distances longer: two equal models are estimated some way
-apart, and draws around the estimates are farther apart still. Their percentiles would leave the truth out.
+A ν-gap is a largest distance, and noise makes distances longer: two twins of one plant are matched some way
+apart, and draws around the matches are farther apart still. Their percentiles would leave the truth out.
 So the interval is that of a test (Neyman): it holds the gaps t·δ for which the δ that was found is neither
-among the smallest nor the largest twentieth of what would then be found, models moved apart in proportion.
-On simulated families they hold the truth in 85 to 93 of 100 cases.
+among the smallest nor the largest twentieth of what would then be found, plants moved apart in proportion.
 
-Not in it: what the windows leave open about the rig parameters of the candidates (their matches say that),
-what a model of this order cannot describe, and that the errors of temperature and control models of one
-candidate are correlated.
+Not in it: what no parameters of a structure can describe.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.discrimination.errors import DiscriminationError
-from twinmatch.discrimination.models import SimoModel
-from twinmatch.discrimination.nu_gap import nu_gap_matrix
+from twinmatch.discrimination.held import Held, held_slopes
+from twinmatch.discrimination.plant_gap import PlantGaps, plant_gaps
 from twinmatch.discrimination.spread import (
     directions,
     disturbed_pair,
@@ -34,23 +32,58 @@ from twinmatch.discrimination.spread import (
     failing_draws,
     fitting_scales,
 )
-from twinmatch.identification import BoxJenkins
+from twinmatch.dynamics import Parameters
 from twinmatch.signals import FloatArray
 
-__all__ = ["CONFIDENCE", "FamilyUncertainty", "family_uncertainty"]
+__all__ = ["CONFIDENCE", "FamilyUncertainty", "Uncertain", "family_uncertainty"]
 
 CONFIDENCE = 0.9
 """Of the intervals, both sides together."""
 
 TAIL = (1 - CONFIDENCE) / 2
 
-DRAWS, POINTS = 100, 48
-"""Draws of the coefficients, and frequencies at which the responses are disturbed."""
-
-LOWEST = 1e-3
-"""Lowest frequency but zero, radians per sample: a hundredth of what a window of 600 samples resolves."""
+DRAWS = 100
 
 SEED = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertain:
+    """Parameters, and what their match left open."""
+
+    parameters: Parameters
+    free: tuple[str, ...] = ()
+    """Names of those that were fitted."""
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """Of these, in their units, shape (n, n); empty: they are exact."""
+
+    @property
+    def loose(self) -> tuple[str, ...]:
+        """Names of the parameters that a draw moves."""
+        return self.free if len(self.covariance) else ()
+
+    def root(self) -> FloatArray:
+        """L with L·Lᵀ the covariance, shape (n, n), what nothing tells of as uncertain as its scale.
+
+        Raises:
+            DiscriminationError: the covariance has another shape, or an entry that is no number.
+        """
+        scales = np.array([self.parameters.model.declared[name].scale for name in self.loose])
+        wrong = len(self.covariance) and self.covariance.shape != (scales.size, scales.size)
+        if wrong or np.isnan(self.covariance).any():
+            msg = (
+                f"uncertainty: a covariance of shape {self.covariance.shape} for {len(self.free)} "
+                "parameters; give one row and one column of numbers for each, or none"
+            )
+            raise DiscriminationError(msg)
+        if not scales.size:
+            return np.zeros((0, 0))
+        relative = self.covariance / np.outer(scales, scales)
+        if not np.isfinite(relative).all():  # the match saw no end of some combination
+            return np.diag(scales)
+        values, vectors = np.linalg.eigh((relative + relative.T) / 2)
+        values = np.maximum(values, 0.0)
+        return np.asarray(scales[:, None] * vectors * np.sqrt(values / (1.0 + values)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,37 +101,39 @@ class FamilyUncertainty:
 
 
 def family_uncertainty(
-    models: Sequence[SimoModel],
-    gaps: ArrayLike,
+    twins: Sequence[Uncertain],
+    gaps: PlantGaps,
+    terms: Held,
     *,
-    plant: SimoModel | None = None,
+    plant: Parameters | None = None,
     seed: int = SEED,
 ) -> FamilyUncertainty:
-    """Intervals and probabilities from the covariances of the models' coefficients.
+    """Intervals and probabilities from what the matches left open.
 
     Args:
-        models: one per candidate, of one order.
-        gaps: their ν-gaps, shape (n, n).
-        plant: the model identified on the plant itself; of two candidates, whose sums are always equal,
-            the one nearer to it counts as nominal.
+        twins: the candidates.
+        gaps: between their plants.
+        terms: on which they are held.
+        plant: the plant as it is now; of two candidates, whose sums are always equal, the one nearer to it
+            counts as nominal.
         seed: of the draws; the same seed gives the same bits.
 
     Raises:
-        DiscriminationError: no model, gaps of another shape, or a model without covariance.
+        DiscriminationError: no twin, gaps of another number, or a covariance that does not go with the
+            parameters.
     """
-    matrix = np.asarray(gaps, dtype=np.float64)
-    n = len(models)
-    if not n or matrix.shape != (n, n):
-        msg = f"uncertainty: {n} models and ν-gaps of shape {matrix.shape}; give one model at least, (n, n)"
+    n = len(twins)
+    if not n or gaps.at.shape[1:] != (n, n):
+        msg = f"uncertainty: {n} twins and ν-gaps of shape {gaps.at.shape}; give one at least, (points, n, n)"
         raise DiscriminationError(msg)
-    family = _Family.of(models, matrix, seed)
+    family = _Family.of(twins, gaps, terms, seed)
     low, high = np.zeros((n, n)), np.zeros((n, n))
     for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
         low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
     sums = [family.sum_of(i) for i in range(n)]
     shares = _shares(np.array([s.draws for s in sums]))
     if n == 2:
-        shares = np.full(2, 0.5) if plant is None else _nearer(models, plant, seed)
+        shares = np.full(2, 0.5) if plant is None else _nearer(twins, plant, gaps.points, terms, seed)
     return FamilyUncertainty(
         nu_gap_low=low,
         nu_gap_high=high,
@@ -129,23 +164,18 @@ class _Family:
     fails: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, models: Sequence[SimoModel], gaps: FloatArray, seed: int) -> _Family:
+    def of(cls, twins: Sequence[Uncertain], gaps: PlantGaps, terms: Held, seed: int) -> _Family:
         rng = np.random.default_rng(seed)
-        angles = np.concatenate([[0.0], np.geomspace(LOWEST, np.pi, POINTS - 1)])
-        responses, draws = [], []
-        for model in models:
-            parts = [_response(model.y, 0, angles, rng), _response(model.u, 1, angles, rng)]
-            responses.append(np.stack([r for r, _ in parts], axis=-1))
-            draws.append(np.stack([r + d for r, d in parts], axis=-1))
-        still = directions(np.array(responses))
-        moved = [directions(d) for d in draws]
-        first, second = np.triu_indices(len(models), 1)
-        a, c = np.empty((first.size, POINTS)), np.empty((first.size, DRAWS, POINTS))
+        still, moved = zip(*(_directions(twin, gaps.points, terms, rng) for twin in twins), strict=True)
+        first, second = np.triu_indices(len(twins), 1)
+        width = still[0].shape[0]
+        a, c = np.empty((first.size, width)), np.empty((first.size, DRAWS, width))
         b, fails = np.empty_like(c), np.zeros((first.size, DRAWS), dtype=np.bool_)
         for p, (i, j) in enumerate(zip(first, second, strict=True)):
             a[p], b[p], c[p] = disturbed_pair(still[i], still[j], moved[i], moved[j])
-            fails[p] = failing_draws(a[p], c[p], moved[i], moved[j], float(gaps[i, j]) == 1)
-        return cls(first, second, gaps[first, second], a, b, c, fails)
+            pair = (still[i], still[j]), (moved[i], moved[j])
+            fails[p] = failing_draws(a[p], c[p], *pair, gaps.at[:, i, j] == 1)
+        return cls(first, second, gaps.matrix[first, second], a, b, c, fails)
 
     def interval(self, pair: int) -> tuple[float, float]:
         """Of one ν-gap."""
@@ -197,42 +227,31 @@ def _shares(draws: FloatArray) -> FloatArray:
     return np.asarray(found / draws.shape[1], dtype=np.float64)
 
 
-def _nearer(models: Sequence[SimoModel], plant: SimoModel, seed: int) -> FloatArray:
+def _nearer(
+    twins: Sequence[Uncertain], plant: Parameters, points: Sequence[float], terms: Held, seed: int
+) -> FloatArray:
     """How often each of two candidates is the nearer to the plant, shape (2,)."""
-    everyone = [*models, plant]
-    family = _Family.of(everyone, nu_gap_matrix([m.symbol for m in everyone]), seed)
+    everyone = [*twins, Uncertain(plant)]
+    family = _Family.of(everyone, plant_gaps([t.parameters for t in everyone], points, terms), terms, seed)
     to_plant = np.flatnonzero(family.second == 2)
     return _shares(np.array([family.distance(int(p)) for p in to_plant]))
 
 
-def _response(
-    model: BoxJenkins, lead: int, angles: FloatArray, rng: np.random.Generator
+def _directions(
+    twin: Uncertain, points: Sequence[float], terms: Held, rng: np.random.Generator
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """B/F on the unit circle without its first `lead` delays, and how the draws disturb it.
+    """Directions of a twin's plant, the frequencies of one operating point after the other, and as the draws
+    move them; shapes (frequencies, 2) and (draws, frequencies, 2).
 
-    Shapes (frequencies,) and (draws, frequencies).
+    Without a point it has no plant that could move.
     """
-    order = model.order
-    delays = np.exp(-1j * np.outer(angles, np.arange(max(model.B.size, model.F.size))))
-    denominator = delays[:, : model.F.size] @ model.F
-    ahead = np.exp(1j * lead * angles)
-    response = ahead * (delays[:, : model.B.size] @ model.B) / denominator
-    slopes = np.hstack(
-        [
-            (ahead / denominator)[:, None] * delays[:, order.nk : model.B.size],
-            -(response / denominator)[:, None] * delays[:, 1 : model.F.size],
-        ]
-    )
-    used = np.r_[0 : order.nb, order.coefficients - order.nf : order.coefficients]
-    covariance = model.covariance[np.ix_(used, used)]
-    if not np.isfinite(covariance).all():
-        msg = f"uncertainty: the model of order {order} has no covariance; give models that were estimated"
-        raise DiscriminationError(msg)
-    return response, rng.standard_normal((DRAWS, used.size)) @ _root(covariance).T @ slopes.T
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """L with L Lᵀ the covariance, shape (n, n); what rounding made negative counts as zero."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+    root = twin.root()
+    draws = rng.standard_normal((DRAWS, len(root))) @ root.T
+    if not points:
+        nothing = np.zeros((1, DRAWS + 1, 1, 1), dtype=np.complex128)
+        return directions(nothing[:, 0])[0], directions(nothing[0, 1:])
+    known = [held_slopes(twin.parameters, twin.loose, point, terms) for point in points]
+    response = np.concatenate([response for response, _ in known])[None, :, None]
+    moves = draws @ np.hstack([slopes for _, slopes in known])
+    moved = np.asarray(response + moves[..., None], dtype=np.complex128)
+    return directions(response)[0], directions(moved)

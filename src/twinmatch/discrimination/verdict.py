@@ -46,11 +46,12 @@ class CandidateScore:
     """Every order, scored on the measured window the candidate was matched on."""
     chosen_order: str
     nu_gap_sum: float
-    """Column sum of the family's ν-gap matrix."""
+    """Column sum of `Verdict.nu_gap`."""
     newest: Criteria | None
     """The family's order scored on the newest window that excited the loop, both outputs together."""
     nu_gap_to_plant: float | None
-    """ν-gap to the model of the same order identified on that newest measured window."""
+    """Largest ν-gap, over the family's operating points, between this plant and the plant as the newest
+    samples show it."""
     margin: float | None = None
     """Stability margin b(P, C) of the running controller on this candidate's plant, 0 to 1."""
     plant_gap_to_nominal: float | None = None
@@ -63,7 +64,11 @@ class CandidateScore:
     """Lower end of the 90 % interval of `nu_gap_sum`; NaN where not computed, as for the two below."""
     nu_gap_sum_high: float = math.nan
     nominal_probability: float = math.nan
-    """Probability, given what the models' covariances leave open, of having the smallest ν-gap sum."""
+    """Probability, given what the matches leave open, of having the smallest ν-gap sum."""
+    identified_gap_sum: float = math.nan
+    """Column sum of `Verdict.identified_gap`; NaN where not computed."""
+    identified_gap_to_plant: float | None = None
+    """ν-gap from its model of the family's order to that identified on the newest measured window."""
 
 
 @dataclass(frozen=True)
@@ -105,13 +110,17 @@ class Verdict:
     """Decimal places of the tables in the information gain."""
     candidates: tuple[CandidateScore, ...]
     order: str | None
-    """The order most candidates chose; the ν-gap compares their models of this order."""
+    """The order most candidates chose; `identified_gap` compares their models of this order."""
     nu_gap: tuple[tuple[float, ...], ...]
-    """ν-gap between the candidates, in the order of `candidates`."""
+    """Largest ν-gap between the candidates' plants over `nu_gap_points`, in the order of `candidates`."""
     driven_rms_y: float
     """RMS over the newest samples of measured minus driven-twin output; NaN without a nominal."""
     closed_rms_u: float
     """RMS over the same samples of measured minus closed-loop-twin input; NaN without a nominal."""
+    nu_gap_points: tuple[float, ...] = ()
+    """Operating points at which the candidates' plants are compared, in the output's unit."""
+    identified_gap: tuple[tuple[float, ...], ...] = ()
+    """ν-gap between the models identified on the candidates' twins, as in the paper; in the same order."""
     match: str = ""
     """What became of the window's match: `ADMITTED`, `REFUSED`, or nothing where none was to be made."""
     dismissed: tuple[str, ...] = ()

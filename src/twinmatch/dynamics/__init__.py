@@ -17,7 +17,7 @@ from twinmatch.dynamics.equations import Equations
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.experiment import Experiment, Known, Tangents
 from twinmatch.dynamics.functions import limited, magnitude, maximum, minimum
-from twinmatch.dynamics.linear import Linear, Rest, linearised, rest_at
+from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
 from twinmatch.dynamics.model import Model
 from twinmatch.dynamics.noise import noise_scores
 from twinmatch.dynamics.observer import Observer, Wander
@@ -75,6 +75,7 @@ __all__ = [
     "gains_of",
     "limited",
     "linearised",
+    "linearised_at",
     "magnitude",
     "maximum",
     "minimum",

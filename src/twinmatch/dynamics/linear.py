@@ -11,7 +11,7 @@ from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.signals import FloatArray
 
-__all__ = ["Linear", "Rest", "linearised", "rest_at"]
+__all__ = ["Linear", "Rest", "linearised", "linearised_at", "rest_at"]
 
 MOST_STEPS = 60
 STEADY = 1e-9
@@ -39,6 +39,7 @@ class Linear(NamedTuple):
     period: float
     """s"""
     rest: Rest
+    """Where it rests, or, of `linearised_at`, passes through."""
 
 
 def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | None = None) -> Rest:
@@ -87,14 +88,28 @@ def linearised(
     Raises:
         PlantError: as `rest_at`, or the plant is too fast for the period.
     """
+    rest = rest_at(parameters, output, disturbances)
+    return linearised_at(parameters, rest.states, rest.input, period, disturbances)
+
+
+def linearised_at(
+    parameters: Parameters,
+    states: FloatArray,
+    input: float,
+    period: float,
+    disturbances: ArrayLike | None = None,
+) -> Linear:
+    """The plant sampled with a period (s), around states, shape (n,), and an input that it passes through.
+
+    Raises:
+        PlantError: the plant is too fast for the period.
+    """
     model = parameters.model
-    row, rest = model.disturbance_row(disturbances), rest_at(parameters, output, disturbances)
-    steps = parameters.steps(period)
-    n = rest.states.size
+    row, steps, n = model.disturbance_row(disturbances), parameters.steps(period), states.size
     slopes, nowhere = np.zeros((n, n + 1)), np.zeros((2, 0), dtype=np.int64)
     model.kernels.predict(
-        parameters.vector, rest.states.copy(), np.zeros((n, n)), np.zeros(n), rest.input, row, float(period),
+        parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), float(input), row, float(period),
         steps, nowhere, slopes,
     )  # fmt: skip
-    _, _, _, _, hx, _ = model.kernels.slopes_at(parameters.vector, rest.states, rest.input, row)
-    return Linear(slopes[:, :n].copy(), slopes[:, n:].copy(), hx[None, :], period, rest)
+    _, _, _, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, float(input), row)
+    return Linear(slopes[:, :n].copy(), slopes[:, n:].copy(), hx[None, :], period, Rest(states, input))

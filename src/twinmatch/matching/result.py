@@ -88,6 +88,12 @@ class Match:
         """Of the fitted parameters, shape (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    def of_parameters(self) -> tuple[tuple[str, ...], FloatArray]:
+        """Names of the fitted parameters without the states that were fitted too, and their covariance."""
+        names = tuple(name for name in self.free if name in self.parameters)
+        places = [self.free.index(name) for name in names]
+        return names, self.covariance[np.ix_(places, places)]
+
     @property
     def correlation(self) -> FloatArray:
         """Of the fitted parameters, shape (n, n)."""

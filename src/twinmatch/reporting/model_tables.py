@@ -13,7 +13,10 @@ from twinmatch.views.criteria import OUTPUTS, Criterion, computed, criterion_row
 from twinmatch.views.family import Member
 from twinmatch.views.quantities import number
 
-__all__ = ["coefficient_table", "criterion_tables", "gap_table", "order_table"]
+__all__ = ["coefficient_table", "criterion_tables", "gap_table", "identified_table", "order_table"]
+
+_Extra = tuple[str, Callable[[CandidateScore], str]]
+"""Name of a column, and its text for a candidate."""
 
 
 def criterion_tables(verdict: Verdict) -> list[Table]:
@@ -67,33 +70,48 @@ def order_table(verdict: Verdict) -> Table | None:
 
 def gap_table(verdict: Verdict) -> Table:
     """The ν-gaps, their sums, and what else is known of every candidate's distance."""
-    candidates = verdict.candidates
-    least = min(c.nu_gap_sum for c in candidates)
-    extra = _gap_extras(candidates)
+    sums = [c.nu_gap_sum for c in verdict.candidates]
+    return _distances(
+        "ν-gap between the plants", verdict, verdict.nu_gap, sums, _gap_extras(verdict.candidates)
+    )
+
+
+def identified_table(verdict: Verdict) -> Table:
+    """The ν-gaps between the models identified on the twins, as in the paper."""
+    sums = [c.identified_gap_sum for c in verdict.candidates]
+    extra: list[_Extra] = [("to the newest window's model", lambda c: number(c.identified_gap_to_plant, 3))]
+    title = f"ν-gap between the models of order {verdict.order}"
+    return _distances(title, verdict, verdict.identified_gap, sums, extra)
+
+
+def _distances(
+    title: str,
+    verdict: Verdict,
+    matrix: Sequence[Sequence[float]],
+    sums: Sequence[float],
+    extra: Sequence[_Extra],
+) -> Table:
+    """A matrix of distances with its column sums and more columns behind."""
     rows = []
-    for k, c in enumerate(candidates):
-        gaps = (Cell(number(v, 3)) for v in verdict.nu_gap[k])
-        rows.append(
-            (
-                head(c.name),
-                *gaps,
-                Cell(number(c.nu_gap_sum, 3), best=c.nu_gap_sum == least),
-                *(Cell(text(c)) for _, text in extra),
-            )
-        )
-    columns = ("candidate", *(c.name for c in candidates), "Σ", *(name for name, _ in extra))
-    marked = frozenset(k for k, c in enumerate(candidates) if c.name == verdict.nominal)
-    return Table(f"ν-gap between the models of order {verdict.order}", columns, tuple(rows), marked)
+    for c, gaps, total in zip(verdict.candidates, matrix, sums, strict=True):
+        told = (Cell(text(c)) for _, text in extra)
+        total_cell = Cell(number(total, 3), best=total == min(sums))
+        rows.append((head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *told))
+    names = [c.name for c in verdict.candidates]
+    columns = ("candidate", *names, "Σ", *(name for name, _ in extra))
+    return Table(
+        title, columns, tuple(rows), frozenset(k for k, n in enumerate(names) if n == verdict.nominal)
+    )
 
 
-def _gap_extras(candidates: Sequence[CandidateScore]) -> list[tuple[str, Callable[[CandidateScore], str]]]:
+def _gap_extras(candidates: Sequence[CandidateScore]) -> list[_Extra]:
     """Columns that are there only when at least one candidate has a figure for them."""
-    known: list[tuple[str, Callable[[CandidateScore], str]]] = [
+    known: list[_Extra] = [
         ("90 % interval of Σ", lambda c: _span(c.nu_gap_sum_low, c.nu_gap_sum_high)),
         ("P(nominal)", lambda c: number(c.nominal_probability, 2)),
         ("to the plant now", lambda c: number(c.nu_gap_to_plant, 3)),
         ("margin b(P, C)", lambda c: number(c.margin, 3)),
-        ("ν-gap of its plant to the nominal one", lambda c: number(c.plant_gap_to_nominal, 3)),
+        ("to the nominal, scaled as the margin", lambda c: number(c.plant_gap_to_nominal, 3)),
     ]
     return [(name, text) for name, text in known if any(text(c) != number(None) for c in candidates)]
 

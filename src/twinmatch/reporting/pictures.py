@@ -109,8 +109,8 @@ def pictures(judgement: Judgement, members: Sequence[Member]) -> dict[str, Pictu
             ),
             _picture(
                 "nu_gap",
-                "ν-gap in the family",
-                f"Heat map of the ν-gaps between the candidates. Sums: {sums}. Nominal: {last.nominal}.",
+                "ν-gap between the plants of the family",
+                f"Heat map of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}.",
                 draw_matrix(last),
             ),
         ]

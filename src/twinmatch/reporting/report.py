@@ -16,7 +16,13 @@ from twinmatch.reporting.match_tables import (
     nominal_table,
     structure_table,
 )
-from twinmatch.reporting.model_tables import coefficient_table, criterion_tables, gap_table, order_table
+from twinmatch.reporting.model_tables import (
+    coefficient_table,
+    criterion_tables,
+    gap_table,
+    identified_table,
+    order_table,
+)
 from twinmatch.reporting.page import render
 from twinmatch.reporting.pictures import Picture, pictures
 from twinmatch.reporting.provenance import Provenance, provenance
@@ -95,6 +101,7 @@ class Report:
             "weights": order_table(last) if last else None,
             "structure": structure_table(last) if last else None,
             "gaps": gap_table(last) if last else None,
+            "identified": identified_table(last) if last else None,
             "coefficients": coefficient_table(nominal) if nominal else None,
             "other_coefficients": [coefficient_table(m) for m in self.members if not m.nominal],
             "limits": judgement.settings.limits,

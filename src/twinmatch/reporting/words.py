@@ -126,7 +126,7 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
         )
     return (
         f"The family has {count} candidates. Of these the one matched at {nominal.name} is nominal: its "
-        f"ν-gaps to the others (0: behaves the same in a loop, 1: does not) have the smallest sum, "
+        f"plant's ν-gaps to the others (0: behaves the same in a loop, 1: does not) have the smallest sum, "
         f"{nominal.nu_gap_sum:.3f}. Its behaviour is written best by a Box–Jenkins model of order "
         f"{nominal.chosen_order}."
     )

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twinmatch.discrimination import ADMITTED, REFUSED, Candidate, SimoModel, TrustLevel, Verdict
+from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import Alarm, Fault, Health, Monitor, State
 from twinmatch.matching import Status
@@ -18,6 +19,7 @@ from twinmatch.twin.contenders import Contenders
 from twinmatch.twin.forecaster import Entrant, Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest
 from twinmatch.twin.members import Judged, Members, plant_model
+from twinmatch.twin.present import Present
 from twinmatch.twin.promises import Promise, Promises
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
@@ -50,6 +52,8 @@ class _Looked(NamedTuple):
 
     window: Window
     plant: SimoModel
+    now: Parameters | None
+    """The plant as the newest samples show it."""
 
 
 class Discriminator:
@@ -86,6 +90,7 @@ class Discriminator:
         """Of all candidates, at the newest sample of which everything is said."""
         self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
         self._successors: dict[str, str] = {}
+        self._present = Present(watched(self.settings.plant), self.settings.noise, self.settings.gains)
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
         self._request: MatchRequest | None = None
@@ -197,7 +202,7 @@ class Discriminator:
         if not gone or self._standing is None or self._looked is None:
             return gone
         if not len(self._members):
-            nobody = Judged((), None, None, (), decided=False, certainty="")
+            nobody = Judged((), None, None, (), (), (), decided=False, certainty="")
             self._standing = replace(self._standing, **nobody._asdict())
             return gone
         order = self._members.order
@@ -266,9 +271,10 @@ class Discriminator:
         if not len(self._members):
             return self._stand(sample, window, fate.reason)
         try:
-            self._looked = _Looked(window, plant_model(window, self._members.order))
+            plant = plant_model(window, self._members.order)
         except TwinmatchError as error:
             return self._stand(sample, window, f"nothing could be identified: {error}")
+        self._looked = _Looked(window, plant, self._present.look(self._structure.history))
         fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
         self._standing = self._scored(fresh, self._looked)
         doubtful = report is not None and report.match.status is Status.NOT_EXPLAINED
@@ -284,7 +290,7 @@ class Discriminator:
         self._contenders.push(window, excited=excited)
 
     def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
-        return replace(verdict, **self._members.judge(looked.window, looked.plant)._asdict())
+        return replace(verdict, **self._members.judge(*looked)._asdict())
 
     def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
         """The verdict before, marked as standing; only health, residuals and level are new."""
@@ -353,7 +359,8 @@ class Discriminator:
         if match.status is not Status.ACCEPTED:
             return _Fate(REFUSED, f"match refused: {match.reason}")
         name = f"{report.operating_point:g} {self.settings.plant.output.unit}"
-        candidate = Candidate(name, report.operating_point, match.parameters, window)
+        free, covariance = match.of_parameters()
+        candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)
         with one_thread():
             return self._take_in(candidate, window)
 

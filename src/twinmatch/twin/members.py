@@ -9,8 +9,10 @@ from twinmatch.discrimination import (
     Candidate,
     CandidateScore,
     Family,
+    Held,
     OrderScore,
     SimoModel,
+    Uncertain,
     choose_order,
     common_order,
     identify,
@@ -18,12 +20,16 @@ from twinmatch.discrimination import (
     nominal_of,
     nu_gap_matrix,
     nu_gap_of,
+    plant_gap,
+    plant_gaps,
     score,
     score_orders,
+    spans_of,
     twin_response,
 )
+from twinmatch.dynamics import Parameters
 from twinmatch.identification import ORDERS
-from twinmatch.signals import Window
+from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.settings import TwinSettings
 
 __all__ = ["Judged", "Members", "plant_model"]
@@ -47,6 +53,8 @@ class Judged(NamedTuple):
     nominal: str | None
     order: str | None
     nu_gap: tuple[tuple[float, ...], ...]
+    nu_gap_points: tuple[float, ...]
+    identified_gap: tuple[tuple[float, ...], ...]
     decided: bool
     certainty: str
 
@@ -59,6 +67,8 @@ class Members:
         self._settings = settings
         self._family = Family(settings.most_candidates, settings.regime_width)
         self._members: dict[str, _Member] = {}
+        self._reached: tuple[float, float] | None = None
+        self._held = Held(settings.gains, spans_of(settings.plant), settings.schedule.span)
 
     def __len__(self) -> int:
         return len(self._members)
@@ -119,11 +129,20 @@ class Members:
             del self._members[name]
         return gone
 
-    def judge(self, newest: Window, plant: SimoModel) -> Judged:
-        """Score everyone against a measured window and the plant's model identified on it, and choose."""
+    def judge(self, newest: Window, plant: SimoModel, now: Parameters | None) -> Judged:
+        """Score everyone against a measured window, and choose.
+
+        Args:
+            newest: the window.
+            plant: the model identified on it.
+            now: the plant as the newest samples show it, if they do.
+        """
         family = [self._members[c.name] for c in self._family.candidates]
         models = [j.models[plant.order] for j in family]
-        matrix = nu_gap_matrix([m.symbol for m in models])
+        identified = nu_gap_matrix([m.symbol for m in models])
+        twins = [Uncertain(c.parameters, c.free, c.covariance) for c in self._family.candidates]
+        points, terms = self._points(newest), self._held
+        gaps = plant_gaps([t.parameters for t in twins], points, terms)
         decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
         scores = tuple(
             CandidateScore(
@@ -134,24 +153,37 @@ class Members:
                 last=member.window.last if member.candidate.window else member.window.first - 1,
                 orders=member.orders,
                 chosen_order=member.chosen,
-                nu_gap_sum=float(total),
+                nu_gap_sum=float(gaps.matrix[k].sum()),
                 newest=score(model, newest, decimals, absolute=absolute).total,
-                nu_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
+                nu_gap_to_plant=None if now is None else plant_gap(twins[k].parameters, now, points, terms),
+                identified_gap_sum=float(identified[k].sum()),
+                identified_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
             )
-            for member, model, total in zip(family, models, matrix.sum(axis=0), strict=True)
+            for k, (member, model) in enumerate(zip(family, models, strict=True))
         )
         nominal = nominal_of(scores)
-        known = judge_uncertainty(
-            scores,
-            models,
-            matrix,
-            nominal,
-            plant=plant,
-            gains=self._settings.gains,
-            seed=self._settings.seed,
+        known = judge_uncertainty(scores, twins, gaps, nominal, terms, plant=now, seed=self._settings.seed)
+        return Judged(
+            candidates=known.candidates,
+            nominal=nominal,
+            order=plant.order,
+            nu_gap=_rows(gaps.matrix),
+            nu_gap_points=gaps.points,
+            identified_gap=_rows(identified),
+            decided=known.decided,
+            certainty=known.certainty,
         )
-        rows = tuple(tuple(float(v) for v in row) for row in matrix)
-        return Judged(known.candidates, nominal, plant.order, rows, known.decided, known.certainty)
+
+    def _points(self, newest: Window) -> tuple[float, ...]:
+        """Where plants are compared: at the family's operating points, and at the lowest and the highest
+        set-point of all windows that were judged."""
+        seen = [float(newest.reference.min()), float(newest.reference.max()), *(self._reached or ())]
+        self._reached = min(seen), max(seen)
+        return tuple(sorted({*self._reached, *(c.operating_point for c in self._family.candidates)}))
+
+
+def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def plant_model(window: Window, order: str) -> SimoModel:
