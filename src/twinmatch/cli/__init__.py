@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from twinmatch import __version__
-from twinmatch.cli import backtesting, importing, preparing, repairing, replaying, verifying
+from twinmatch.cli import backtesting, forecasting, importing, preparing, repairing, replaying, verifying
 from twinmatch.dashboard import command as dashboard
 from twinmatch.emulation import virtual_rig_program as virtual_rig
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
@@ -37,6 +37,7 @@ class _Command(Protocol):
 _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("import", importing, "turn a rig recording (.mat or .csv) into an MCAP session"),
     ("replay", replaying, "judge recorded sessions offline, as fast as it goes"),
+    ("forecast", forecasting, "say what comes after chosen samples of a session, with a band"),
     ("verify", verifying, "judge a recorded session again and compare the verdicts, bit for bit"),
     (
         "backtest",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from twinmatch.views.figures.discrimination import draw_criteria, draw_matrix
 from twinmatch.views.figures.drawing import png, save, svg
+from twinmatch.views.figures.forecasts import draw_forecasts
 from twinmatch.views.figures.health import draw_health
 from twinmatch.views.figures.parameters import draw_parameters
 from twinmatch.views.figures.responses import draw_responses, draw_uncertainty
@@ -16,6 +17,7 @@ from twinmatch.views.figures.verdict import draw_verdict
 
 __all__ = [
     "draw_criteria",
+    "draw_forecasts",
     "draw_health",
     "draw_matrix",
     "draw_parameters",

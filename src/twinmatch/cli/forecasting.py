@@ -1,0 +1,89 @@
+"""`twinmatch forecast`: what comes after chosen samples of a session."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Final
+
+from twinmatch.cli.files import add_terms, check_writable
+from twinmatch.errors import TwinmatchError
+
+__all__ = ["HORIZON", "RECORDED", "add_arguments", "run"]
+
+HORIZON: Final = 300.0
+"""s"""
+LONGEST: Final = 86_400.0
+"""A longer forecast is a slip of the pen, s: bands are learned up to five minutes ahead."""
+RECORDED: Final = "recorded"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.description = (
+        "The session goes through the twin once. At each of the samples the leader, the candidate whose "
+        "forecasts have cost least so far, says what comes next, knowing nothing later than that sample but "
+        "the set-points ahead. Without --reference and --hold the set-point of that sample is held."
+    )
+    parser.add_argument(
+        "session", type=Path, metavar="SESSION", help="session folder, .mcap file, or recording (.mat, .csv)"
+    )
+    parser.add_argument(
+        "--at",
+        type=_sample,
+        nargs="+",
+        action="extend",
+        required=True,
+        metavar="SAMPLE",
+        help="indices of the samples after which it is foretold what comes",
+    )
+    parser.add_argument(
+        "--reference",
+        metavar="FILE|recorded",
+        help="set-points ahead: a .csv of seconds ahead and set-point, or those the session went on to have",
+    )
+    parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point that is held ahead")
+    parser.add_argument("--candidate", metavar="NAME", help="whom to ask (default: the leader)")
+    parser.add_argument(
+        "--horizon", type=float, default=HORIZON, metavar="S", help="how far ahead, s (default: 300)"
+    )
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the forecasts to this file")
+    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw them (.png, .svg or .pdf)")
+    add_terms(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Foretell and show; returns the exit code.
+
+    Raises:
+        TwinmatchError: an option, the session or a file cannot be used.
+    """
+    _check(options)
+    check_writable(options.json, options.figure)
+    from twinmatch.cli.foretold import foretold, show  # noqa: PLC0415 — keeps --help fast
+
+    show(foretold(options), options)
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.reference is not None and options.hold is not None:
+        msg = "forecast: --reference and --hold both say which set-points lie ahead; give one of them"
+        raise TwinmatchError(msg)
+    if not (math.isfinite(options.horizon) and 0 < options.horizon <= LONGEST):
+        msg = (
+            f"forecast: the horizon is {options.horizon:g} s; give a positive number of seconds, at most "
+            f"{LONGEST:g}"
+        )
+        raise TwinmatchError(msg)
+    if options.candidate is not None and not options.candidate.strip():
+        raise TwinmatchError("forecast: --candidate names nobody; give a name, or leave it to the leader")
+
+
+def _sample(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        msg = f"{text!r} is no index of a sample; give whole numbers, and the session before --at"
+        raise argparse.ArgumentTypeError(msg) from None

@@ -1,0 +1,120 @@
+"""The work of `twinmatch forecast`: judge as far as needed, ask, and show the answers."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from twinmatch.cli.forecasting import RECORDED
+from twinmatch.cli.set_points import Asked, asked_of, planned_rows
+from twinmatch.errors import TwinmatchError
+from twinmatch.judging.interrupt import held_interrupts
+from twinmatch.judging.outlooks import Prospect, prospects, samples_at
+from twinmatch.judging.progress import Progress
+from twinmatch.judging.terms import terms_from_files
+from twinmatch.sessions import Session, open_any
+from twinmatch.twin import TwinSettings
+from twinmatch.views.fan import Fan, fan
+from twinmatch.views.forecast import came_words, forecast_document, forecast_words
+
+__all__ = ["Foretold", "foretold", "show"]
+
+
+@dataclass(frozen=True, eq=False)
+class Foretold:
+    """The forecasts that were asked for, in that order."""
+
+    settings: TwinSettings
+    fans: tuple[Fan, ...]
+    prospects: tuple[Prospect, ...]
+    """Who was asked."""
+    words: tuple[str, ...]
+    """Of the set-points ahead."""
+
+
+def foretold(options: argparse.Namespace) -> Foretold:
+    """Ask what the options want to know.
+
+    Raises:
+        TwinmatchError: the session, a file or an option cannot be used.
+    """
+    rows = None
+    if options.reference not in {None, RECORDED}:
+        rows = planned_rows(Path(options.reference))
+    with held_interrupts():
+        session = open_any(options.session)
+        terms = terms_from_files(session, options.config, options.candidates)
+        settings = terms.settings
+        size = _size(options.horizon, settings.period)
+        samples = samples_at(session, options.at)
+        asked = {
+            k: asked_of(session, sample, size, settings=settings, options=options, rows=rows)
+            for k, sample in samples.items()
+        }
+        with Progress() as progress:
+            known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
+        fans = {k: _fan(session, known[k], asked[k], settings.period) for k in samples}
+    return Foretold(
+        settings,
+        tuple(fans[k] for k in options.at),
+        tuple(known[k] for k in options.at),
+        tuple(asked[k].words for k in options.at),
+    )
+
+
+def show(found: Foretold, options: argparse.Namespace) -> None:
+    """Print the answers, and write the files that the options name.
+
+    Raises:
+        TwinmatchError: a file cannot be written.
+    """
+    for one, prospect, set_points in zip(found.fans, found.prospects, found.words, strict=True):
+        _print(one, prospect, set_points, found.settings)
+    print(
+        "The leader is the twin to ask what comes next: its forecasts have saved the most characters so far."
+    )
+    if options.json is not None:
+        entries = [forecast_document(one.forecast) for one in found.fans]
+        text = json.dumps(entries, indent=1, allow_nan=False, ensure_ascii=False)
+        try:
+            options.json.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise TwinmatchError(f"{options.json}: cannot be written: {error.strerror}") from error
+    if options.figure is not None:
+        from twinmatch.views.figures import draw_forecasts, save  # noqa: PLC0415 — matplotlib is slow
+
+        save(draw_forecasts(found.fans, found.settings.plant), options.figure)
+
+
+def _size(horizon: float, period: float) -> int:
+    """Samples within the horizon."""
+    size = int(horizon / period * (1 + 1e-9))
+    if size < 1:
+        msg = f"forecast: the horizon of {horizon:g} s is shorter than one sample, which is {period:g} s"
+        raise TwinmatchError(msg)
+    return size
+
+
+def _fan(session: Session, prospect: Prospect, asked: Asked, period: float) -> Fan:
+    forecast = prospect.outlook.forecast(asked.ahead)
+    learned = prospect.outlook.leads[-1] * period
+    beyond: tuple[str, ...] = ()
+    if forecast.time[-1] > learned:
+        beyond = (f"how wide a band has to be is learned up to {learned:g} s ahead, and not beyond",)
+    told = replace(forecast, notes=forecast.notes + beyond + asked.notes)
+    return fan(told, session.samples, period)
+
+
+def _print(one: Fan, prospect: Prospect, set_points: str, settings: TwinSettings) -> None:
+    forecast = one.forecast
+    seconds = f"{forecast.sample * settings.period:g} s"
+    print(f"At {seconds} (sample {forecast.sample}), {set_points}:")
+    confidence = f"confidence {prospect.leader_confidence:.2f}"
+    who = f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
+    print(f"  {forecast.candidate} foretells {forecast.time[-1]:g} s; {who}")
+    for line in forecast_words(forecast, settings.plant) + came_words(one, settings.plant):
+        print(f"  {line}")
+    for note in forecast.notes:
+        print(f"  Note: {note.rstrip('.')}.")

@@ -1,0 +1,73 @@
+"""A forecast among the samples: what was known when it was made, and what came."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twinmatch.forecasting import Band, Forecast
+from twinmatch.signals import FloatArray, Sample, Window, unbroken
+
+__all__ = ["Fan", "fan"]
+
+_BEFORE = 0.4
+"""How much of what was known is kept, as a share of the forecast."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """One forecast with the samples around it."""
+
+    forecast: Forecast
+    past: Window
+    """The newest samples that were known; the last is the one it was made at."""
+    came: Window | None
+    """What came under the set-points of the forecast, as long as they were those; None if they never were."""
+
+    @property
+    def judged(self) -> int:
+        """How many of the forecast's samples came."""
+        return 0 if self.came is None else len(self.came)
+
+    @property
+    def error(self) -> FloatArray:
+        """What came minus the mean that was foretold, of the output, shape (judged,)."""
+        mean = self.forecast.output.mean[: self.judged]
+        return np.asarray((self.came.output if self.came is not None else mean) - mean)
+
+    @property
+    def held(self) -> tuple[FloatArray, FloatArray]:
+        """Whether the bands held output and input, 1 or 0 for each sample that came, shape (judged,)."""
+        if self.came is None:
+            return np.empty(0), np.empty(0)
+        return _inside(self.forecast.output, self.came.output), _inside(self.forecast.input, self.came.input)
+
+
+def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
+    """A forecast with those samples of its session that belong to it.
+
+    What came is held against it up to the first sample that is missing, or whose set-point is another than
+    the forecast was made for.
+
+    Args:
+        forecast: made at one of the samples.
+        samples: the session's, in order.
+        period: s.
+    """
+    size, now = forecast.time.size, forecast.sample
+    before = max(round(_BEFORE * size), 1)
+    near = [s for s in samples if now - before <= s.index <= now + size]
+    stretch = next(part for part in unbroken(near) if part[0].index <= now <= part[-1].index)
+    window = Window.from_samples(stretch, period)
+    ahead = window.reference[now + 1 - window.first :]
+    other = np.flatnonzero(ahead != forecast.reference[: ahead.size])
+    count = int(other[0]) if other.size else ahead.size
+    came = window.part(now + 1, now + count) if count else None
+    return Fan(forecast, window.part(window.first, now), came)
+
+
+def _inside(band: Band, came: FloatArray) -> FloatArray:
+    size = came.size
+    return np.asarray((band.low[:size] <= came) & (came <= band.high[:size]), dtype=np.float64)

@@ -1,0 +1,101 @@
+"""Forecasts: the band ahead of what was known, and what came."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinmatch.dynamics import Plant
+from twinmatch.forecasting import CONFIDENCE
+from twinmatch.views.fan import Fan
+from twinmatch.views.figures.drawing import empty, new_figure, styled
+from twinmatch.views.style import CLOSED, PLANT, SET_POINT
+from twinmatch.views.words import with_unit, words_of
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_forecasts"]
+
+_COLUMNS = 3
+"""Panels beside one another, at most."""
+_BAND = f"band to hold {100 * CONFIDENCE:.0f} %"
+
+
+@styled
+def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
+    """Every forecast in a panel of its own: output, what is left of it, and input, around its sample."""
+    columns = min(max(len(fans), 1), _COLUMNS)
+    rows = max(-(-len(fans) // columns), 1)
+    figure = new_figure(10 if columns > 1 else 7.5, 4.2 * rows + 0.4)
+    if not fans:
+        empty(figure.add_subplot(), "no forecast was made")
+        return figure
+    grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
+    for k, fan in enumerate(fans):
+        inner = grids[k // columns, k % columns].subgridspec(3, 1, height_ratios=(3, 1.6, 2))
+        output = figure.add_subplot(inner[0])
+        left, control = (figure.add_subplot(inner[row], sharex=output) for row in (1, 2))
+        _draw(output, control, fan)
+        _draw_left(left, fan)
+        if k % columns == 0:
+            _name(output, left, control, plant)
+        if k + columns >= len(fans):
+            control.set_xlabel("seconds after that sample")
+        for axes in (output, left):
+            axes.tick_params(labelbottom=False)
+    _explain(figure)
+    return figure
+
+
+def _name(output: Axes, left: Axes, control: Axes, plant: type[Plant]) -> None:
+    words = words_of(plant)
+    output.set_ylabel(words.output_label)
+    left.set_ylabel(with_unit("came −\nforecast", words.output_unit))
+    control.set_ylabel(words.input_label)
+
+
+def _explain(figure: Figure) -> None:
+    """One legend for all panels, each word in it once."""
+    known: dict[str, Artist] = {}
+    for axes in figure.axes:
+        for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            known.setdefault(str(label), line)
+    figure.legend(list(known.values()), list(known), loc="outside upper right", ncols=len(known))
+
+
+def _draw(output: Axes, control: Axes, fan: Fan) -> None:
+    forecast, past, came = fan.forecast, fan.past, fan.came
+    known = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
+    set_points = np.concatenate([past.reference, forecast.reference])
+    around = np.concatenate([known, forecast.time])
+    output.plot(
+        around, set_points, color=SET_POINT, lw=0.9, ls="--", drawstyle="steps-post", label="set-point"
+    )
+    for axes, band, before, after in (
+        (output, forecast.output, past.output, None if came is None else came.output),
+        (control, forecast.input, past.input, None if came is None else came.input),
+    ):
+        axes.fill_between(forecast.time, band.low, band.high, color=CLOSED, alpha=0.25, lw=0, label=_BAND)
+        axes.plot(known, before, color=PLANT, lw=1.1, label="known then")
+        if after is not None:
+            axes.plot(
+                forecast.time[: after.size], after, color=PLANT, lw=1.1, ls=(0, (1, 1)), label="what came"
+            )
+        axes.plot(forecast.time, band.mean, color=CLOSED, lw=1.1, label="forecast")
+        axes.axvline(0, color=SET_POINT, lw=0.8)
+        axes.margins(x=0.01)
+    output.set_title(f"sample {forecast.sample}:\n{forecast.candidate}")
+
+
+def _draw_left(axes: Axes, fan: Fan) -> None:
+    """The output's band about the forecast, and what came in it."""
+    band, time = fan.forecast.output, fan.forecast.time
+    axes.fill_between(time, band.low - band.mean, band.high - band.mean, color=CLOSED, alpha=0.25, lw=0)
+    axes.plot(time[: fan.judged], fan.error, color=PLANT, lw=0.9)
+    axes.axhline(0, color=CLOSED, lw=1.0)
+    axes.axvline(0, color=SET_POINT, lw=0.8)

@@ -1,0 +1,158 @@
+"""A forecast in plain words, and as a dictionary for JSON."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from twinmatch.dynamics import Plant
+from twinmatch.forecasting import HORIZONS, Band, Forecast, Moment, largest_input, time_held, time_to_reach
+from twinmatch.views.fan import Fan
+from twinmatch.views.quantities import number
+from twinmatch.views.words import words_of
+
+__all__ = ["came_words", "forecast_document", "forecast_words"]
+
+_THERE: Final = 10.0
+"""How near to a level counts as there, in units of the output's noise: 1 °C on the rig."""
+_MOST_LEVELS: Final = 4
+"""Of more set-points one after another only the last is told of."""
+
+
+def forecast_document(forecast: Forecast) -> dict[str, Any]:
+    """A forecast with its bands, sample by sample; every value is a string, number, list or dictionary."""
+    return {
+        "sample": forecast.sample,
+        "candidate": forecast.candidate,
+        "structure": forecast.structure,
+        "confidence": forecast.confidence,
+        "t": forecast.time.tolist(),
+        "y": _band(forecast.output),
+        "u": _band(forecast.input),
+        "reference": forecast.reference.tolist(),
+        "notes": list(forecast.notes),
+    }
+
+
+def forecast_words(forecast: Forecast, plant: type[Plant]) -> list[str]:
+    """What it says, one thought a line: where the output ends, when it is there, how hard the drive works."""
+    parts = _asked(forecast)
+    if len(parts) > _MOST_LEVELS:
+        parts = parts[-1:]
+    arrivals = [_arrival(part, plant, only=len(parts) == 1) for part in parts]
+    return [_end(forecast, plant), *arrivals, _work(forecast, plant), _widths(forecast, plant)]
+
+
+def came_words(fan: Fan, plant: type[Plant]) -> list[str]:
+    """What of it came true, in a line; nothing where there is nothing to hold against it."""
+    if not fan.judged:
+        return []
+    words, error = words_of(plant), float(np.sqrt(np.mean(np.square(fan.error))))
+    y, u = (float(np.mean(held)) for held in fan.held)
+    off = _with(number(error, _decimals(plant.output.noise) + 1), words.output_unit)
+    same = "" if fan.judged == fan.forecast.time.size else ", under the same set-points"
+    return [
+        f"what came in the next {fan.judged * fan.past.period:g} s{same}: off by {off} RMS; the band held "
+        f"{100 * y:.0f} % of the {words.output} and {100 * u:.0f} % of the {words.input}"
+    ]
+
+
+def _band(band: Band) -> dict[str, list[float]]:
+    return {"mean": band.mean.tolist(), "low": band.low.tolist(), "high": band.high.tolist()}
+
+
+def _end(forecast: Forecast, plant: type[Plant]) -> str:
+    words, band = words_of(plant), forecast.output
+    decimals = _decimals(plant.output.noise)
+    low, mean, high = (number(float(v[-1]), decimals) for v in (band.low, band.mean, band.high))
+    return (
+        f"{words.output} after {forecast.time[-1]:g} s: "
+        f"{_with(mean, words.output_unit)}, within {_with(f'{low} to {high}', words.output_unit)} in "
+        f"{100 * forecast.confidence:.0f} % of such cases"
+    )
+
+
+def _asked(forecast: Forecast) -> list[Forecast]:
+    """The forecast in parts over which one set-point is asked for."""
+    steps = np.flatnonzero(np.diff(forecast.reference)) + 1
+    ends = [*steps.tolist(), forecast.time.size]
+    return [_part(forecast, first, end) for first, end in zip([0, *ends], ends, strict=False)]
+
+
+def _part(forecast: Forecast, first: int, end: int) -> Forecast:
+    of = slice(first, end)
+    output, entry = (Band(b.mean[of], b.low[of], b.high[of]) for b in (forecast.output, forecast.input))
+    return replace(
+        forecast, time=forecast.time[of], reference=forecast.reference[of], output=output, input=entry
+    )
+
+
+def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
+    """When the output is where one set-point wants it."""
+    words, level = words_of(plant), float(part.reference[0])
+    near = _THERE * plant.output.noise
+    goal = f"within {_with(f'{near:g}', words.output_unit)} of {_with(f'{level:g}', words.output_unit)}"
+    if not only:
+        goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
+    reached, held = time_to_reach(part, level, near), time_held(part, level, near)
+    if reached.expected is None:
+        return f"{goal}: not in that time{_at_best(reached)}"
+    if reached.expected == held.expected == part.time[0]:
+        return f"{goal}: all the time{_surely(held)}"
+    comes = f"{goal}: first after {reached.expected:g} s{_range(reached)}"
+    if held.expected is None:
+        return f"{comes}, but not to the end"
+    if held.expected == reached.expected:
+        return f"{comes}, and from then on"
+    return f"{comes}, for good from {held.expected:g} s on{_range(held)}"
+
+
+def _work(forecast: Forecast, plant: type[Plant]) -> str:
+    words, peak = words_of(plant), largest_input(forecast)
+    decimals = _decimals(plant.drive.noise)
+    least, most = number(peak.least, decimals), number(peak.most, decimals)
+    size = _with(number(peak.expected, decimals), words.input_unit)
+    return f"largest {words.input}: {size} after {peak.time:g} s ({least} to {most})"
+
+
+def _widths(forecast: Forecast, plant: type[Plant]) -> str:
+    words, told = words_of(plant), []
+    for horizon in HORIZONS:
+        if horizon > forecast.time[-1] + 1e-9 * horizon or horizon < forecast.time[0]:
+            continue
+        k = int((forecast.time <= horizon * (1 + 1e-9)).sum()) - 1
+        y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
+        wide = _with(number(y, _decimals(plant.output.noise)), words.output_unit)
+        also = _with(number(u, _decimals(plant.drive.noise)), words.input_unit)
+        told.append(f"{wide} and {also} at {horizon:g} s")
+    if not told:
+        y = float(forecast.output.high[-1] - forecast.output.low[-1])
+        told.append(f"{_with(number(y, _decimals(plant.output.noise)), words.output_unit)} at the end")
+    return f"width of the band: {'; '.join(told)}"
+
+
+def _at_best(moment: Moment) -> str:
+    return (
+        "" if moment.earliest is None else f"; at the edge of the band it would after {moment.earliest:g} s"
+    )
+
+
+def _surely(moment: Moment) -> str:
+    return "" if moment.latest == moment.expected else ", though the band reaches beyond"
+
+
+def _range(moment: Moment) -> str:
+    """The earliest and latest time in brackets."""
+    first = "0" if moment.earliest is None else f"{moment.earliest:g}"
+    return f" ({first} to {moment.latest:g})" if moment.latest is not None else f" ({first} or later)"
+
+
+def _decimals(noise: float) -> int:
+    """As many as a reading with this noise has."""
+    return next(k for k in range(9) if noise >= 10.0**-k or k == 8)
+
+
+def _with(text: str, unit: str) -> str:
+    return f"{text} {unit}".rstrip()
