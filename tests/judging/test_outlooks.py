@@ -165,4 +165,4 @@ def test_a_fault_is_in_the_notes(tmp_path: Path) -> None:
     session = stored(drive_lost(at=640), tmp_path / "fault")
     found = prospects(session, Terms(TwinSettings()), [630, 700])
     assert not [n for n in found[630].outlook.notes if "drive-lost" in n]
-    assert [n for n in found[700].outlook.notes if "has shown drive-lost since sample 6" in n]
+    assert [n for n in found[700].outlook.notes if "shows drive-lost since sample 6" in n]

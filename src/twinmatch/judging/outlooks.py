@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from twinmatch.forecasting import ForecastError, Outlook
@@ -11,7 +12,8 @@ from twinmatch.judging.judgement import EVERY, Watch
 from twinmatch.judging.terms import Terms
 from twinmatch.sessions import Session
 from twinmatch.signals import Sample
-from twinmatch.twin import Discriminator, Twin
+from twinmatch.twin import Twin
+from twinmatch.twin.forecaster import Forecaster
 
 __all__ = ["Prospect", "prospects", "samples_at"]
 
@@ -62,7 +64,7 @@ def prospects(
             if sample.index in wanted:
                 if not twin.discriminator.forecaster.names:
                     raise _nobody(session.name, twin, samples[done:])
-                found[sample.index] = _prospect(twin.discriminator, sample.index, candidate)
+                found[sample.index] = _prospect(twin.discriminator.forecaster, sample.index, candidate)
             if watch is not None and done % EVERY == 0:
                 watch(done, ends)
             check_interrupt()
@@ -89,33 +91,26 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
     return found
 
 
-def _prospect(discriminator: Discriminator, sample: int, candidate: str | None) -> Prospect:
-    forecaster = discriminator.forecaster
+def _prospect(forecaster: Forecaster, sample: int, candidate: str | None) -> Prospect:
     leader = forecaster.leader
     assert leader is not None  # noqa: S101 — there are candidates
     name = leader if candidate is None else candidate
     if name not in forecaster.names:
         names = "; ".join(forecaster.names)
         raise ForecastError(f"sample {sample}: no candidate is called {name!r}; there are: {names}")
-    return Prospect(forecaster.outlook(name, _notes(discriminator, name)), leader, forecaster.confidence)
+    return Prospect(_outlook(forecaster, name), leader, forecaster.confidence)
 
 
-def _notes(discriminator: Discriminator, candidate: str) -> tuple[str, ...]:
-    """What no band can promise at this sample."""
-    notes = []
-    alarm = discriminator.monitor.alarms[-1] if discriminator.monitor.alarms else None
-    if alarm is not None and alarm.last is None:
-        notes.append(
-            f"the plant has shown {alarm.fault.value} since sample {alarm.first}, and a twin foretells one "
-            "without a fault"
-        )
-    scores = {score.name: score for score in discriminator.forecaster.scores}
-    if not scores[candidate].forecasts:
-        notes.append(
-            "no forecast of this candidate could be held against what came yet, so that the band is its own "
-            "reckoning"
-        )
-    return tuple(notes)
+def _outlook(forecaster: Forecaster, candidate: str) -> Outlook:
+    """What it knows, with a word where no forecast of it could be judged yet."""
+    outlook = forecaster.outlook(candidate)
+    if any(score.forecasts for score in forecaster.scores if score.name == candidate):
+        return outlook
+    note = (
+        "no forecast of this candidate could be held against what came yet, so that the band is its own "
+        "reckoning"
+    )
+    return replace(outlook, notes=(*outlook.notes, note))
 
 
 def _nobody(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:
