@@ -71,7 +71,7 @@ $(STAMPS)/dependencies: pyproject.toml setup.py setup.cfg package.xml $(wildcard
 	@$(PIP) --editable '.[ros,test]'
 	@touch $@
 
-$(STAMPS)/messages: $(wildcard $(MESSAGES)/msg/*.msg) $(addprefix $(MESSAGES)/,setup.py pyproject.toml package.xml) $(STAMPS)/dependencies
+$(STAMPS)/messages: $(wildcard $(MESSAGES)/msg/*.msg $(MESSAGES)/srv/*.srv) $(addprefix $(MESSAGES)/,setup.py pyproject.toml package.xml) $(STAMPS)/dependencies
 	@echo "setup: building the ROS messages (half a minute)"
 	@$(RUN) .ci/check_machine.py
 	@$(PIP) --no-build-isolation --no-deps --force-reinstall ./$(MESSAGES)

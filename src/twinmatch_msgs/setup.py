@@ -1,4 +1,4 @@
-"""Builds the messages with pip, without CMake: the rosidl generators are Python and come as wheels.
+"""Builds messages and services with pip, without CMake: the rosidl generators are Python and come as wheels.
 
 What they generate lies in `build/generated` and is compiled into one extension: the C type support of
 Fast DDS, the only middleware there are wheels for, and the introspection it asks for beside. On a system
@@ -20,43 +20,49 @@ from setuptools.command.build_ext import build_ext
 NAME = "twinmatch_msgs"
 HERE = Path(__file__).resolve().parent
 MESSAGES = sorted((HERE / "msg").glob("*.msg"))
+SERVICES = sorted((HERE / "srv").glob("*.srv"))
 GENERATED = HERE / "build" / "generated" / NAME
-USED_PACKAGES = ("std_msgs", "builtin_interfaces")
+USED_PACKAGES = ("std_msgs", "service_msgs", "builtin_interfaces")
 
 DISPATCH_HEAD = """\
 #include <cstring>
 #include "rosidl_runtime_c/message_type_support_struct.h"
+#include "rosidl_runtime_c/service_type_support_struct.h"
 #include "rosidl_typesupport_interface/macros.h"
 """
+INCLUDE = """
+#include "{package}/{folder}/detail/{file}__type_support.h"
+#include "{package}/{folder}/detail/{file}__rosidl_typesupport_fastrtps_c.h"
+#include "{package}/{folder}/detail/{file}__rosidl_typesupport_introspection_c.h"
+"""
 DISPATCH = """
-#include "{package}/msg/detail/{file}__type_support.h"
-#include "{package}/msg/detail/{file}__rosidl_typesupport_fastrtps_c.h"
-#include "{package}/msg/detail/{file}__rosidl_typesupport_introspection_c.h"
-
-static const rosidl_message_type_support_t * {file}_by_name(
-  const rosidl_message_type_support_t * handle, const char * name)
+static const rosidl_{kind}_type_support_t * {name}_by_name(
+  const rosidl_{kind}_type_support_t * handle, const char * name)
 {{
-  const auto * introspection = ROSIDL_TYPESUPPORT_INTERFACE__MESSAGE_SYMBOL_NAME(
-    rosidl_typesupport_introspection_c, {package}, msg, {message})();
+  const auto * introspection = ROSIDL_TYPESUPPORT_INTERFACE__{KIND}_SYMBOL_NAME(
+    rosidl_typesupport_introspection_c, {package}, {folder}, {name})();
   if (std::strcmp(name, introspection->typesupport_identifier) == 0) {{
     return introspection;
   }}
-  return get_message_typesupport_handle_function(handle, name);
+  return get_{kind}_typesupport_handle_function(handle, name);
 }}
 
-extern "C" const rosidl_message_type_support_t *
-ROSIDL_TYPESUPPORT_INTERFACE__MESSAGE_SYMBOL_NAME(rosidl_typesupport_c, {package}, msg, {message})()
+extern "C" const rosidl_{kind}_type_support_t *
+ROSIDL_TYPESUPPORT_INTERFACE__{KIND}_SYMBOL_NAME(rosidl_typesupport_c, {package}, {folder}, {name})()
 {{
-  static const rosidl_message_type_support_t handle = [] {{
-    auto copy = *ROSIDL_TYPESUPPORT_INTERFACE__MESSAGE_SYMBOL_NAME(
-      rosidl_typesupport_fastrtps_c, {package}, msg, {message})();
-    copy.func = {file}_by_name;
+  static const rosidl_{kind}_type_support_t handle = [] {{
+    auto copy = *ROSIDL_TYPESUPPORT_INTERFACE__{KIND}_SYMBOL_NAME(
+      rosidl_typesupport_fastrtps_c, {package}, {folder}, {name})();
+    copy.func = {name}_by_name;{parts}
     return copy;
   }}();
   return &handle;
 }}
 """
 """The generator's own choice between two type supports loads a library of its own for each of them."""
+PART = """
+    copy.{part}_typesupport = ROSIDL_TYPESUPPORT_INTERFACE__MESSAGE_SYMBOL_NAME(
+      rosidl_typesupport_c, {package}, {folder}, {name})();"""
 
 
 def check_compiler() -> None:
@@ -79,7 +85,7 @@ def ros_prefix() -> Path:
 
 
 def generate(prefix: Path) -> None:
-    """Turn msg/*.msg into C sources and Python modules below `GENERATED`."""
+    """Turn msg/*.msg and srv/*.srv into C sources and Python modules below `GENERATED`."""
     os.environ["AMENT_PREFIX_PATH"] = str(prefix)
     from rosidl_cli.command.translate.api import translate
     from rosidl_generator_c.cli import GenerateC
@@ -93,7 +99,7 @@ def generate(prefix: Path) -> None:
         str(path)
         for path in translate(
             package_name=NAME,
-            interface_files=[f"{HERE}:msg/{path.name}" for path in MESSAGES],
+            interface_files=[f"{HERE}:{path.parent.name}/{path.name}" for path in MESSAGES + SERVICES],
             include_paths=share,
             output_format="idl",
             output_path=GENERATED,
@@ -103,18 +109,28 @@ def generate(prefix: Path) -> None:
         package_name=NAME, interface_files=idl, include_paths=share, output_path=GENERATED
     )
     GenerateC("c").generate(NAME, idl, share, GENERATED, type_description_files=hashes)
+    for path in GENERATED.glob("*/detail/*__type_support.c"):  # the introspection has files of this name too
+        path.rename(path.with_name(path.name.replace("__type_support", "__events")))
     GenerateFastRTPSCTypesupport("fastrtps").generate(NAME, idl, share, GENERATED)
     GenerateIntrospectionCTypesupport("introspection").generate(NAME, idl, share, GENERATED)
-    (GENERATED / "dispatch.cpp").write_text(DISPATCH_HEAD + "".join(map(dispatch, MESSAGES)))
+    (GENERATED / "dispatch.cpp").write_text(DISPATCH_HEAD + "".join(map(dispatch, MESSAGES + SERVICES)))
     implementations = {"typesupport_implementations": ["rosidl_typesupport_c"]}
     GeneratePython("python", **implementations).generate(NAME, idl, share, GENERATED)
     (GENERATED / "__init__.py").touch()
 
 
-def dispatch(message: Path) -> str:
-    """C++ that finds either type support of a message without leaving the extension."""
-    file = re.sub("(?<=[a-z0-9])(?=[A-Z])", "_", message.stem).lower()
-    return DISPATCH.format(package=NAME, file=file, message=message.stem)
+def dispatch(source: Path) -> str:
+    """C++ that finds either type support of a message or service without leaving the extension."""
+    file = re.sub("(?<=[a-z0-9])(?=[A-Z])", "_", source.stem).lower()
+    place = {"package": NAME, "folder": source.parent.name}
+    parts = {part: f"{source.stem}_{part.title()}" for part in ("request", "response", "event")}
+    message = {"kind": "message", "KIND": "MESSAGE", "parts": ""}
+    code = INCLUDE.format(file=file, **place)
+    if source in MESSAGES:
+        return code + DISPATCH.format(name=source.stem, **message, **place)
+    code += "".join(DISPATCH.format(name=name, **message, **place) for name in parts.values())
+    joined = "".join(PART.format(part=part, name=name, **place) for part, name in parts.items())
+    return code + DISPATCH.format(kind="service", KIND="SERVICE", name=source.stem, parts=joined, **place)
 
 
 def fill(extension: Extension, prefix: Path) -> None:
@@ -163,14 +179,16 @@ class BuildExtension(build_ext):
         super().run()
 
 
-(GENERATED / "msg").mkdir(parents=True, exist_ok=True)
+for folder in ("msg", "srv"):
+    (GENERATED / folder).mkdir(parents=True, exist_ok=True)
 setup(
-    packages=[NAME, f"{NAME}.msg"],
+    packages=[NAME, f"{NAME}.msg", f"{NAME}.srv"],
     package_dir={NAME: os.path.relpath(GENERATED, HERE)},
     ext_modules=[Extension(f"{NAME}.{NAME}_s__rosidl_typesupport_c", sources=[], language="c++")],
     data_files=[
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/msg", [f"msg/{path.name}" for path in MESSAGES]),
+        (f"share/{NAME}/srv", [f"srv/{path.name}" for path in SERVICES]),
     ],
     cmdclass={"build": Build, "build_ext": BuildExtension},
 )

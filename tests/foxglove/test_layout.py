@@ -66,6 +66,8 @@ def test_what_is_plotted_is_a_number_with_a_stamp_and_a_colour_of_its_own() -> N
             assert field_type(path["value"].split(".")[0] + ".header") == "std_msgs/Header"
             assert path["enabled"]
             assert path["timestampMethod"] == "headerStamp"
+        if panel["xAxisVal"] == "currentCustom":  # the newest message over one of its own lists
+            assert NUMBER.fullmatch(field_type(panel["xAxisPath"]["value"])), panel
         assert len({path["color"] for path in panel["paths"]}) == len(panel["paths"])
 
 
@@ -78,6 +80,8 @@ def test_the_plots_show_plant_twin_set_point_control_and_residuals() -> None:
         "/twin/state.closed_output[0]",
         "/twin/state.driven_residual_y[0]",
         "/twin/state.closed_residual_u[0]",
+        "/twin/forecast.output_low[:]",
+        "/twin/forecast.input[:]",
     } <= shown
 
 

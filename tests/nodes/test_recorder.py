@@ -261,7 +261,8 @@ def test_a_recorded_run_of_the_twin_verifies(
     start("twin")
     listener.spin_until(
         lambda: all(
-            listener.node.count_subscribers(t) for t in ("twin/match", "twin/model_score", "twin/nominal")
+            listener.node.count_subscribers(t)
+            for t in ("twin/match", "twin/model_score", "twin/nominal", "twin/forecast")
         ),
         "the twin and the recorder",
     )
@@ -274,6 +275,9 @@ def test_a_recorded_run_of_the_twin_verifies(
     assert found.identical, found.difference
     assert (found.samples, found.matches) == (920, 3)
     assert found.verdicts >= 14
+    counts = read_session(tmp_path / "run").counts
+    assert counts["/twin/forecast"] > 460
+    assert counts["/twin/leader"] >= 1
 
 
 def test_files_are_split(record: Record, rig: Rig, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
 from twinmatch_msgs.msg import (
     Candidate,
+    ForecastScore,
     LoopSample,
     Match,
     MatchRequest,
@@ -112,19 +113,19 @@ def test_a_matcher_that_dies_costs_time_and_nothing_else(
     assert [repr(verdict_from(m)) for m in heard] == [repr(v) for v in verdicts]
 
 
-def test_late_simulator_is_given_the_nominal(
+def test_late_simulator_is_given_the_leader(
     start: Callable[..., Process], listener: Listener, steps: list[Sample]
 ) -> None:
     """And its state is that of a mirror with those parameters."""
     parameters = Peltier.model().parameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
-    candidate = Candidate(name="60 °C", parameters=parameters_message(parameters))
-    listener.node.create_publisher(Candidate, "twin/nominal", LATCHED).publish(candidate)
+    leader = ForecastScore(name="60 °C", parameters=parameters_message(parameters))
+    listener.node.create_publisher(ForecastScore, "twin/leader", LATCHED).publish(leader)
     samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     states = listener.hear(TwinState, "twin/state", EVERYTHING)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     start("twin_simulator")
     listener.spin_until(
-        lambda: any(value.value == "60 °C" for m in health for value in m.status[0].values), "the nominal"
+        lambda: any(value.value == "60 °C" for m in health for value in m.status[0].values), "the leader"
     )
     for sample in steps[:50]:
         samples.publish(sample_message(sample))

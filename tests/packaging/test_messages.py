@@ -7,18 +7,21 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 PROJECT = Path(__file__).resolve().parents[2]
-SOURCES = sorted((PROJECT / "src" / "twinmatch_msgs" / "msg").glob("*.msg"))
+PACKAGE = PROJECT / "src" / "twinmatch_msgs"
+SOURCES = sorted((PACKAGE / "msg").glob("*.msg"))
+SERVICES = sorted((PACKAGE / "srv").glob("*.srv"))
 
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("source", SOURCES + SERVICES, ids=lambda path: path.stem)
 def test_installed_message_is_up_to_date(source: Path) -> None:
-    installed = Path(sys.prefix) / "share" / "twinmatch_msgs" / "msg" / source.name
+    installed = Path(sys.prefix) / "share" / "twinmatch_msgs" / source.parent.name / source.name
     if not installed.exists():
         pytest.skip("twinmatch_msgs comes from elsewhere than this environment")
     assert installed.read_text() == source.read_text(), "run make setup"
@@ -26,9 +29,19 @@ def test_installed_message_is_up_to_date(source: Path) -> None:
 
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
 def test_message_round_trip(source: Path) -> None:
+    _there_and_back(getattr(importlib.import_module("twinmatch_msgs.msg"), source.stem))
+
+
+@pytest.mark.parametrize("source", SERVICES, ids=lambda path: path.stem)
+def test_service_round_trip(source: Path) -> None:
+    kind = getattr(importlib.import_module("twinmatch_msgs.srv"), source.stem)
+    _there_and_back(kind.Request)
+    _there_and_back(kind.Response)
+
+
+def _there_and_back(kind: Any) -> None:
     from rclpy.serialization import deserialize_message, serialize_message
 
-    kind = getattr(importlib.import_module("twinmatch_msgs.msg"), source.stem)
     message = kind()
     for field, name in kind.get_fields_and_field_types().items():
         if name == "double":
@@ -59,5 +72,5 @@ rclpy.shutdown()
 
 def test_no_single_precision() -> None:
     """A float32 would round, and live and replayed verdicts would differ."""
-    for source in SOURCES:
+    for source in SOURCES + SERVICES:
         assert not re.search(r"^float32", source.read_text(), re.MULTILINE), source.name

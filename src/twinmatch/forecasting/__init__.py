@@ -2,8 +2,9 @@
 
 `Follower` carries a twin's states beside the plant, an `Outlook` is a twin at one sample and gives a
 `Forecast` for any set-points ahead. `SetPoints` says which those are; `time_to_reach`, `time_held` and
-`largest_input` read from a forecast what people ask of it. `Calibration` learns from what came how wide bands
-have to be, and the `Ledger` what every candidate's forecasts have cost.
+`largest_input` read from a forecast what people ask of it, and `what_if` answers a whole `Question`.
+`Calibration` learns from what came how wide bands have to be, and the `Ledger` what every candidate's
+forecasts have cost.
 """
 
 from twinmatch.forecasting.answers import Moment, Peak, largest_input, time_held, time_to_reach
@@ -14,11 +15,13 @@ from twinmatch.forecasting.forecast import CONFIDENCE, HORIZONS, Band, Forecast
 from twinmatch.forecasting.ledger import PERSISTENCE, Ledger
 from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.profile import SetPoints
+from twinmatch.forecasting.what_if import Answer, Question, what_if
 
 __all__ = [
     "CONFIDENCE",
     "HORIZONS",
     "PERSISTENCE",
+    "Answer",
     "Band",
     "Calibration",
     "Follower",
@@ -28,9 +31,11 @@ __all__ = [
     "Moment",
     "Outlook",
     "Peak",
+    "Question",
     "SetPoints",
     "largest_input",
     "leads_of",
     "time_held",
     "time_to_reach",
+    "what_if",
 ]

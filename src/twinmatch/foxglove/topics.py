@@ -18,6 +18,8 @@ TOPICS = {
     "twin/match": "twinmatch_msgs/msg/Match",
     "twin/model_score": "twinmatch_msgs/msg/ModelScore",
     "twin/nominal": "twinmatch_msgs/msg/Candidate",
+    "twin/leader": "twinmatch_msgs/msg/ForecastScore",
+    "twin/forecast": "twinmatch_msgs/msg/Forecast",
     "twin/state": "twinmatch_msgs/msg/TwinState",
 }
 """By name relative to the rig's namespace.

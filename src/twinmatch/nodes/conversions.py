@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from twinmatch.discrimination import Verdict
+from twinmatch.discrimination import ForecastScore, Verdict
 from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.nodes.sample_messages import stamp_header
@@ -26,6 +26,7 @@ from twinmatch_msgs import msg as messages
 
 __all__ = [
     "candidate_message",
+    "leader_message",
     "match_from",
     "match_message",
     "parameters_from",
@@ -49,18 +50,18 @@ STATE_FIGURES = (
 )
 
 
-def state_message(state: MirrorState, nominal: str, states: Iterable[str]) -> messages.TwinState:
+def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> messages.TwinState:
     """Where the twins are, as `TwinState`.
 
     Args:
         state: the twins at one tick.
-        nominal: names the candidate whose parameters they have.
+        leader: names the candidate whose parameters they have.
         states: names of all states of the plant, in the order of its description.
     """
     order = list(states)
     message = messages.TwinState(
         index=state.sample.index,
-        nominal=nominal,
+        leader=leader,
         reference=[state.sample.reference],
         closed_states=[state.closed_states.get(name, math.nan) for name in order],
         driven_states=[state.driven_states.get(name, math.nan) for name in order],
@@ -93,6 +94,11 @@ def verdict_from(message: messages.ModelScore) -> Verdict:
 def candidate_message(candidate: CandidateScore) -> messages.Candidate:
     """A candidate of a verdict as `Candidate`."""
     return fill(messages.Candidate(), tree_of(candidate), _part)
+
+
+def leader_message(score: ForecastScore) -> messages.ForecastScore:
+    """Who foretells best, as `ForecastScore`."""
+    return fill(messages.ForecastScore(), tree_of(score), _part)
 
 
 def _filled(message: Any, record: Any, stamp: int) -> Any:

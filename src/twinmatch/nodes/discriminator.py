@@ -1,4 +1,8 @@
-"""Judges the family of matches: samples and matches in, `twin/model_score` and `twin/nominal` out."""
+"""Judges the family of matches: samples and matches in, verdicts out, and at every sample what comes next.
+
+Its topics are `twin/model_score`, `twin/nominal`, `twin/leader`, `twin/forecast` and `twin/match_request`;
+`twin/what_if` answers questions.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from twinmatch.discrimination import Verdict
 from twinmatch.nodes.conversions import candidate_message, match_from, score_message
 from twinmatch.nodes.diagnostics import Level
+from twinmatch.nodes.foreteller import Foreteller
 from twinmatch.nodes.request_messages import request_message
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE, SampleNode
@@ -50,7 +55,8 @@ class DiscriminatorNode(SampleNode):
         """
         path = self.values["candidates"]
         given = read_candidates(Path(path)) if path else []
-        self._discriminator = Discriminator(self.settings, given)
+        self._discriminator = Discriminator(self.settings, given, self._followed)
+        self._foreteller = Foreteller(self)
         self._stamps: dict[int, int] = {}
         self._nominal: Candidate | None = None
         self._asking: MatchRequest | None = None
@@ -72,6 +78,7 @@ class DiscriminatorNode(SampleNode):
             if len(self._stamps) > MOST_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             step = self._discriminator.push_sample(item)
+        self._foreteller.look(self._discriminator)
         for verdict in step.verdicts:
             self._publish(verdict)
         if step.request is not None:
@@ -81,6 +88,9 @@ class DiscriminatorNode(SampleNode):
             self.health.set("waits for a match of", "nothing")
             self.health.withdraw("match")
         self.health.set(SETTLED, self._discriminator.settled)
+
+    def _followed(self, _: Sample) -> None:
+        self._foreteller.publish(self._discriminator)
 
     def _ask(self, request: MatchRequest) -> None:
         self._asked_at = time.monotonic()

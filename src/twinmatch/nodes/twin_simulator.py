@@ -1,4 +1,4 @@
-"""Runs the nominal twin beside the plant: samples and `twin/nominal` in, `twin/state` out.
+"""Runs the leading twin beside the plant: samples and `twin/leader` in, `twin/state` out.
 
 It also says, once, what plant that is: `plant/description`.
 """
@@ -14,37 +14,37 @@ from twinmatch.nodes.samples import LATCHED, RELIABLE, SampleNode
 from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror
-from twinmatch_msgs.msg import Candidate, PlantDescription, TwinState
+from twinmatch_msgs.msg import ForecastScore, PlantDescription, TwinState
 
 __all__ = ["TwinSimulatorNode", "main"]
 
 
 class TwinSimulatorNode(SampleNode):
-    """Publishes where the twins are at every sample; before there is a nominal, with the start values."""
+    """Publishes where the twins are at every sample; before there is a leader, with the start values."""
 
     NAME = "twin_simulator"
 
     def open(self) -> None:
         """Mirror the samples to come."""
         self._mirror = Mirror(self.settings.start, self.settings.gains, self.values["recent"])
-        self._nominal = ""
+        self._leader = ""
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
         self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
         self._describer.publish(
             description_message(description_of(self.settings.plant), self.settings.period)
         )
         super().open()
-        self.create_subscription(Candidate, "twin/nominal", self.put, LATCHED)
+        self.create_subscription(ForecastScore, "twin/leader", self.put, LATCHED)
 
-    def work(self, item: Sample | Candidate) -> None:
-        """Mirror one sample, or take over the parameters of a new nominal candidate."""
+    def work(self, item: Sample | ForecastScore) -> None:
+        """Mirror one sample, or take over the parameters of a new leader."""
         if isinstance(item, Sample):
             state = self._mirror.push(item)
-            self._publisher.publish(state_message(state, self._nominal, self.settings.plant.states))
+            self._publisher.publish(state_message(state, self._leader, self.settings.plant.states))
             return
         self._mirror.parameters = parameters_from(item.parameters)
-        self._nominal = item.name
-        self.health.set("nominal", item.name)
+        self._leader = item.name
+        self.health.set("leader", item.name)
 
 
 def main() -> None:

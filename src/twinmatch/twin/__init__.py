@@ -16,16 +16,20 @@ from typing import NamedTuple
 from twinmatch.discrimination import Candidate, Verdict
 from twinmatch.signals import Sample
 from twinmatch.twin.discriminator import Discriminator, Step
+from twinmatch.twin.forecaster import Forecaster, ForecastSettings
 from twinmatch.twin.matcher import MatchReport, MatchRequest, answer
 from twinmatch.twin.mirror import Mirror, MirrorState
 from twinmatch.twin.residuals import Residuals, closed_loop_fit, nrmse, residuals
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinError, TwinSettings
+from twinmatch.twin.snapshot import Snapshot
 from twinmatch.twin.structure_watch import StructureSettings, StructureWatch, watched
 from twinmatch.twin.structures import StructureChoice, StructureScore, choose_structure
 
 __all__ = [
     "Discriminator",
+    "ForecastSettings",
+    "Forecaster",
     "MatchReport",
     "MatchRequest",
     "Mirror",
@@ -35,6 +39,7 @@ __all__ = [
     "Schedule",
     "ScheduleError",
     "ScheduleSettings",
+    "Snapshot",
     "Step",
     "StructureChoice",
     "StructureScore",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -66,8 +66,17 @@ class Discriminator:
     triggers.
     """
 
-    def __init__(self, settings: TwinSettings | None = None, given: Sequence[Candidate] = ()) -> None:
-        """Begin with no candidates but those given (their twins are judged on the first excited window)."""
+    def __init__(
+        self,
+        settings: TwinSettings | None = None,
+        given: Sequence[Candidate] = (),
+        followed: Callable[[Sample], None] = lambda _: None,
+    ) -> None:
+        """Begin with no candidates but those given (their twins are judged on the first excited window).
+
+        `followed` is called with every sample as soon as all candidates foretell from it.
+        """
+        self._followed = followed
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = Schedule(self.settings.schedule, self.settings.period)
@@ -146,6 +155,7 @@ class Discriminator:
                 told = self._watch(item)
                 self.forecaster.push(item)
                 self.forecaster.notes = self._notes()
+                self._followed(item)
                 verdicts += [self._forecast(verdict) for verdict in told]
             elif not item.excited:
                 verdicts.append(self._judged(item, None))

@@ -23,6 +23,7 @@ from twinmatch.forecasting import (
 )
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin.promises import Promise, promise_of
+from twinmatch.twin.snapshot import Snapshot, candidate_called
 
 __all__ = ["Entrant", "ForecastSettings", "Forecaster"]
 
@@ -72,8 +73,7 @@ class _Departure:
     """What was known at one sample from which all foretold."""
 
     sample: int
-    outlooks: dict[str, Outlook]
-    leader: str | None
+    snapshot: Snapshot
 
 
 @dataclass
@@ -195,8 +195,7 @@ class Forecaster:
         for twin in self._twins.values():
             twin.follower.push(sample)
         if self._twins and sample.index % self._stride == 0:
-            outlooks = {name: self.outlook(name) for name in self._order}
-            self._departures.append(_Departure(sample.index, outlooks, self.leader))
+            self._departures.append(_Departure(sample.index, self.snapshot()))
         for departure in self._departures:
             self._learn(departure)
         while self._departures and self._departures[0].sample + self._longest <= sample.index:
@@ -226,19 +225,19 @@ class Forecaster:
             self._ledger.keep(twins)
         self._twins, self._order = twins, tuple(twins)
 
+    def snapshot(self) -> Snapshot:
+        """What all candidates know at the newest sample."""
+        if not self._recent:
+            return Snapshot()
+        return Snapshot(self.leader, {name: self.outlook(name) for name in self._order})
+
     def outlook(self, name: str | None = None) -> Outlook:
         """What a candidate, or the leader, knows at the newest sample.
 
         Raises:
             ForecastError: there is no candidate yet, or none of that name.
         """
-        name = self.leader if name is None else name
-        if name is None or not self._recent:
-            msg = "forecast: there is no candidate yet; the first comes with the first match that is accepted"
-            raise ForecastError(msg)
-        if name not in self._twins:
-            names = ", ".join(self._order)
-            raise ForecastError(f"forecast: no candidate {name!r}; at this sample there are: {names}")
+        name = candidate_called(self.leader if name is None else name, self._twins if self._recent else {})
         twin = self._twins[name]
         return Outlook(
             sample=self._recent[-1],
@@ -264,13 +263,12 @@ class Forecaster:
         if not self._recent:
             return None
         newest = self._recent[-1].index
-        made = [d for d in self._departures if d.sample <= newest - samples and d.leader is not None]
+        made = [d for d in self._departures if d.sample <= newest - samples and d.snapshot.leader is not None]
         if not made:
             return None
         departure = made[-1]
-        assert departure.leader is not None  # noqa: S101 — only those are looked at
         came = list(self._recent)[departure.sample - newest :]
-        forecast = departure.outlooks[departure.leader].forecast(np.array([s.reference for s in came]))
+        forecast = departure.snapshot.outlook().forecast(np.array([s.reference for s in came]))
         newest_of = came[-samples:]
         return promise_of(
             forecast, np.array([s.output for s in newest_of]), np.array([s.input for s in newest_of])
@@ -316,7 +314,7 @@ class Forecaster:
         leads = [i for i, lead in enumerate(self._leads) if before < lead <= ahead]
         errors = {PERSISTENCE: (measured - [[past[0].output], [past[0].input]])[:, before:]}
         paths = {}
-        for name, outlook in departure.outlooks.items():
+        for name, outlook in departure.snapshot.outlooks.items():
             if name not in self._twins:
                 continue
             foretold = outlook.foretold(reference, rows)
@@ -327,5 +325,6 @@ class Forecaster:
             for lead in leads:
                 self._twins[name].calibration.add(lead, quotients[:, self._leads[lead] - 1])
         self._ledger.add(errors, place)
-        if ahead == self._longest and departure.leader in paths:
-            self._trust.add(paths[departure.leader] <= _NEAR * min(paths.values()))
+        leader = departure.snapshot.leader
+        if ahead == self._longest and leader in paths:
+            self._trust.add(paths[leader] <= _NEAR * min(paths.values()))

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters, Pid, PidGains, advance, begin, gains_of, read
+from twinmatch.forecasting import Follower
 from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["Mirror", "MirrorState"]
+
+_LOOK_BACK: Final = 300.0
+"""Newest stretch on which states of a new structure are found, s."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,9 @@ class Mirror:
     """Mirrors what is measured live: the set-point into one twin, the input into another.
 
     New parameters take over without a jump: states that both structures have, and the controller, stay as
-    they are. A gap in the samples starts both twins again from the measured output.
+    they are. A state that only the new structure has is where an observer with the new parameters finds it
+    after the newest samples: a heat sink may be far from where it began. A gap in the samples starts both
+    twins again from the measured output.
     """
 
     _closed: FloatArray
@@ -59,6 +66,7 @@ class Mirror:
         self._parameters = parameters
         self._gains = gains or gains_of(parameters.model.plant, 1.0)
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
+        self._samples: deque[Sample] = deque(maxlen=max(round(_LOOK_BACK / self._gains.period), 1))
         self._previous: Sample | None = None
         self._started = 0
 
@@ -70,7 +78,8 @@ class Mirror:
     @parameters.setter
     def parameters(self, new: Parameters) -> None:
         if self._previous is not None and new.model is not self._parameters.model:
-            self._closed, self._driven = (self._moved(x, new) for x in (self._closed, self._driven))
+            found = self._found(new)
+            self._closed, self._driven = (self._moved(x, new, found) for x in (self._closed, self._driven))
         self._parameters = new
 
     def push(self, sample: Sample) -> MirrorState:
@@ -90,6 +99,7 @@ class Mirror:
         self._closed = advance(self._parameters, self._closed, state.closed_input, period, row)
         self._driven = advance(self._parameters, self._driven, sample.input, period, row)
         self._previous = sample
+        self._samples.append(sample)
         return state
 
     def _restart(self, sample: Sample) -> None:
@@ -97,13 +107,22 @@ class Mirror:
         self._closed = self._driven = start
         self._pid = Pid(self._gains)
         self._recent.clear()
+        self._samples.clear()
         self._started = 0
 
-    def _moved(self, states: FloatArray, new: Parameters) -> FloatArray:
-        """States of another structure: those of this one as far as they go, the rest as at a begin."""
+    def _moved(self, states: FloatArray, new: Parameters, found: FloatArray) -> FloatArray:
+        """States of another structure: those of this one as far as they go, the rest as they were found."""
         held = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
-        starts = {name: held[name] for name in new.model.states if name in held}
-        return begin(new, read(self._parameters, states), starts=starts)
+        here = zip(new.model.states, found.tolist(), strict=True)
+        return np.array([held.get(name, there) for name, there in here])
+
+    def _found(self, new: Parameters) -> FloatArray:
+        """Where the states are at the next tick, as the newest samples show."""
+        follower = Follower(new, self._gains.period)
+        for sample in self._samples:
+            follower.push(sample)
+        newest = self._samples[-1]
+        return advance(new, follower.states, newest.input, self._gains.period, _disturbances(newest))
 
     def _observe(self, sample: Sample, closed: float, closed_input: float) -> MirrorState:
         driven = read(self._parameters, self._driven, _disturbances(sample))

@@ -18,7 +18,10 @@ from twinmatch.sessions import read_session
 pytestmark = pytest.mark.ros
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "subscribing.md"
-VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+KEPT_IN = {
+    "FASTDDS_DEFAULT_PROFILES_FILE": str(network.PROFILE),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+}
 """The page's other table."""
 LIVE = ("/thermal/", "/plant/pwm", "/plant/uniformity")
 """Topics that only a live rig has."""
@@ -58,7 +61,8 @@ def start_twin(programs: Any, *more: str) -> Any:
 
 
 def test_page_has_the_blocks_that_are_run_here() -> None:
-    assert [text.split()[1] for text in blocks("python")] == ["verdicts.py", "nominal.py", "temperatures.py"]
+    names = ["verdicts.py", "nominal.py", "forecasts.py", "what_if.py", "temperatures.py"]
+    assert [text.split()[1] for text in blocks("python")] == names
     assert len(blocks("sh")) == 3
     assert len(blocks("python")[0].splitlines()) <= 20
 
@@ -75,6 +79,23 @@ def test_verdicts_and_nominal(programs: Any, page: Path, session: Path) -> None:
     assert verdicts.end(signal.SIGINT) == 0, verdicts.text
     assert "Traceback" not in verdicts.text
     assert twin.end() == 0
+
+
+def test_forecasts_and_what_if(programs: Any, page: Path, session: Path) -> None:
+    """Asked before there is a candidate, and when the recording has been played."""
+    start_twin(programs)
+    early = programs.start(page / "what_if.py", **KEPT_IN)
+    early.said("^forecast: there is no candidate yet; the first comes with the first match")
+    forecasts = programs.start(page / "forecasts.py", **KEPT_IN)
+    player = start_player(programs, session, "-p", "wait_for:=2")
+    assert player.wait() == 0, player.text
+    last = read_session(session).samples[-1].index
+    forecasts.said(rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$")
+    late = programs.start(page / "what_if.py", **KEPT_IN)
+    late.said(rf", from sample {last} on$")
+    late.said(r"^60 °C: \d+ s \(\d+ to \d+ s\)$")
+    late.said(r"^stays there from \d+ s on; \|u\| up to \d+$")
+    assert late.wait() == 0
 
 
 def test_namespace(programs: Any, page: Path, session: Path) -> None:
@@ -124,7 +145,7 @@ def test_table_of_topics(programs: Any, session: Path) -> None:
         for name, package, kind, reliability, latched in ROW.findall(PAGE.read_text())
     }
     table = {name if name.startswith("/") else f"/{name}": row for name, row in table.items()}
-    assert len(table) == PAGE.read_text().count("\n| `") - len(VARIABLES)
+    assert len(table) == PAGE.read_text().count("\n| `") - len(KEPT_IN)
     start_twin(programs)
     start_player(programs, session, "-p", "paused:=true")
     graph = programs.start(Path(__file__).with_name("graph.py"))

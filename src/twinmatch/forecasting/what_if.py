@@ -1,0 +1,108 @@
+"""A question about what comes, and its answer."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from twinmatch.forecasting.answers import Moment, Peak, largest_input, time_held, time_to_reach
+from twinmatch.forecasting.errors import ForecastError
+from twinmatch.forecasting.forecast import Forecast
+from twinmatch.forecasting.outlook import Outlook
+from twinmatch.forecasting.profile import SetPoints
+
+__all__ = ["MOST_SAMPLES", "Answer", "Question", "what_if"]
+
+MOST_SAMPLES: Final = 3600
+"""Longest forecast that is given: what an answer costs grows with it."""
+_NEAR: Final = 3.0
+"""How near the output has to come if nothing else is said, in units of a reading's noise."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What comes if the set-points are these? Without arguments: if nothing is changed?"""
+
+    times: tuple[float, ...] = ()
+    """Seconds after the newest sample, growing; without any the set-point stays as it is."""
+    levels: tuple[float, ...] = ()
+    """Set-points from these times on, the last of which stays."""
+    ramps: bool = False
+    """Whether the set-point moves in a straight line from row to row, beginning now."""
+    horizon: float | None = None
+    """How far to look, s; None: as far as forecasts are judged."""
+    level: float | None = None
+    """Output to wait for; None: the last set-point."""
+    tolerance: float | None = None
+    """How near to it counts as there; None: three times the noise of a reading."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a twin says to a question."""
+
+    forecast: Forecast
+    """At every sample as far as was asked."""
+    level: float
+    """Output that was waited for."""
+    tolerance: float
+    """How near counted as there."""
+    reached: Moment
+    """When the output is there first."""
+    held: Moment
+    """From when on it stays there."""
+    largest: Peak
+    """The largest |u|."""
+
+
+def what_if(outlook: Outlook, question: Question) -> Answer:
+    """Ask a twin.
+
+    Raises:
+        ForecastError: set-points the plant does not take or that lie in the past, a horizon that is not
+            positive or too long, a level that is not finite, a tolerance that is not positive.
+    """
+    output, period = outlook.parameters.model.plant.output, outlook.gains.period
+    size = _samples(question.horizon, outlook)
+    if question.times or question.levels:
+        ahead = SetPoints(
+            outlook.sample.reference, question.times, question.levels, question.ramps, output=output
+        )
+    else:
+        ahead = SetPoints.held(outlook.sample.reference)
+    level = (ahead.levels or (ahead.before,))[-1] if question.level is None else question.level
+    tolerance = _NEAR * output.noise if question.tolerance is None else question.tolerance
+    forecast = outlook.forecast(ahead.ahead(period, size))
+    notes = ahead.notes + _beyond(size, outlook)
+    if notes:
+        forecast = dataclasses.replace(forecast, notes=forecast.notes + notes)
+    return Answer(
+        forecast,
+        level,
+        tolerance,
+        time_to_reach(forecast, level, tolerance),
+        time_held(forecast, level, tolerance),
+        largest_input(forecast),
+    )
+
+
+def _samples(horizon: float | None, outlook: Outlook) -> int:
+    period = outlook.gains.period
+    if horizon is None:
+        return outlook.leads[-1]
+    if not (math.isfinite(horizon) and horizon > 0):
+        raise ForecastError(f"forecast: the horizon is {horizon:g} s; give a positive time")
+    size = max(round(horizon / period), 1)
+    if size > MOST_SAMPLES:
+        msg = f"forecast: the horizon is {horizon:g} s; give at most {MOST_SAMPLES * period:g} s"
+        raise ForecastError(msg)
+    return size
+
+
+def _beyond(size: int, outlook: Outlook) -> tuple[str, ...]:
+    judged = outlook.leads[-1]
+    if size <= judged:
+        return ()
+    return (f"no forecast was held against what came further than {judged * outlook.gains.period:g} s ahead",)

@@ -1,0 +1,219 @@
+"""What comes next, on topics and as a service: the core's own answers, at every sample and at any time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile
+
+from tests.support.processes import Process
+from tests.support.ros import Listener
+from twinmatch.forecasting import Question, what_if
+from twinmatch.nodes.conversions import leader_message
+from twinmatch.nodes.forecast_messages import answer_message, forecast_message, shown_samples
+from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.samples import EVERYTHING, LATCHED
+from twinmatch.signals import Sample
+from twinmatch.twin import Discriminator, TwinSettings, answer
+from twinmatch_msgs.msg import Forecast, ForecastScore, LoopSample, Match, MatchRequest, ModelScore
+from twinmatch_msgs.srv import WhatIf
+
+pytestmark = pytest.mark.ros
+
+
+class Offline:
+    """What the core foretells on the samples, as messages."""
+
+    def __init__(self, samples: list[Sample]) -> None:
+        settings = TwinSettings()
+        self.forecasts: list[Forecast] = []
+        self.leaders: list[ForecastScore] = []
+        self.discriminator = Discriminator(settings, followed=self._followed)
+        for sample in samples:
+            step = self.discriminator.push_sample(sample)
+            if step.request is not None:
+                self.discriminator.push_match(answer(step.request, settings))
+
+    def _followed(self, sample: Sample) -> None:
+        forecaster = self.discriminator.forecaster
+        if forecaster.leader is None:
+            return
+        (score,) = (score for score in forecaster.scores if score.name == forecaster.leader)
+        leader = leader_message(score)
+        if not self.leaders or _identity(leader) != _identity(self.leaders[-1]):
+            self.leaders.append(leader)
+        ahead = shown_samples(1.0, forecaster.horizons)
+        forecast = forecaster.outlook().forecast(np.full(ahead[-1], sample.reference))
+        self.forecasts.append(forecast_message(forecast, sample.stamp, ahead))
+
+
+@pytest.fixture(scope="module")
+def offline(steps: list[Sample]) -> Offline:
+    return Offline(steps)
+
+
+class Asker:
+    """A client of `twin/what_if`."""
+
+    def __init__(self, listener: Listener) -> None:
+        self._listener = listener
+        self._client = listener.node.create_client(WhatIf, "twin/what_if")
+
+    def found(self) -> bool:
+        return bool(self._client.service_is_ready())
+
+    def __call__(self, **fields: Any) -> WhatIf.Response:
+        asked = self._client.call_async(WhatIf.Request(**fields))
+        self._listener.spin_until(asked.done, "an answer")
+        response: WhatIf.Response = asked.result()
+        return response
+
+
+@pytest.fixture
+def ask(listener: Listener) -> Asker:
+    return Asker(listener)
+
+
+def test_every_sample_has_the_offline_forecast(
+    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+) -> None:
+    """And every leader the offline one; the answers at the end are the core's to the last bit."""
+    assert len(offline.forecasts) > len(steps) / 2
+    forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
+    leaders = listener.hear(ForecastScore, "twin/leader", LATCHED)
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
+    for name in ("matcher", "discriminator"):
+        start(name)
+    topics = ("twin/forecast", "twin/leader", "twin/match", "twin/match_request")
+    listener.spin_until(
+        lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
+        "the nodes",
+    )
+    listener.spin_until(ask.found, "the service")
+    for sample in steps:
+        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: len(forecasts) == len(offline.forecasts), "the last forecast")
+    assert [repr(m) for m in forecasts] == [repr(m) for m in offline.forecasts]
+    assert [f.sample for f in forecasts] == list(range(forecasts[0].sample, len(steps)))
+    assert repr(leaders[-1]) == repr(offline.leaders[-1])
+    assert {10.0, 60.0, 300.0} <= set(forecasts[0].time)
+    level = steps[-1].reference + 5.0
+    question = Question((20.0, 100.0), (level, level - 8.0), ramps=True, horizon=200.0, tolerance=1.5)
+    outlook = offline.discriminator.forecaster.outlook()
+    expected = answer_message(what_if(outlook, question), steps[-1].stamp)
+    given = ask(times=[20.0, 100.0], levels=[level, level - 8.0], ramps=True, horizon=200.0, tolerance=[1.5])
+    assert repr(given) == repr(expected)
+    assert (given.forecast.sample, len(given.forecast.time)) == (steps[-1].index, 200)
+    nothing_changed = ask()
+    assert nothing_changed.success
+    assert list(nothing_changed.level) == [steps[-1].reference]
+    assert set(nothing_changed.forecast.reference) == {steps[-1].reference}
+
+
+def test_questions_are_answered_while_a_match_is_awaited(
+    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+) -> None:
+    """After the first match nobody matches any more: verdicts wait, answers do not."""
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
+    requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
+    matches = listener.hear(Match, "twin/match", EVERYTHING)
+    scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
+    start("discriminator")
+    matcher = start("matcher")
+    topics = ("twin/match", "twin/match_request", "twin/model_score")
+    listener.spin_until(
+        lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
+        "the nodes",
+    )
+    first = offline.forecasts[0].sample
+    for sample in steps[: first + 1]:
+        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: any(score.candidates for score in scores), "the first candidate")
+    matcher.kill()
+    answered = len(matches)
+    for sample in steps[first + 1 :]:
+        samples.publish(sample_message(sample))
+    listener.spin_until(
+        lambda: len({request.sample for request in requests}) > len({m.sample for m in matches}),
+        "a request that nobody answers",
+    )
+    given = listener.spin_until(lambda: _answered(ask()), "an answer")
+    waits = max(request.sample for request in requests)
+    assert first <= given.forecast.sample <= waits
+    assert len(matches) == answered
+    assert given.forecast.output_low[0] < given.forecast.output[0] < given.forecast.output_high[0]
+
+
+def test_a_discriminator_that_was_killed_answers_again(
+    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+) -> None:
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
+    forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
+    start("matcher")
+    first = start("discriminator")
+    listener.spin_until(ask.found, "the service")
+    assert ask().message.startswith("forecast: there is no candidate yet; the first comes with")
+    first.kill()
+    listener.spin_until(lambda: not ask.found() and not samples.get_subscription_count(), "its end")
+    start("discriminator")
+    listener.spin_until(lambda: ask.found() and samples.get_subscription_count(), "the next one")
+    listener.spin_until(lambda: listener.node.count_publishers("twin/forecast"), "its forecasts")
+    for sample in steps:
+        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: len(forecasts) == len(offline.forecasts), "the last forecast")
+    assert ask().success
+
+
+def test_questions_that_make_no_sense_are_answered_in_one_line(
+    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+) -> None:
+    """And the next one is answered; what went wrong with a question is no fault of the node."""
+    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
+    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    for name in ("matcher", "discriminator"):
+        start(name)
+    listener.spin_until(lambda: ask.found() and samples.get_subscription_count(), "the discriminator")
+    listener.spin_until(lambda: listener.node.count_publishers("twin/match"), "the matcher")
+    for sample in steps[: offline.forecasts[0].sample + 2]:
+        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: ask().success, "the first candidate")
+    refused = {
+        "row 1: -5 s lies in the past": {"times": [-5.0], "levels": [50.0]},
+        "does not come after": {"times": [10.0, 10.0], "levels": [50.0, 60.0]},
+        "2 times and 1 set-points are given": {"times": [1.0, 2.0], "levels": [50.0]},
+        "the set-point is 400 °C; give one from": {"times": [1.0], "levels": [400.0]},
+        "the set-point is nan": {"times": [1.0], "levels": [math.nan]},
+        "no candidate 'nobody'; at this sample there are: ": {"candidate": "nobody"},
+        "the horizon is -3 s; give a positive time": {"horizon": -3.0},
+        "the horizon is 1e+06 s; give at most 3600 s": {"horizon": 1e6},
+        "the horizon is nan s": {"horizon": math.nan},
+        "the level is inf": {"level": [math.inf]},
+        "the tolerance is -1": {"tolerance": [-1.0]},
+        "level has 2 values; a twin runs one loop": {"level": [1.0, 2.0]},
+    }
+    for said, fields in refused.items():
+        given = ask(**fields)
+        assert not given.success, fields
+        assert said in given.message
+        assert "\n" not in given.message
+    named = ask(candidate=offline.forecasts[0].candidate, level=[math.nan], tolerance=[math.nan])
+    assert named.success, named.message
+
+    def value(key: str) -> list[str]:
+        return [v.value for m in health for s in m.status for v in s.values if v.key == key]
+
+    listener.spin_until(lambda: value("forecast from sample"), "word of forecasts")
+    assert "" not in value("leader")
+
+
+def _answered(given: WhatIf.Response) -> WhatIf.Response | None:
+    return given if given.success else None
+
+
+def _identity(leader: ForecastScore) -> tuple[object, ...]:
+    return leader.name, repr(leader.parameters)
