@@ -18,6 +18,9 @@ __all__ = ["Declaration", "Disturbance", "Drive", "Output", "Parameter", "State"
 
 _Self = TypeVar("_Self", bound="Declaration")
 
+ROLES = ("", "losses", "room")
+"""What a parameter can mean to the health of a plant."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
@@ -113,6 +116,9 @@ class Parameter(Declaration):
     positive: bool = False
     """Whether it has to be above zero."""
     most: float = math.inf
+    role: str = ""
+    """What it means if it changes: "losses" (heat or whatever else the plant gives away), "room" (what it gives
+    it to); nothing if empty."""
     relative: bool = True
     """Whether its error is judged relative to its value; False where its zero means nothing."""
 
@@ -122,6 +128,9 @@ class Parameter(Declaration):
         low, high = self.bounds
         if not low < high or not self.possible(low) or not self.possible(high):
             msg = f"plant: bounds {self.bounds} of a parameter ({self.text}) must grow and be possible values"
+            raise PlantError(msg)
+        if self.role not in ROLES:
+            msg = f"plant: role {self.role!r} of a parameter ({self.text}); it is {' or '.join(ROLES[1:])}, or empty"
             raise PlantError(msg)
 
     def possible(self, value: float) -> bool:

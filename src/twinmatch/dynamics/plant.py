@@ -51,6 +51,8 @@ class Plant:
 
     typical: ClassVar[Mapping[str, float]] = {}
     """Parameters amid those that plants of this kind had, if not the defaults; a guess before any match."""
+    followed: ClassVar[str] = ""
+    """Structure in which a running plant is followed to tell what changed of it; the first if empty."""
     surroundings: ClassVar[str] = "what surrounds the plant"
     """Where to look if something changes slowly."""
 
@@ -111,6 +113,8 @@ class Plant:
     def _check_structures(cls) -> None:
         if not cls.structures:
             raise PlantError(f"plant {cls.name}: has no structure; name at least one in `structures`")
+        if cls.followed and cls.followed not in cls.structures:
+            raise PlantError(f"plant {cls.name}: no structure {cls.followed!r} to follow it in")
         for name, structure in cls.structures.items():
             place = f"plant {cls.name}, structure {name!r}"
             for kind, names, known in (

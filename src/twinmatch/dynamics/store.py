@@ -1,7 +1,7 @@
 """Where what is made of a plant's equations is kept: one Python module per plant and set of parts.
 
-The module is `kernels.py`, `runs.py` and `observer_step.py` with the plant's derived functions in the place
-of `derived.py`. Its name carries a hash of everything it is made from: the plant's source, the generator's
+The module is `kernels.py`, `runs.py` and so on with the plant's derived functions in the place of
+`derived.py`. Its name carries a hash of everything it is made from: the plant's source, the generator's
 own, the versions of the programs that take part. So a change of any of them makes a new module, and an old
 one is never run by mistake. The folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder;
 numba keeps its machine code there too.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["cache_folder", "kernels_of"]
 
 _HERE = Path(__file__).parent
-_TEMPLATES = ("kernels.py", "runs.py", "observer_step.py")
+_TEMPLATES = ("kernels.py", "runs.py", "observer_step.py", "following.py")
 _GENERATOR = ("code.py", "declarations.py", "equations.py", "plant.py", "store.py", *_TEMPLATES)
 _JOINED = ("__future__", "twinmatch.dynamics.derived", "twinmatch.dynamics.kernels")
 _PROGRAMS = ("numba", "numpy", "sympy")

@@ -23,7 +23,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["BLOCK", "TRIAL", "Balance", "Movement", "prior", "uncertainty"]
+__all__ = ["BLOCK", "TRIAL", "Balance", "Movement"]
 
 BLOCK: Final = 10.0
 """Learning goes by means over this many seconds."""
@@ -64,7 +64,7 @@ class _Correction:
 
     def __init__(self, noise: float) -> None:
         self.values: FloatArray = np.zeros(4)
-        self._prior = prior(noise)
+        self._prior = _prior(noise)
         self._noise = noise
         self.covariance: FloatArray = self._prior
 
@@ -200,11 +200,6 @@ class Balance:
         self._count = 0
 
 
-def prior(noise: float) -> FloatArray:
+def _prior(noise: float) -> FloatArray:
     """Covariance of the four corrections before anything is known, for an output of this noise."""
     return np.diag(np.square(_PRIOR) * np.square([1.0, 1.0, noise, 1.0]))
-
-
-def uncertainty(parts: FloatArray, covariance: FloatArray, floor: float) -> float:
-    """Standard error of a corrected prediction for these parts, per second, never below the floor."""
-    return math.sqrt(floor**2 + float(parts @ covariance @ parts))

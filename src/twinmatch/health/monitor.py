@@ -9,9 +9,10 @@ from typing import Final
 from twinmatch.dynamics import Parameters
 from twinmatch.health.balance import BLOCK, TRIAL, Balance
 from twinmatch.health.finding import Finding, Words
-from twinmatch.health.record import Alarm, Fault, Health, State
+from twinmatch.health.record import SLOW, Alarm, Fault, Health, State
 from twinmatch.health.settings import HealthSettings
-from twinmatch.health.traces import Drift, Effect, Lag, Repeats
+from twinmatch.health.slow import Slow
+from twinmatch.health.traces import Effect, Lag, Repeats
 from twinmatch.signals import Sample
 
 __all__ = ["Monitor"]
@@ -28,16 +29,18 @@ _PROVE: Final = 10.0
 """Time for which the plant has to follow the drive before that counts as mended, s."""
 _TACIT: Final = 120.0
 """Time without any trace after which it counts as mended without proof, s."""
-_SUSPICION: Final = 0.6
-"""Share of the drift limit from which there is a suspicion, and nothing is learned any more."""
-_ACCEPT: Final = 600.0
-"""Time after which a drift that was told is learned as how the plant is now, s."""
-
+_SUDDEN: Final = frozenset(Fault) - SLOW
+_NAMED: Final = SLOW - {Fault.DRIFT}
 _GRAVER: Final = {
-    Fault.DRIFT: frozenset(Fault) - {Fault.DRIFT},
+    Fault.DRIFT: _SUDDEN | _NAMED,
     Fault.DRIVE_WEAK: frozenset({Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}),
+    **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
 }
 """Faults that are told though another one is on, and take its place."""
+_UNFOLLOWED: Final = frozenset({
+    Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_LATE, Fault.SENSOR_IMPLAUSIBLE,
+})  # fmt: skip
+"""Faults during which nothing else can be learned of the plant."""
 
 
 class Monitor:
@@ -56,15 +59,15 @@ class Monitor:
         self._effect = Effect(period, noise)
         self._repeats = Repeats(period, self.settings.frozen, noise)
         self._lag = Lag(period)
-        self._drift = Drift(noise)
         self._words = Words(self.settings.reference.model.plant, period)
+        self._slow = Slow(self.settings, self._words)
         self._given: Parameters | None = None
         self._untried = 0  # blocks until the parameters given are tried again
         self._before: Sample | None = None
         self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
         self._contrary = 0  # samples in a row without the drive's effect
         self._feeble = 0  # samples in a row with too small a one
-        self._quiet = 0  # samples in a row without any trace but a drift's
+        self._quiet = 0  # samples in a row without any trace but that of a slow change
         self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: list[Alarm] = []
         self._open = False  # whether the last alarm goes on
@@ -77,10 +80,9 @@ class Monitor:
     def fault_between(self, first: int, last: int) -> Alarm | None:
         """The first alarm whose trace touches the samples `first` to `last`, both included.
 
-        Nothing should be learned from such a window. Drifts are left out: a slow change of the plant is what
-        matching is for.
+        Nothing should be learned from such a window. Slow changes are left out: they are what matching is for.
         """
-        faults = (alarm for alarm in self._alarms if alarm.fault is not Fault.DRIFT)
+        faults = (alarm for alarm in self._alarms if alarm.fault not in SLOW)
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
@@ -98,6 +100,7 @@ class Monitor:
             finding, starting = self._words.impossible(sample), False
             self._before = None
             self._restart_traces()
+            self._slow.restart()
         news = self._judge(sample.index, finding, starting)
         return self._health(sample.index, finding, starting, news)
 
@@ -105,10 +108,12 @@ class Monitor:
         if index <= self._index:  # another session
             self._alarms.clear()
             self._open = False
+            self._slow.forget()
         self._begin, self._before = index, None
         self._repeats = Repeats(self.settings.period, self.settings.frozen, self._balance.noise)
         self._restart_traces()
         self._balance.restart()
+        self._slow.restart()
 
     def _restart_traces(self) -> None:
         self._effect.restart()
@@ -121,10 +126,7 @@ class Monitor:
         if self._given is None or self._untried >= 0 or not self._balance.rough:
             return
         self._untried = TRIAL
-        found = self._balance.tried(self._given)
-        if found is not self._balance:
-            self._balance = found
-            self._drift.forget()
+        self._balance = self._balance.tried(self._given)
 
     def _look(self, sample: Sample) -> Finding | None:
         """What the sample adds to the traces, the worst of them."""
@@ -139,7 +141,8 @@ class Monitor:
             return None
         self._lag.push(movement)
         self._effect.push(movement, self._balance.roughness)
-        self._learn(sample.index)
+        self._learn()
+        self._follow(sample)
         # A plant that goes far in one sample may as well not have gone: that is the drive's to tell.
         reach = _REACH * (abs(movement.drive) + abs(movement.passive))
         if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.period), reach):
@@ -154,10 +157,14 @@ class Monitor:
         if self._effect.share < least and not self._repeats.unusual:
             return self._short_of_effect(sample.index)
         self._contrary = self._feeble = 0
-        if self._drifting:
-            sure = self._drift.size >= self.settings.drift
-            return self._words.drifting(sample.index, self._drift, sure=sure)
-        return None
+        return self._slow.finding
+
+    def _follow(self, sample: Sample) -> None:
+        """Ask what has slowly changed, unless something graver is on or the session has only begun."""
+        if self._open and self._alarms[-1].fault in _UNFOLLOWED:
+            return
+        if (sample.index - self._begin) * self.settings.period >= self.settings.start:
+            self._slow.push(sample)
 
     def _short_of_effect(self, index: int) -> Finding:
         """A drive that is lost, or weak, or readings that only come late."""
@@ -172,29 +179,19 @@ class Monitor:
             return self._words.lost(index, self._effect, sure=sure)
         return self._words.weak(index, self._effect, self._feeble, sure=weakly)
 
-    def _learn(self, index: int) -> None:
+    def _learn(self) -> None:
         """Take in a block once it is full, unless something was wrong in it."""
         full = self._balance.block()
         if full is None:
             return
-        if self._quiet * self.settings.period < BLOCK:
-            self._drift.restart()
-            self._balance.learn(*full, healthy=False)
-            return
-        told = self._open and self._alarms[-1].fault is Fault.DRIFT
-        usual = told and (index - self._alarms[-1].flagged) * self.settings.period >= _ACCEPT
-        keep = usual or not self._drifting
-        self._drift.push(*full, BLOCK, self._balance, keep=keep)
-        self._balance.learn(*full, healthy=keep and (usual or not self._drifting))
-        self._try()
-
-    @property
-    def _drifting(self) -> bool:
-        return self._drift.size >= _SUSPICION * self.settings.drift
+        quiet = self._quiet * self.settings.period >= BLOCK
+        self._balance.learn(*full, healthy=quiet and not self._slow.doubted)
+        if quiet:
+            self._try()
 
     def _judge(self, index: int, finding: Finding | None, starting: bool) -> Alarm | None:
         """Open and close alarms; the one that changed."""
-        if finding is not None and finding.fault is not Fault.DRIFT:
+        if finding is not None and not finding.slow:
             self._quiet = self._proofs = 0
         else:
             self._quiet += 1
@@ -204,8 +201,8 @@ class Monitor:
             if news is not None:
                 return news
         if self._open and self._mended():
-            drifted = self._alarms[-1].fault is Fault.DRIFT
-            return self._close(index - (1 if drifted else self._quiet))
+            slow = self._slow.told is not None or self._alarms[-1].fault in SLOW
+            return self._close(index - (1 if slow else self._quiet))
         return None
 
     def _raise(self, index: int, finding: Finding) -> Alarm | None:
@@ -219,14 +216,18 @@ class Monitor:
             earliest = max(self._begin, self._alarms[-1].last + 1)
         self._alarms.append(Alarm(finding.fault, max(finding.first, earliest), index, None, finding.reason))
         self._open = True
+        if finding.fault in _UNFOLLOWED:
+            self._slow.restart(offset=finding.fault is Fault.SENSOR_IMPLAUSIBLE)
+        elif finding.slow:
+            self._slow.tell(index)
         return self._alarms[-1]
 
     def _mended(self) -> bool:
         """Whether the fault that is on has gone."""
         fault = self._alarms[-1].fault
         quiet, proven = self._quiet * self.settings.period, self._proofs * self.settings.period
-        if fault is Fault.DRIFT:
-            return not self._drifting
+        if fault in SLOW or self._slow.told is fault:
+            return self._slow.over(self._index)
         if fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK, Fault.SENSOR_LATE):
             return proven >= _PROVE or quiet >= _TACIT
         return quiet >= _MEND
@@ -237,7 +238,7 @@ class Monitor:
         return self._alarms[-1]
 
     def _health(self, index: int, finding: Finding | None, starting: bool, news: Alarm | None) -> Health:
-        share, rate = self._effect.share, self._drift.rate
+        share, rate = self._effect.share, self._slow.rate
         if self._open:
             alarm = self._alarms[-1]
             same = finding is not None and finding.fault is alarm.fault

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-__all__ = ["Alarm", "Fault", "Health", "State"]
+__all__ = ["SLOW", "Alarm", "Fault", "Health", "State"]
 
 
 class State(Enum):
@@ -30,8 +30,18 @@ class Fault(Enum):
     """The output follows the drive, but seconds too late."""
     SENSOR_IMPLAUSIBLE = "sensor-implausible"
     """A reading that the plant cannot have, or can have come to since the sample before."""
+    SENSOR_DRIFT = "sensor-drift"
+    """The readings are off from what they were."""
+    LOSSES_CHANGED = "losses-changed"
+    """The plant gives away more or less than before: a fan, a lid, a draught."""
+    ROOM_CHANGED = "room-changed"
+    """What surrounds the plant is not what it was."""
     DRIFT = "drift"
-    """The plant slowly leaves what drive and surroundings did to it before: a fan, the room, ageing."""
+    """The plant does something else than before, and the samples do not tell what has changed."""
+
+
+SLOW = frozenset({Fault.SENSOR_DRIFT, Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT})
+"""Changes of a plant that obeys all the same: matching brings the twin up to them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,11 +48,20 @@ class HealthSettings:
     the rig's healthy camera make 3 °C."""
     frozen: float = 10.0
     """How long the same reading has to be repeated, s. Healthy cameras repeat theirs for 5 s at most."""
-    drift: float = 2.6
-    """Slow movement that nothing explains, in units of its uncertainty. Healthy hours reach 1.3."""
+    change: float = 12.0
+    """By how much better a change has to explain the readings than none does, in nats, to be told."""
+    lead: float = 4.0
+    """The same against the next best change, for it to be told by name."""
     start: float = 30.0
     """Time after the first sample, and after a gap, in which there is no more than a suspicion, s: cameras
     that deliver their first pictures late are common and mend themselves."""
+
+    @property
+    def followed(self) -> Parameters:
+        """Where the plant begins to be followed: its typical parameters in the structure its file names."""
+        plant = self.reference.model.plant
+        model = plant.model(plant.followed or None)
+        return model.parameters(**{k: v for k, v in plant.typical.items() if k in model.declared})
 
     @classmethod
     def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:
@@ -61,7 +70,7 @@ class HealthSettings:
         return cls(period=period, reference=_typical(plant), jump=_JUMP * plant.output.noise)
 
     def __post_init__(self) -> None:
-        for name in ("period", "lost", "weak", "jump", "frozen", "drift", "start"):
+        for name in ("period", "lost", "weak", "jump", "frozen", "change", "lead", "start"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 msg = f"health: {name} is {value}; it must be positive"

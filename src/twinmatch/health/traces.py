@@ -11,10 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.health.balance import Balance, Movement, prior, uncertainty
-from twinmatch.signals import FloatArray
+from twinmatch.health.balance import Movement
 
-__all__ = ["DRIFT_TIME", "Drift", "Effect", "Lag", "Repeats"]
+__all__ = ["Effect", "Lag", "Repeats"]
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is asked for, s."""
@@ -48,14 +47,6 @@ _LAG_SUM: Final = 4.0
 """Movements are compared in sums over this time, so that noise does not count, s."""
 _FAR_BETTER: Final = 0.3
 """Share of the squared error that is left by an explanation far better than another."""
-
-DRIFT_TIME: Final = 60.0
-"""Time over which slow movement is averaged, s."""
-_DRIFT_DELAY: Final = 20
-"""Blocks: what is expected now is what was known this long ago, so that a drift is not learned away."""
-_DRIFT_SETTLE: Final = 6
-_DRIFT_FLOOR: Final = 0.4
-"""What even a smooth balance may be off by for a minute; its roughness comes on top."""
 
 
 class Effect:
@@ -185,46 +176,3 @@ class Lag:
         if not _LEAST_LAG / self._period <= best < most or late[best] > _FAR_BETTER * min(late[0], dead):
             return None
         return best * self._period
-
-
-class Drift:
-    """Whether the plant slowly does something else than it used to."""
-
-    def __init__(self, noise: float) -> None:
-        """`noise` of a reading."""
-        self._noise = noise
-        self._known: deque[tuple[FloatArray, FloatArray, float]] = deque(maxlen=_DRIFT_DELAY)
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget the mean, keep what was known."""
-        self.rate = 0.0
-        """Slow movement that nothing explains, per second."""
-        self.size = 0.0
-        """The same in units of its uncertainty."""
-        self._parts = np.zeros(4)
-        self._count = 0
-
-    def forget(self) -> None:
-        """Begin anew with another twin."""
-        self._known.clear()
-        self.restart()
-
-    def push(self, parts: FloatArray, surplus: float, span: float, balance: Balance, *, keep: bool) -> None:
-        """Take a block of `span` seconds, before the balance learns from it.
-
-        Unless `keep`, what is expected stays what it was at the block before.
-        """
-        full = len(self._known) == _DRIFT_DELAY
-        values, covariance, rough = self._known[0] if full else (np.zeros(4), prior(self._noise), 0.0)
-        if keep:
-            self._known.append((*balance.knowledge, balance.roughness))
-        self._count += 1
-        weight = min(span / DRIFT_TIME, 1.0)
-        if self._count <= _DRIFT_SETTLE:
-            self._parts = parts
-            return
-        self.rate += (surplus - float(parts @ values) - self.rate) * weight
-        self._parts = self._parts + (parts - self._parts) * weight
-        floor = math.hypot(_DRIFT_FLOOR * self._noise, rough)
-        self.size = abs(self.rate) / uncertainty(self._parts, covariance, floor)

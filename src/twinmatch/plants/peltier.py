@@ -15,6 +15,7 @@ The paper prints its equation 2 with +α·T_B·I; energy balances only with the 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 from twinmatch.dynamics import (
@@ -108,14 +109,14 @@ class Peltier(Plant, name="peltier"):
     )  # fmt: skip
     ambient = Parameter(
         unit="K", default=296.0, bounds=(263.0, 323.0), scale=10.0, least=150.0, most=600.0, relative=False,
-        symbol="T_∞", text="temperature of the room",
+        role="room", symbol="T_∞", text="temperature of the room",
     )  # fmt: skip
     sink_heat_capacity = Parameter(
         unit="J/K", default=350.0, bounds=(20.0, 5000.0), scale=300.0, positive=True, symbol="C_S",
         text="heat capacity of the sink",
     )  # fmt: skip
     sink_convection = Parameter(
-        unit="W/K", default=3.0, bounds=(0.1, 100.0), least=0.0, symbol="h",
+        unit="W/K", default=3.0, bounds=(0.1, 100.0), least=0.0, role="losses", symbol="h",
         text="convection from the sink to the room",
     )  # fmt: skip
     sensor_lag = Parameter(
@@ -140,6 +141,7 @@ class Peltier(Plant, name="peltier"):
         unit="A", default=5.0, bounds=(0.5, 10.0), positive=True, symbol="L", text="current limit"
     )
 
+    followed = "sink with mass, free ambient, free ripple"
     structures = {  # noqa: RUF012 (a mapping of what there is, not state)
         "held sink": Structure(
             free=_PLATE,
@@ -157,6 +159,9 @@ class Peltier(Plant, name="peltier"):
         "sink with mass, switched drive": _structure(_SINK, (_MASS,), switched=True, room=296.0),
         "sink with mass, free ambient, switched drive": _structure(
             _BOTH, (_MASS,), switched=True, watched=True
+        ),
+        "sink with mass, free ambient, free ripple": replace(
+            _structure((*_BOTH, "drive_ripple"), (_MASS,)), fixed={**_RIG, "ambient": 294.0, "drive_ripple": 0.5}
         ),
         "sink with mass, free ambient, switched drive, sensor lag": _structure(
             (*_BOTH, "sensor_lag"), (_MASS, _LAG), switched=True

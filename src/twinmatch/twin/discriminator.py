@@ -12,7 +12,7 @@ import numpy as np
 from twinmatch.discrimination import ADMITTED, REFUSED, Candidate, SimoModel, TrustLevel, Verdict
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.health import Alarm, Fault, Health, Monitor, State
+from twinmatch.health import SLOW, Alarm, Health, Monitor, State
 from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.contenders import Contenders
@@ -204,7 +204,7 @@ class Discriminator:
 
     def _let_go(self, alarm: Alarm) -> tuple[str, ...]:
         """Dismiss the candidates that were matched while the fault was already there; return their names."""
-        if alarm.fault is Fault.DRIFT:
+        if alarm.fault in SLOW:
             return ()
         gone = self._members.expel(alarm.first, alarm.flagged)
         gone += self._contenders.expel(alarm.first, alarm.flagged)
@@ -317,8 +317,8 @@ class Discriminator:
         health = self._health
         if health is not None and health.state is State.FAULT and health.fault is not None:
             fault, since = health.fault.value, health.since
-            # A plant that drifts still obeys: its next matches bring the twin up to it.
-            level = TrustLevel.DOUBTFUL if health.fault is Fault.DRIFT else TrustLevel.FAULT
+            # A plant that has changed still obeys: its next matches bring the twin up to it.
+            level = TrustLevel.DOUBTFUL if health.fault in SLOW else TrustLevel.FAULT
         return replace(
             verdict,
             sample=sample,

@@ -1,0 +1,186 @@
+"""The samples of the last minutes in blocks, and what was believed before each, at every degree of trust."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.follower import Belief, Follower, Stretch, Traces
+from twinmatch.signals import FloatArray, Sample
+
+__all__ = ["LEVELS", "REACH", "Block", "Past", "joined"]
+
+LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""How far the equations may be off, in what a real rig shows."""
+_BLOCK: Final = 10.0
+"""Samples are taken in so many seconds at a time."""
+REACH: Final = 48
+"""Blocks after which a change cannot be told any more."""
+_WAIT: Final = 12
+"""Blocks after which what a level cost counts for the choice of the level."""
+_FORGET: Final = 180
+"""Blocks over which that is averaged."""
+_CLEARLY: Final = 3.0
+"""Nats that a smaller level has to save to be preferred."""
+_ASTRAY: Final = 12.0
+"""Nats by which a level may fall behind the next before it goes on from what that believes, and the price."""
+_CAREFUL: Final = 5
+"""Blocks after which the equations are trusted one level more: what a filter believes of a plant that it does
+not know yet is too sure."""
+_SECOND: Final = 1.954
+"""Mean size of the second difference of white noise, in its standard deviation."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some samples, and what was believed before them, level by level."""
+
+    first: int
+    """Index of its first sample."""
+    stretch: Stretch
+    before: tuple[Belief, ...]
+    costs: tuple[float, ...]
+
+
+class Past:
+    """Follows one plant at every level, and keeps the last blocks."""
+
+    def __init__(self, parameters: Parameters, period: float) -> None:
+        """Begin with these parameters; `period` is the sample time, s."""
+        self._noise = parameters.model.plant.output.noise
+        self.size = max(4, round(_BLOCK / period))
+        """Samples of a block."""
+        self.follower = Follower(parameters, period, LEVELS)
+        self.blocks: deque[Block] = deque(maxlen=REACH)
+        """The last ones, oldest first."""
+        self.count = 0
+        """Blocks so far."""
+        self.known = 0
+        """Of those, how many since the plant was first seen."""
+        self.level = len(LEVELS) - 2
+        """The one that is judged by."""
+        self.moved_level = False
+        """Whether the last block changed it."""
+        self._rough = self._noise * _SECOND
+        self._costs = np.zeros(len(LEVELS))
+        self._counted = 0
+        self._behind = [0.0] * len(LEVELS)
+        self._beliefs: tuple[Belief, ...] = ()
+        self._gap = False
+        self._opening: tuple[int, float] | None = None
+        self._samples: list[Sample] = []
+        self._last = [math.nan, math.nan]
+
+    @property
+    def trust(self) -> float:
+        """How far the equations are taken to be off."""
+        return LEVELS[self.level]
+
+    @property
+    def belief(self) -> Belief | None:
+        """What is believed now, at the level that is judged by."""
+        return self._beliefs[self.level] if self._beliefs else None
+
+    def restart(self, opening: tuple[int, float] | None) -> None:
+        """Begin anew behind a gap; one number may be opened by a spread."""
+        self._samples.clear()
+        self._last = [math.nan, math.nan]
+        self.blocks.clear()
+        self._gap = bool(self._beliefs)
+        self._opening = opening or self._opening
+
+    def adopt(self, belief: Belief) -> None:
+        """Go on from another belief at every level."""
+        self._beliefs = (belief,) * len(LEVELS)
+        self.blocks.clear()
+
+    def full(self, sample: Sample) -> Stretch | None:
+        """Take a sample; the block, once it is full, with what it tells of the noise of a reading."""
+        self._samples.append(sample)
+        if len(self._samples) < self.size:
+            return None
+        y = np.array([*self._last, *(s.output for s in self._samples)])
+        for size in np.abs(y[2:] - 2 * y[1:-1] + y[:-2]).tolist():
+            if not math.isnan(size):
+                self._rough += (min(size, 3.0 * self._rough) - self._rough) / 100.0
+        self._last = [float(y[-2]), float(y[-1])]
+        u = np.array([s.input for s in self._samples])
+        model = self.follower.parameters.model
+        rows = np.array([model.disturbance_row(s.disturbances or None) for s in self._samples])
+        noise = min(max(self._rough / _SECOND, 0.3 * self._noise), 1.5 * self._noise)
+        return Stretch(y, u, rows.reshape(u.size, -1), np.full(u.size, noise))
+
+    def take(self, stretch: Stretch, traces: Traces, *, settled: bool) -> None:
+        """Follow a block; the level is kept if `settled`."""
+        first, row = self._samples[0], stretch.disturbances[0]
+        self._samples.clear()
+        if not self._beliefs:
+            levels = range(len(LEVELS))
+            self._beliefs = tuple(self.follower.begin(first.output, row, level) for level in levels)
+        elif self._gap:
+            beliefs = (self.follower.again(b, first.output, row) for b in self._beliefs)
+            at, spread = self._opening or (0, 0.0)
+            self._beliefs = tuple(b.opened(at, 0.0, spread) for b in beliefs)
+            self._opening = None
+        self._gap = False
+        after, costs = [], []
+        careful = len(LEVELS) - 1 - self.known // _CAREFUL
+        for level, belief in enumerate(self._beliefs):
+            watched = traces if level == self.level else None
+            held, cost = self.follower.run(belief, stretch, max(level, careful), traces=watched)
+            after.append(held)
+            costs.append(cost)
+        self._bring_back(after, costs)
+        self.blocks.append(Block(first.index, stretch, self._beliefs, tuple(costs)))
+        self._beliefs = tuple(after)
+        self.count += 1
+        self.known += 1
+        self.moved_level = not settled and self._choose()
+
+    def unchanged(self) -> tuple[float, FloatArray]:
+        """What all kept blocks cost if nothing changed, but for the equations that may be off by more from
+        some moment on; and what those before each block, and all, cost at the level judged by."""
+        costs = np.array([b.costs for b in self.blocks])
+        before = np.concatenate([[0.0], np.cumsum(costs[:, self.level])])
+        after = np.cumsum(costs[::-1, self.level :], axis=0)[::-1].min(axis=1)
+        return float((before[:-1] + after).min()), before
+
+    def _bring_back(self, after: list[Belief], costs: list[float]) -> None:
+        """A filter that trusts too much may go astray for good; it then goes on where the next one is."""
+        for level in reversed(range(len(LEVELS) - 1)):
+            behind = self._behind[level] + costs[level] - costs[level + 1]
+            self._behind[level] = max(behind, 0.0)
+            if behind > _ASTRAY:
+                after[level] = after[level + 1]
+                costs[level] += _ASTRAY
+                self._behind[level] = 0.0
+
+    def _choose(self) -> bool:
+        """Take the level that the samples bear, and one more for safety; whether that is another."""
+        if len(self.blocks) <= _WAIT:
+            return False
+        self._counted = min(self._counted + 1, _FORGET)
+        self._costs += (np.array(self.blocks[-_WAIT - 1].costs) - self._costs) / self._counted
+        total = self._costs * self._counted
+        best = int(np.flatnonzero(total <= total.min() + _CLEARLY)[-1])
+        before, level = self.level, min(best + 1, len(LEVELS) - 1)
+        if self._counted >= _WAIT:
+            self.level = level
+        return self.level != before
+
+
+def joined(blocks: Sequence[Block]) -> Stretch:
+    """Blocks one behind the other."""
+    y = np.concatenate([blocks[0].stretch.output[:2], *(b.stretch.output[2:] for b in blocks)])
+    return Stretch(
+        y,
+        np.concatenate([b.stretch.input for b in blocks]),
+        np.concatenate([b.stretch.disturbances for b in blocks]),
+        np.concatenate([b.stretch.noise for b in blocks]),
+    )
