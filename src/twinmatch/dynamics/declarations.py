@@ -117,8 +117,8 @@ class Parameter(Declaration):
     """Whether it has to be above zero."""
     most: float = math.inf
     role: str = ""
-    """What it means if it changes: "losses" (heat or whatever else the plant gives away), "room" (what it gives
-    it to); nothing if empty."""
+    """What it means if it changes: "losses" (how the plant gives away heat or the like), "room" (to what);
+    empty: nothing that has a name."""
     relative: bool = True
     """Whether its error is judged relative to its value; False where its zero means nothing."""
 
@@ -130,7 +130,7 @@ class Parameter(Declaration):
             msg = f"plant: bounds {self.bounds} of a parameter ({self.text}) must grow and be possible values"
             raise PlantError(msg)
         if self.role not in ROLES:
-            msg = f"plant: role {self.role!r} of a parameter ({self.text}); it is {' or '.join(ROLES[1:])}, or empty"
+            msg = f"plant: role {self.role!r} of a parameter ({self.text}) must be one of {ROLES}"
             raise PlantError(msg)
 
     def possible(self, value: float) -> bool:

@@ -4,9 +4,10 @@
 balance (`Balance`): what the drive and the surroundings should have done to the plant since the sample
 before, by the plant's own equations, against what the plant did. A drive without effect, a sensor that
 stands still and a reading that no plant can follow leave different traces in that balance, and so each gets
-its own name. Beside it the plant is followed with the states that no sensor shows (`Changes`): other losses,
-another room, a drive or a reading that is off explain the readings each in its own way. Synchronous, no clock, no chance: the same samples, the same
-judgement. What has to go to zero at once is the business of `twinmatch.safety`.
+its own name. Beside it the plant is tracked with the states that no sensor shows (`Changes`): other losses,
+another room, a drive or a reading that is off explain the readings each in its own way. Synchronous, no
+clock, no chance: the same samples, the same judgement. What has to go to zero at once is the business of
+`twinmatch.safety`.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.follower import Belief, Follower, Stretch, Traces
+from twinmatch.dynamics.tracker import Belief, Stretch, Traces, Tracker
 from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["LEVELS", "REACH", "Block", "Past", "joined"]
@@ -56,7 +56,7 @@ class Past:
         self._noise = parameters.model.plant.output.noise
         self.size = max(4, round(_BLOCK / period))
         """Samples of a block."""
-        self.follower = Follower(parameters, period, LEVELS)
+        self.tracker = Tracker(parameters, period, LEVELS)
         self.blocks: deque[Block] = deque(maxlen=REACH)
         """The last ones, oldest first."""
         self.count = 0
@@ -111,7 +111,7 @@ class Past:
                 self._rough += (min(size, 3.0 * self._rough) - self._rough) / 100.0
         self._last = [float(y[-2]), float(y[-1])]
         u = np.array([s.input for s in self._samples])
-        model = self.follower.parameters.model
+        model = self.tracker.parameters.model
         rows = np.array([model.disturbance_row(s.disturbances or None) for s in self._samples])
         noise = min(max(self._rough / _SECOND, 0.3 * self._noise), 1.5 * self._noise)
         return Stretch(y, u, rows.reshape(u.size, -1), np.full(u.size, noise))
@@ -122,9 +122,9 @@ class Past:
         self._samples.clear()
         if not self._beliefs:
             levels = range(len(LEVELS))
-            self._beliefs = tuple(self.follower.begin(first.output, row, level) for level in levels)
+            self._beliefs = tuple(self.tracker.begin(first.output, row, level) for level in levels)
         elif self._gap:
-            beliefs = (self.follower.again(b, first.output, row) for b in self._beliefs)
+            beliefs = (self.tracker.again(b, first.output, row) for b in self._beliefs)
             at, spread = self._opening or (0, 0.0)
             self._beliefs = tuple(b.opened(at, 0.0, spread) for b in beliefs)
             self._opening = None
@@ -133,7 +133,7 @@ class Past:
         careful = len(LEVELS) - 1 - self.known // _CAREFUL
         for level, belief in enumerate(self._beliefs):
             watched = traces if level == self.level else None
-            held, cost = self.follower.run(belief, stretch, max(level, careful), traces=watched)
+            held, cost = self.tracker.run(belief, stretch, max(level, careful), traces=watched)
             after.append(held)
             costs.append(cost)
         self._bring_back(after, costs)

@@ -1,6 +1,6 @@
 """Whether something about the plant has changed, what, and since when.
 
-The plant is followed by its equations (`Follower`), at several degrees of trust in them; the samples say which
+The plant is followed by its equations (`Tracker`), at several degrees of trust in them; the samples say which
 degree they bear. What a jump of the losses, of the room, of the drive's share, of the reading or of nothing
 that has a name would have left in the surprises since is known at any time (Willsky and Jones 1976), and
 cheap. Where such a jump explains more than it costs, every hypothesis is followed for itself from what was
@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.follower import Belief, Stretch, Traces
+from twinmatch.dynamics.tracker import Belief, Stretch, Traces
 from twinmatch.health.blocks import REACH, Block, Past, joined
 from twinmatch.health.hypotheses import Change, Hypothesis, Kind, hypotheses
 from twinmatch.signals import Sample
@@ -32,8 +32,8 @@ _LEARN: Final = 30
 _WORTH: Final = 4.0
 """Nats that a jump has to save before hypotheses are followed for themselves, and that a moment has to be
 better than another to be the one at which it began."""
-_SPREAD_OVER: Final = 20.0
-"""Time within which a change may have come about after the moment it is said to have begun, s."""
+_AT_ONCE: Final = 20.0
+"""Time within which a sudden change may have come about after the moment it is said to have begun, s."""
 _PATIENCE: Final = 12
 """Comparisons that came to nothing after which they are made less often …"""
 _RAREST: Final = 6
@@ -47,9 +47,9 @@ class Changes:
         """Begin with these parameters in the structure that is followed; `period` is the sample time, s."""
         self._period = period
         self._past = Past(parameters, period)
-        self.follower = self._past.follower
+        self.tracker = self._past.tracker
         noise = parameters.model.plant.output.noise
-        self.hypotheses = hypotheses(self.follower, noise)
+        self.hypotheses = hypotheses(self.tracker, noise)
         self._jumps = list({h.index: h for h in self.hypotheses}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
         self._best: tuple[Change, Belief] | None = None
@@ -71,7 +71,7 @@ class Changes:
         belief = self._past.belief
         if belief is None:
             return 0.0
-        return float(belief.values[self.follower.fading] + belief.values[self.follower.push])
+        return float(belief.values[self.tracker.fading] + belief.values[self.tracker.push])
 
     def restart(self, *, offset: bool = False) -> None:
         """Begin anew behind a gap or a fault, keeping what was learned of the plant.
@@ -109,7 +109,7 @@ class Changes:
 
     def _clear(self) -> None:
         """Look for jumps from here on."""
-        n, kinds, starts = self.follower.size, len(self._jumps), REACH // _EVERY
+        n, kinds, starts = self.tracker.size, len(self._jumps), REACH // _EVERY
         self._traces = Traces(
             np.zeros((n, kinds, starts)), np.zeros((kinds, starts)), np.zeros((kinds, starts))
         )
@@ -189,16 +189,19 @@ class Changes:
         """What the readings of the last blocks cost under a hypothesis, and what is believed then."""
         blocks: list[Block] = list(self._past.blocks)[-age:]
         stretch: Stretch = joined(blocks)
-        opened = np.zeros(self.follower.size)
+        before, level = blocks[0].before[self._past.level], self._past.level
+        if h.slowly:
+            belief = before.opened(self.tracker.rate, 0.0, h.spread / h.slowly)
+            belief, cost = self.tracker.run(belief, stretch, level, rising=h.index)
+            return cost + h.price, belief.closed(self.tracker.rate)
+        opened = np.zeros(self.tracker.size)
         half = math.sqrt(0.5) * h.spread
-        opened[h.index] = half / math.sqrt(_SPREAD_OVER)
-        belief, cost = self.follower.run(
-            blocks[0].before[self._past.level].opened(h.index, h.shift, half),
+        opened[h.index] = half / math.sqrt(_AT_ONCE)
+        belief, cost = self.tracker.run(
+            before.opened(h.index, h.shift, half),
             stretch,
-            self._past.level,
+            level,
             opened=opened,
-            lasting=round(_SPREAD_OVER / self._period),
+            lasting=round(_AT_ONCE / self._period),
         )
         return cost, belief
-
-

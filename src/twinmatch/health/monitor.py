@@ -71,6 +71,7 @@ class Monitor:
         self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: list[Alarm] = []
         self._open = False  # whether the last alarm goes on
+        self._slowly = False  # whether a slow change raised it
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
@@ -80,7 +81,7 @@ class Monitor:
     def fault_between(self, first: int, last: int) -> Alarm | None:
         """The first alarm whose trace touches the samples `first` to `last`, both included.
 
-        Nothing should be learned from such a window. Slow changes are left out: they are what matching is for.
+        Nothing should be learned from such a window. Slow changes are left out: matching is for those.
         """
         faults = (alarm for alarm in self._alarms if alarm.fault not in SLOW)
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
@@ -201,21 +202,23 @@ class Monitor:
             if news is not None:
                 return news
         if self._open and self._mended():
-            slow = self._slow.told is not None or self._alarms[-1].fault in SLOW
-            return self._close(index - (1 if slow else self._quiet))
+            return self._close(index - (1 if self._slowly else self._quiet))
         return None
 
     def _raise(self, index: int, finding: Finding) -> Alarm | None:
         earliest = self._begin
         if self._open:
-            if finding.fault not in _GRAVER.get(self._alarms[-1].fault, ()):
+            on = self._alarms[-1].fault
+            if finding.slow and finding.fault is on and self._slow.told is None:
+                self._slow.tell(index)  # what the drive's effect has told already
+            if finding.fault not in _GRAVER.get(on, ()):
                 return None
             earliest = index
             self._close(index - 1)
         elif self._alarms and self._alarms[-1].last is not None:
             earliest = max(self._begin, self._alarms[-1].last + 1)
         self._alarms.append(Alarm(finding.fault, max(finding.first, earliest), index, None, finding.reason))
-        self._open = True
+        self._open, self._slowly = True, finding.slow
         if finding.fault in _UNFOLLOWED:
             self._slow.restart(offset=finding.fault is Fault.SENSOR_IMPLAUSIBLE)
         elif finding.slow:
@@ -226,7 +229,7 @@ class Monitor:
         """Whether the fault that is on has gone."""
         fault = self._alarms[-1].fault
         quiet, proven = self._quiet * self.settings.period, self._proofs * self.settings.period
-        if fault in SLOW or self._slow.told is fault:
+        if self._slowly:
             return self._slow.over(self._index)
         if fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK, Fault.SENSOR_LATE):
             return proven >= _PROVE or quiet >= _TACIT

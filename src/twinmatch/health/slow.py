@@ -46,7 +46,6 @@ class _Told:
     fault: Fault
     hypothesis: Hypothesis
     before: float
-    shift: float
     at: int
 
 
@@ -62,7 +61,8 @@ class Slow:
         self._over = False
         self.finding: Finding | None = None
         """What there is to say now."""
-        self._forget_doubt()
+        self._running = 0
+        self._unnamed_since: int | None = None
 
     @property
     def told(self) -> Fault | None:
@@ -95,7 +95,7 @@ class Slow:
         """The finding is told now; from now on the plant is what it is since."""
         change = self._change
         assert change is not None and self.finding is not None  # noqa: S101, PT018 — it is what was found
-        self._told = _Told(self.finding.fault, change.hypothesis, change.before, change.shift, index)
+        self._told = _Told(self.finding.fault, change.hypothesis, change.before, index)
         self._over = False
         if self.finding.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
             self._changes.adopt()
@@ -126,27 +126,30 @@ class Slow:
 
     def _forget_doubt(self) -> None:
         self.finding, self._change, self._running = None, None, 0
-        self._unnamed_since: int | None = None
+        self._unnamed_since = None
 
     @property
     def _unnamed_now(self) -> bool:
         return self._told is not None and self._told.fault is Fault.DRIFT
 
     def _settled(self, change: Change) -> bool:
-        """Whether the change is none to be told: known all along, or the end of one that was told."""
+        """Whether the change is none to be told: known all along, or the end or more of one that was told."""
         if change.gain < self._settings.change or self._running < _RUNNING:
             return False
         if not change.begun:
             self._changes.adopt()
             self._forget_doubt()
             return True
-        told = self._told
-        if told is None or told.hypothesis.index != change.hypothesis.index:
+        told, h = self._told, change.hypothesis
+        same = told is not None and told.hypothesis.index == h.index
+        if not same and h.parameter:
             return False
-        left = abs(change.value - told.before)
-        if left > max(_BACK * abs(told.shift), told.hypothesis.least):
+        usual = told.before if told is not None and same else 0.0
+        left = change.value - usual
+        if abs(left) <= max(_BACK * max(abs(change.shift), abs(change.before - usual)), h.least):
+            self._over = self._over or same
+        elif not same or change.lead < self._settings.lead:
             return False
-        self._over = True
         self._changes.adopt()
         self._forget_doubt()
         return True
@@ -180,8 +183,8 @@ class Slow:
         names = [_ASKED[change.hypothesis.kind], *near]
         listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
         return (
-            f"the plant does something else than before; {listed} may have changed, which these readings do not "
-            f"tell apart: {self._words.surroundings}"
+            f"the plant does something else than before; {listed} may have changed, which these readings "
+            f"do not tell apart: {self._words.surroundings}"
         )
 
     def _where(self, kind: Kind) -> str:
@@ -197,7 +200,9 @@ class Slow:
         if h.kind is Kind.DRIVE:
             return f"the drive does {1.0 + change.value:.0%} of what it should to {words.output}"
         if h.kind is Kind.SENSOR:
-            return f"the readings of {words.output} are {signed(change.shift)}{words.unit} from what they were"
+            return (
+                f"the readings of {words.output} are {signed(change.shift)}{words.unit} from what they were"
+            )
         declared = self._settings.followed.model.declared[h.parameter]
         if h.kind is Kind.LOSSES:
             factor = math.exp(change.shift)

@@ -26,8 +26,9 @@ GONE: Final = {
     "limits.fault_u": _MONITOR,
     "limits.doubtful_y": _BANDS,
     "limits.doubtful_u": _BANDS,
+    "health.drift": "health.change says what a change has to explain to be told",
 }
-"""What was told by residuals once, and what tells it now."""
+"""What was told otherwise once, and what tells it now."""
 _START: Final = "start."
 
 

@@ -287,7 +287,8 @@ def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
         ("weak", "The same below which it is weak, if that lasts.", "", 0.01, 0.99),
         ("jump", "Step of a reading that no plant can make.", y, 1e-6, 1e6),
         ("frozen", "How long one reading has to be repeated.", "s", 1.0, 1e4),
-        ("drift", "Unexplained slow movement, in its uncertainty.", "", 0.1, 1e3),
+        ("change", "What a change has to explain better than none, to be told.", "nats", 0.1, 1e3),
+        ("lead", "The same against the next best, to be told by name.", "nats", 0.1, 1e3),
         ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
     )
     return (

@@ -161,7 +161,8 @@ class Peltier(Plant, name="peltier"):
             _BOTH, (_MASS,), switched=True, watched=True
         ),
         "sink with mass, free ambient, free ripple": replace(
-            _structure((*_BOTH, "drive_ripple"), (_MASS,)), fixed={**_RIG, "ambient": 294.0, "drive_ripple": 0.5}
+            _structure((*_BOTH, "drive_ripple"), (_MASS,)),
+            fixed={**_RIG, "ambient": 294.0, "drive_ripple": 0.5},
         ),
         "sink with mass, free ambient, switched drive, sensor lag": _structure(
             (*_BOTH, "sensor_lag"), (_MASS, _LAG), switched=True

@@ -1,14 +1,13 @@
-"""The compiled arithmetic of a `Follower`: states, parameters and what else is unknown, sample by sample.
+"""The compiled arithmetic of a `Tracker`: states, parameters and what else is unknown, sample by sample.
 
 The store puts this file behind `kernels`, so that all is written against one plant's functions.
 """
 
-# ruff: noqa: PLR0912, PLR0914, PLR0915, PLR0917 (kernels are long and take arrays in a row)
+# ruff: noqa: PLR0912, PLR0915, PLR0917 (kernels are long and take arrays in a row)
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -24,11 +23,11 @@ from twinmatch.dynamics.derived import (
     row,
     unpack,
 )
-from twinmatch.dynamics.followed import Followed
 from twinmatch.dynamics.kernels import tick_with_tangents
+from twinmatch.dynamics.tracked import Tracked
 from twinmatch.signals import FloatArray
 
-__all__ = ["follow"]
+__all__ = ["track"]
 
 CLIPPED = 3.0
 """Surprises count as no larger than so many of their standard deviations."""
@@ -39,7 +38,7 @@ STALE = 1e6
 
 
 @compiled(inside=True)
-def _values(fixed: Followed, at: FloatArray, vector: FloatArray) -> None:
+def _values(fixed: Tracked, at: FloatArray, vector: FloatArray) -> None:
     """Write the parameters that a belief stands for."""
     for j in range(fixed.places.size):
         q = at[N_STATES + j]
@@ -48,17 +47,17 @@ def _values(fixed: Followed, at: FloatArray, vector: FloatArray) -> None:
 
 
 @compiled
-def follow(
-    fixed: Followed, at: FloatArray, covariance: FloatArray, drift: FloatArray, swift: float,
+def track(
+    fixed: Tracked, at: FloatArray, covariance: FloatArray, drift: FloatArray, swift: float,
     y: FloatArray, u: FloatArray, disturbances: FloatArray, noise: FloatArray,
-    opened: FloatArray, lasting: int, effects: FloatArray, hits: FloatArray, weights: FloatArray,
+    opened: FloatArray, lasting: int, rising: int, effects: FloatArray, hits: FloatArray, weights: FloatArray,
 ) -> float:  # fmt: skip
     """Follow some samples; belief and traces move in place. Return what the readings cost, in nats.
 
     Args:
         fixed: what stays.
         at: what is believed, shape (n,): states, parameters, share of the drive, offset of the reading, its
-            passing part, push that fades, push that stays.
+            passing part, push that fades, push that stays, and the rate at which one of the others rises.
         covariance: of it, shape (n, n).
         drift: standard deviations by which it strays in a second, shape (n,).
         swift: error of a movement of the output as a share of it.
@@ -68,6 +67,7 @@ def follow(
         noise: standard deviation of each reading, shape (N,).
         opened: more straying, per second, in the first `lasting` samples, shape (n,).
         lasting: number of those samples.
+        rising: which of the numbers rises at the rate, by its index; negative: none.
         effects: what jumps in the past would have done to what is believed now, shape (n, kinds, starts).
         hits: sums of surprise times effect over variance, shape (kinds, starts).
         weights: sums of squared effect over variance, shape (kinds, starts).
@@ -174,6 +174,13 @@ def follow(
                 covariance[i, i] += opened[i] ** 2 * period
         for i in range(n):
             covariance[i, i] += (swift * moving * hx[i] / shows) ** 2
+        if rising >= 0:
+            rate = size - 1
+            at[rising] += at[rate] * period
+            for i in range(size):
+                covariance[rising, i] += covariance[rate, i] * period
+            for i in range(size):
+                covariance[i, rising] += covariance[i, rate] * period
         _carry_effects(moved, there, effects, fixed.keeps)
     return cost
 

@@ -1,10 +1,10 @@
 """A running plant followed by its equations: states, parameters and what acts on it unseen, all at once.
 
 An extended Kalman filter whose state is, in this order, the plant's states, the parameters its structure
-leaves free, and five numbers no plant file names: by what share the drive does more than it should, by what
-the reading is off for good and in passing (a camera that has just corrected itself), and how much pushes
-the output for a while and for good. Of those only the passing offset and the fading push stray by
-themselves; the others are opened by whoever asks whether they changed.
+leaves free, and six numbers no plant file names: by what share the drive does more than it should, by what
+the reading is off for good and in passing (a camera that has just corrected itself), how much pushes the
+output for a while and for good, and how fast one of the others rises. Of those only the passing offset and
+the fading push stray by themselves; the others are opened by whoever asks whether they changed.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics.followed import Followed
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.dynamics.simulation import begin
+from twinmatch.dynamics.tracked import Tracked
 from twinmatch.signals import FloatArray
 
-__all__ = ["Belief", "Follower", "Stretch", "Traces", "no_traces"]
+__all__ = ["Belief", "Stretch", "Traces", "Tracker", "no_traces"]
 
 _FADES: Final = 100.0
 """Time in which a push that nobody can name is gone, s."""
@@ -74,6 +74,13 @@ class Belief:
     covariance: FloatArray
     """Shape (n, n)."""
 
+    def closed(self, index: int) -> Belief:
+        """The same with one of the numbers known to be zero."""
+        values, covariance = self.values.copy(), self.covariance.copy()
+        values[index] = 0.0
+        covariance[index, :] = covariance[:, index] = 0.0
+        return Belief(values, covariance)
+
     def opened(self, index: int, shift: float, spread: float) -> Belief:
         """The same had one of the numbers moved by a shift known to within a spread."""
         values, covariance = self.values.copy(), self.covariance.copy()
@@ -82,7 +89,7 @@ class Belief:
         return Belief(values, covariance)
 
 
-class Follower:
+class Tracker:
     """Follows one plant at several degrees of trust in its equations."""
 
     def __init__(self, parameters: Parameters, period: float, levels: tuple[float, ...]) -> None:
@@ -93,15 +100,13 @@ class Follower:
         self.parameters = parameters
         self.free = free
         n, m = len(model.states), len(free)
-        self.size = n + m + 5
+        self.size = n + m + 6
         self.at = {name: n + j for j, name in enumerate(free)}
         """Where the parameters stand in a belief."""
-        self.share, self.offset, self.passing, self.fading, self.push = range(n + m, n + m + 5)
+        self.share, self.offset, self.passing, self.fading, self.push, self.rate = range(n + m, self.size)
         values = np.array([parameters[name] for name in free])
         bounds = np.array([declared[name].bounds for name in free])
-        logged = [
-            declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free
-        ]
+        logged = [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free]
         self.logged = np.array(logged)
         floor = np.maximum(bounds[:, 0], 0.01 * values)
         # A belief that is cut off at a bound is no longer one: what goes with the parameter would not follow.
@@ -112,7 +117,7 @@ class Follower:
         keeps = np.ones(self.size)
         keeps[self.fading] = math.exp(-period / _FADES)
         keeps[self.passing] = math.exp(-period / _PASSES)
-        self._fixed = Followed(
+        self._fixed = Tracked(
             vector=parameters.vector.copy(),
             places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
             which=np.array([kernels.UNKNOWN.index(k) for k in free], dtype=np.int64),
@@ -127,7 +132,7 @@ class Follower:
         self._scales = np.array(
             [1.0 if log else declared[k].scale for k, log in zip(free, logged, strict=True)]
         )
-        self._follow = kernels.follow
+        self._track = kernels.track
         noise = model.plant.output.noise
         scales = np.array([model.plant.states[name].scale for name in model.states])
         slope = kernels.slopes_at(
@@ -136,7 +141,8 @@ class Follower:
         self._shown = slope != 0.0
         seen = np.where(self._shown, noise / np.where(self._shown, np.abs(slope), 1.0), 0.0)
         self._first = np.concatenate([
-            np.where(self._shown, 3.0 * seen, 0.5 * scales), np.where(self.logged, _UNSURE, _PART * self._scales)
+            np.where(self._shown, 3.0 * seen, 0.5 * scales),
+            np.where(self.logged, _UNSURE, _PART * self._scales),
         ])  # fmt: skip
         self._noise = noise
         drift = np.zeros(self.size)
@@ -180,6 +186,7 @@ class Follower:
         traces: Traces | None = None,
         opened: FloatArray | None = None,
         lasting: int = 0,
+        rising: int = -1,
     ) -> tuple[Belief, float]:
         """The belief after some samples, and what their readings cost, in nats.
 
@@ -190,11 +197,12 @@ class Follower:
             traces: moved along, in place.
             opened: more straying, per √s, in the first `lasting` samples, shape (n,).
             lasting: number of those samples.
+            rising: which of the numbers rises at the believed rate; negative: none.
         """
         values, covariance = belief.values.copy(), belief.covariance.copy()
-        cost = self._follow(
+        cost = self._track(
             self._fixed, values, covariance, self._drifts[level], self._swift[level],
-            *stretch, self._closed if opened is None else opened, lasting, *(traces or self._none),
+            *stretch, self._closed if opened is None else opened, lasting, rising, *(traces or self._none),
         )  # fmt: skip
         return Belief(values, covariance), float(cost)
 
@@ -202,5 +210,3 @@ class Follower:
         """The value of a parameter that is believed."""
         q, start = float(belief.values[self.at[name]]), self.parameters[name]
         return start * math.exp(q) if self.logged[self.free.index(name)] else start + q
-
-

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 from twinmatch.signals import FloatArray
 
-__all__ = ["Followed"]
+__all__ = ["Tracked"]
 
 
-class Followed(NamedTuple):
+class Tracked(NamedTuple):
     """Of m parameters that are followed, of a belief of n numbers."""
 
     vector: FloatArray
