@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from tests.support.rig import rig, run
+from twinmatch.backtest import sentences
+from twinmatch.backtest.result import LEADER, TWINS
+from twinmatch.backtest.table import cells
 from twinmatch.discrimination import ADMITTED
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
@@ -71,7 +74,7 @@ def test_it_is_made_for_printing(page: Element) -> None:
 
 def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(page: Element) -> None:
     images = list(page.all("img"))
-    assert len(images) == 7
+    assert len(images) == 8
     for image in images:
         head, data = image.attributes["src"].split(",", 1)
         assert head == "data:image/svg+xml;base64"
@@ -115,6 +118,20 @@ def test_the_criterion_tables_hold_the_verdict_and_the_best_is_bold(page: Elemen
                     cell = row[names.index(name)]
                     assert cell.text == number(value, places)
                     assert ("best" in cell.classes) is (value == best)
+
+
+def test_the_forecasts_stand_beside_what_came_and_beside_the_peers(page: Element, shipped: Report) -> None:
+    tested = shipped.judged.tested
+    tables = tables_of(page)
+    for horizon in tested.horizons:
+        held = [card for card in tested.cards if card.horizon == horizon]
+        rows = grid(tables[f"{horizon:g} s ahead, {held[0].count} forecasts"])
+        assert [[cell.text for cell in row] for row in rows] == [list(cells(c, Peltier)) for c in held]
+        best = [row[0].text for row in rows if "best" in row[1].classes]
+        asked = [c for c in held if c.who == LEADER or c.who not in TWINS]
+        assert best == [c.who for c in asked if c.median == min(a.median for a in asked)]
+    for line in sentences(tested):
+        assert line in page.text
 
 
 def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: Report) -> None:

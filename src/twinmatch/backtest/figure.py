@@ -153,7 +153,7 @@ def _dress(axes: tuple[Axes, Axes, Axes], backtest: Backtest) -> None:
         reach = float(backtest.shown[-1].time[-1])
         output.set_xlim(begin - 0.2 * reach, last + 1.1 * reach)
     whose = backtest.pictured or backtest.name
-    output.set_title(f"{whose}: forecasts of the leader, one after another, each made before what it shows")
+    output.set_title(f"{whose}: what the leader had foretold")
     output.set_ylabel(words.output_label)
     left.set_ylabel(with_unit("came − forecast", words.output_unit))
     left.axhline(0, color=SET_POINT, lw=0.6)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from twinmatch.backtest.constant import with_constant_band
 from twinmatch.backtest.errors import BacktestError
@@ -24,7 +24,10 @@ from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin
 from twinmatch.twin.threads import one_thread
 
-__all__ = ["Choices", "Listener", "backtest", "backtest_session", "graded"]
+__all__ = ["Choices", "Listener", "backtest", "backtest_session", "graded", "halves"]
+
+_EVERY: Final = 60.0
+"""Seconds between two forecasts, if nothing else is asked for."""
 
 
 @dataclass(frozen=True)
@@ -35,20 +38,35 @@ class Choices:
         BacktestError: there is no horizon, or no such peer.
     """
 
-    every: float = 60.0
-    """Seconds between two forecasts, beside those at every verdict."""
-    horizons: tuple[float, ...] = HORIZONS
-    """How far ahead, s; from near to far."""
+    every: float | None = None
+    """Seconds between two forecasts, beside those at every verdict; None: a minute, but at least a sample."""
+    horizons: tuple[float, ...] | None = None
+    """How far ahead, s; None: `HORIZONS`, without those that are shorter than a sample."""
     peers: tuple[str, ...] = tuple(PEERS)
     """Names of those who are asked beside the twin."""
 
     def __post_init__(self) -> None:
-        if not self.horizons:
+        if self.horizons == ():
             raise BacktestError("backtest: there is no horizon; give at least one, in seconds")
         unknown = [name for name in self.peers if name not in PEERS]
         if unknown:
             raise BacktestError(f"no peer {unknown[0]!r}; there are {', '.join(PEERS)}")
-        object.__setattr__(self, "horizons", tuple(sorted(set(self.horizons))))
+
+    def pace(self, period: float) -> float:
+        """Seconds between two forecasts, for samples that come every so many seconds."""
+        return max(_EVERY, period) if self.every is None else self.every
+
+    def ahead(self, period: float) -> tuple[float, ...]:
+        """The horizons from near to far, for samples that come every so many seconds.
+
+        Raises:
+            BacktestError: one that was asked for is shorter than a sample.
+        """
+        if self.horizons is None:
+            return tuple(h for h in HORIZONS if h >= period) or (period,)
+        for horizon in self.horizons:
+            samples_within(horizon, period)
+        return tuple(sorted(set(self.horizons)))
 
 
 class _Asked(NamedTuple):
@@ -75,8 +93,8 @@ class Listener:
         Raises:
             BacktestError: a horizon or the time between two forecasts is shorter than one sample.
         """
-        samples_within(choices.horizons[0], period)
-        return cls(frozenset(regular(stretches(samples, period), choices.every)))
+        choices.ahead(period)
+        return cls(frozenset(regular(stretches(samples, period), choices.pace(period))))
 
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
         """Take what one sample brought about."""
@@ -129,11 +147,17 @@ def backtest(
     """Test the twin on a session, on these terms; see `backtest_session`."""
     choices = choices or Choices()
     listener = Listener.to(session.samples, terms.settings.period, choices)
-    total = 2 * len(session.samples)
-    first = None if watch is None else (lambda done, _: watch(done, total))
-    second = None if watch is None else (lambda done, _: watch(total // 2 + done, total))
+    first, second = halves(watch)
     judgement = judge(session, terms, watch=first, beside=listener)
     return graded(judgement, listener, choices, watch=second)
+
+
+def halves(watch: Watch | None) -> tuple[Watch | None, Watch | None]:
+    """Who is told of two works of equal length, one after the other, as of one."""
+    if watch is None:
+        return None, None
+    told = watch
+    return (lambda done, total: told(done, 2 * total)), (lambda done, total: told(total + done, 2 * total))
 
 
 def graded(
@@ -145,9 +169,10 @@ def graded(
     """
     plant, period = judgement.settings.plant, judgement.settings.period
     held = stretches(judgement.samples, period)
-    found = origins(held, listener.asked, choices.horizons)
+    horizons = choices.ahead(period)
+    found = origins(held, listener.asked, horizons)
     others, absent = peers(plant, choices.peers)
-    grading = _Grading(judgement, listener, choices)
+    grading = _Grading(judgement, listener, horizons)
     with held_interrupts() as check_interrupt:
         for done, origin in enumerate(found):
             grading.at(origin, others)
@@ -160,7 +185,7 @@ def graded(
         name=judgement.name,
         plant=plant,
         period=period,
-        horizons=choices.horizons,
+        horizons=horizons,
         confidence=CONFIDENCE,
         marked=tuple(marked),
         came=held,
@@ -173,8 +198,8 @@ def graded(
 class _Grading:
     """The marks of one session, gathered origin by origin."""
 
-    def __init__(self, judgement: Judgement, listener: Listener, choices: Choices) -> None:
-        self._judgement, self._listener, self._choices = judgement, listener, choices
+    def __init__(self, judgement: Judgement, listener: Listener, horizons: tuple[float, ...]) -> None:
+        self._judgement, self._listener, self._horizons = judgement, listener, horizons
         self.marked: list[Marked] = []
         self.shown: list[Forecast] = []
         self.spoilt = 0
@@ -184,7 +209,7 @@ class _Grading:
 
     def at(self, origin: Origin, others: Sequence[Peer]) -> None:
         """Ask everybody who can answer, and judge the answers."""
-        horizons = [h for h in self._choices.horizons if not self._meets_fault(origin, h)]
+        horizons = [h for h in self._horizons if not self._meets_fault(origin, h)]
         if not horizons:
             self.spoilt += 1
             return

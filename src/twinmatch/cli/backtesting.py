@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--every",
         type=_seconds,
-        default=60.0,
         metavar="S",
         help="seconds between two forecasts, beside those at every verdict (default: 60)",
     )
@@ -92,9 +91,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _one(path: Path, options: argparse.Namespace) -> Backtest:
     from twinmatch.backtest.run import Choices, backtest_session  # noqa: PLC0415 — as above
-    from twinmatch.forecasting import HORIZONS  # noqa: PLC0415
 
-    choices = Choices(options.every, tuple(options.horizon or HORIZONS), tuple(options.peers))
+    horizons = None if options.horizon is None else tuple(options.horizon)
+    choices = Choices(options.every, horizons, tuple(options.peers))
     with Progress() as progress:
         tested = backtest_session(
             path,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from twinmatch.backtest import Backtest, Choices, Listener, graded
+from twinmatch.backtest.run import halves
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Judgement, Watch
 from twinmatch.judging.judgement import judge as judge_on
@@ -21,6 +23,8 @@ class Judged:
 
     session: Session
     judgement: Judgement
+    tested: Backtest
+    """The forecasts that were made meanwhile, against what came."""
     parameters: str
     """Where the parameters came from, in words."""
     recorded: str
@@ -42,9 +46,12 @@ def judge(
     """
     session = open_any(path)
     terms, unlike = _terms(session, config, candidates)
-    judgement = judge_on(session, terms, watch=watch)
+    choices, (first, second) = Choices(), halves(watch)
+    listener = Listener.to(session.samples, terms.settings.period, choices)
+    judgement = judge_on(session, terms, watch=first, beside=listener)
+    tested = graded(judgement, listener, choices, watch=second)
     recorded, identical = _compared(session, judgement, unlike)
-    return Judged(session, judgement, terms.source, recorded, identical)
+    return Judged(session, judgement, tested, terms.source, recorded, identical)
 
 
 def _terms(session: Session, config: Path | None, candidates: Path | None) -> tuple[Terms, str]:

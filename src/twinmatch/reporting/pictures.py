@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twinmatch.backtest import Backtest, draw_backtest, sentences
 from twinmatch.discrimination import REFUSED
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Judgement
@@ -54,7 +55,9 @@ class Picture:
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode("ascii")
 
 
-def pictures(judgement: Judgement, members: Sequence[Member]) -> dict[str, Picture]:
+def pictures(
+    judgement: Judgement, members: Sequence[Member], tested: Backtest | None = None
+) -> dict[str, Picture]:
     """Every picture that this session gives, by name and in the order of the report."""
     j, last = judgement, last_verdict(judgement.verdicts)
     found = [
@@ -71,6 +74,12 @@ def pictures(judgement: Judgement, members: Sequence[Member]) -> dict[str, Pictu
             draw_health(j.samples, j.matches, j.verdicts, j.settings),
         ),
     ]
+    if tested is not None and tested.marked:
+        found.append(
+            _picture(
+                "forecasts", "Forecasts against what came", _forecasts_alt(tested), draw_backtest(tested)
+            )
+        )
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
         figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
@@ -164,6 +173,13 @@ def _health_alt(j: Judgement) -> str:
     return (
         f"Trust over time: {told or 'nothing was judged'}. {joined} matches admitted, "
         f"{sum(v.match == REFUSED for v in j.verdicts)} refused."
+    )
+
+
+def _forecasts_alt(tested: Backtest) -> str:
+    return (
+        "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their bands "
+        f"against what came. {' '.join(sentences(tested))}"
     )
 
 

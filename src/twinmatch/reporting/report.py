@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from twinmatch.backtest import sentences
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Watch
+from twinmatch.reporting.forecast_tables import forecast_tables
 from twinmatch.reporting.judging import Judged, judge
 from twinmatch.reporting.match_tables import (
     event_table,
@@ -76,7 +78,7 @@ class Report:
             raise TwinmatchError(msg) from error
 
     def _content(self) -> dict[str, object]:
-        judgement = self.judged.judgement
+        judged, judgement = self.judged, self.judged.judgement
         last, nominal = last_verdict(judgement.verdicts), self.nominal
         period, level = judgement.settings.period, judgement.summary.level
         return {
@@ -85,7 +87,15 @@ class Report:
             "level": level.value,
             "level_colour": LEVELS[level],
             "level_words": LEVEL_WORDS[level],
-            "words": plain_words(judgement),
+            "words": [*plain_words(judgement), *sentences(judged.tested)[-1:]],
+            "forecasts": forecast_tables(judged.tested),
+            "foretold": sentences(judged.tested),
+            "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
+            "confidence": f"{100 * judged.tested.confidence:.0f}",
+            "forecast_notes": [
+                *judged.tested.notes,
+                *(f"{a.name}: {a.reason}" for a in judged.tested.absent),
+            ],
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
@@ -123,7 +133,7 @@ def build_report(
     return Report(
         judged=judged,
         members=members,
-        pictures=pictures(judgement, members),
+        pictures=pictures(judgement, members, judged.tested),
         provenance=provenance(path, judgement.settings, command, made),
     )
 

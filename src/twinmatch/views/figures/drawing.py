@@ -59,6 +59,11 @@ def _arrange(figure: Figure) -> None:
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine("none")
+        for (
+            axes
+        ) in figure.axes:  # the solver's last digits vary from run to run, and names in an SVG with them
+            x, y, width, height = (round(edge, 6) for edge in axes.get_position(original=True).bounds)
+            axes.set_position((x, y, width, height))
 
 
 @styled
