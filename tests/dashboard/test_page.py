@@ -33,6 +33,9 @@ class Nothing:
     def rate(self, rate: float) -> None:
         raise AssertionError(rate)
 
+    def what_if(self, level: float, hold: float | None) -> None:
+        raise AssertionError(level, hold)
+
     def set_point(self, level: float) -> None:
         raise AssertionError(level)
 

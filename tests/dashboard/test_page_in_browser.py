@@ -36,6 +36,9 @@ from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, TwinState
 
 pytestmark = pytest.mark.ros
 
+FORECAST, ANSWER = 3, 6
+"""Where the chart of the output draws what comes next, among its lines."""
+
 
 class Graph:
     """What the nodes of a rig publish, from this process."""
@@ -190,6 +193,56 @@ def test_verdicts_family_and_events_are_shown(
     assert browser.complaints() == []
 
 
+def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
+    page: Any,  # noqa: ARG001
+    graph: Graph,
+    browser: Any,
+    judged: Judgement,
+    node: Callable[..., Process],
+) -> None:
+    """A real discriminator: its forecast ahead of the newest sample, its answer beside the question."""
+    discriminator, _ = node("discriminator"), node("matcher")
+    browser.wait_for(lambda: graph.heard("plant/sample") == 2, "the discriminator")
+    browser.wait_for(lambda: graph.node.count_publishers("twin/match"), "the matcher")
+    graph.session(list(judged.samples))
+    last = float(judged.samples[-1].index)
+    browser.wait_for(lambda: browser.column("output", FORECAST, "t")[:1] == [last + 1.0], "the forecast")
+    assert browser.column("output", FORECAST, "t")[-1] == last + 300.0
+    low, mean, high = (browser.column("control", 2, f"input{edge}") for edge in ("_low", "", "_high"))
+    assert all(a <= b <= c for a, b, c in zip(low, mean, high, strict=True))
+    assert "leader, foretells best" in browser.text
+    ends = browser.run("return Bokeh.documents[0].get_model_by_name('output').x_range.end")
+    assert ends == last + 300.0
+    _ask(browser, "55.5", "120")
+    browser.wait_for(lambda: "set-point 55.5 °C for 120 s" in browser.text, "the question")
+    browser.wait_for(lambda: "temperature after 300 s" in browser.text, "the answer")
+    asked = browser.column("output", ANSWER, "reference")
+    assert (asked[0], asked[118], asked[119]) == (55.5, 55.5, judged.samples[-1].reference)
+    _ask(browser, "400", "")
+    browser.wait_for(lambda: "the set-point is 400 °C; give one from" in browser.text, "the refusal")
+    assert browser.column("output", ANSWER, "t") == []
+    browser.click("5 min")
+    browser.wait_for(lambda: browser.column("output", FORECAST, "t")[-1] <= last + 75.0, "less of it")
+    browser.click("20 min")
+    assert discriminator.end() == 0
+
+    def missed() -> bool:
+        _ask(browser, "50", "")
+        time.sleep(0.5)
+        return "the discriminator is not there" in browser.text
+
+    browser.wait_for(missed, "a word of it")
+    assert browser.complaints() == []
+
+
+def _ask(browser: Any, level: str, hold: str) -> None:
+    fields = browser.run("return deep(document).filter((e) => e.tagName == 'INPUT' && e.checkVisibility())")
+    for field, value in zip(fields, (level, hold), strict=True):
+        field.clear()
+        field.send_keys(value, "\n")
+    browser.click("Ask")
+
+
 def test_a_fault_is_shown_and_goes(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
     graph.session(counted(5))
     graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>")
@@ -252,7 +305,7 @@ def test_without_control_nothing_can_be_asked_of_the_rig(page: Any, graph: Graph
         assert browser.button(label) is None
     assert graph.node.count_publishers("plant/reference") == 0
     services = {name for name, _ in graph.node.get_client_names_and_types_by_node("dashboard", "/")}
-    assert services == {"/player/pause", "/player/set_parameters"}
+    assert services == {"/player/pause", "/player/set_parameters", "/twin/what_if"}
 
 
 def test_control_asks_the_controller_and_the_bridge(

@@ -23,6 +23,9 @@ class Actions(Protocol):
     def rate(self, rate: float) -> None:
         """Let it play so many recorded seconds per second; 0: as fast as it goes."""
 
+    def what_if(self, level: float, hold: float | None) -> None:
+        """Ask what comes if the set-point goes to a level, and back after a time (s; None: it stays)."""
+
     def set_point(self, level: float) -> None:
         """Ask the controller for a set-point."""
 

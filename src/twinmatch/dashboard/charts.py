@@ -8,6 +8,7 @@ from typing import Any
 from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, HoverTool, Legend
 from bokeh.plotting import figure
 
+from twinmatch.dashboard.ahead import Fans
 from twinmatch.dashboard.events import Event, Lane
 from twinmatch.dashboard.look import MARKS, SHAPES
 from twinmatch.description import Description
@@ -41,6 +42,8 @@ class TimeCharts:
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
         self.output = self._output()
         self.control = self._control()
+        self.fans = Fans(self.output, self.control)
+        self.time.renderers = [*self.time.renderers, *self.fans.lines]
         self.residual = self._residual()
         self.control_residual = self._control_residual()
         self._stretches = ColumnDataSource({"left": [], "right": [], "lane": [], "colour": [], "level": []})

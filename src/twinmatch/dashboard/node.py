@@ -22,12 +22,13 @@ from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.conversions import verdict_from
 from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.forecast_messages import forecast_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import one_of, sample_from
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.twin_parameters import read_settings
-from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, TwinState
+from twinmatch_msgs.msg import Forecast, LoopSample, ModelScore, PwmApplied, TwinState
 
 __all__ = ["Dashboard"]
 
@@ -72,9 +73,12 @@ class Dashboard(TwinmatchNode):
         """
         self.state = DashboardState(plant=self._settings.plant)
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._requests = Requests(self, self.state, self._asked.put, control=self.values["control"])
+        self._requests = Requests(
+            self, self.state, self._asked.put, control=self.values["control"], plant=self._settings.plant
+        )
         self._hear(LoopSample, "plant/sample", self._on_sample, ALL)
         self._hear(TwinState, "twin/state", self._on_twin, ALL)
+        self._hear(Forecast, "twin/forecast", self._on_forecast, ALL)
         self._hear(ModelScore, "twin/model_score", self._on_score, ALL)
         self._hear(PwmApplied, "plant/pwm_applied", self._on_applied, ALL)
         self._hear(DiagnosticArray, "/diagnostics", self._on_health, ALL)
@@ -129,6 +133,9 @@ class Dashboard(TwinmatchNode):
     def _on_twin(self, message: TwinState) -> None:
         row = TwinRow(**{name: one_of(message, name) for name in TwinRow._fields})
         self.state.push_twin(message.index, row)
+
+    def _on_forecast(self, message: Forecast) -> None:
+        self.state.push_forecast(forecast_from(message))
 
     def _on_score(self, message: ModelScore) -> None:
         self.state.push_verdict(verdict_from(message))

@@ -11,13 +11,14 @@ from bokeh.models import CustomJS, Div, Toggle
 
 from twinmatch.dashboard import panels
 from twinmatch.dashboard.actions import Actions
+from twinmatch.dashboard.ahead import seconds_ahead
 from twinmatch.dashboard.charts import TimeCharts, bands
 from twinmatch.dashboard.feed import Feed
 from twinmatch.dashboard.look import FONT, THEME, panel
 from twinmatch.dashboard.matrix import Matrix
 from twinmatch.dashboard.state import DashboardState
 from twinmatch.dashboard.thermal import Thermal
-from twinmatch.dashboard.widgets import PlayerButtons, RigButtons, SpanButtons
+from twinmatch.dashboard.widgets import PlayerButtons, QuestionForm, RigButtons, SpanButtons
 from twinmatch.discrimination import TrustLevel
 from twinmatch.views.style import LEVELS, TEXT
 
@@ -61,11 +62,13 @@ class Page:
             "thermal_note",
             "matrix_note",
             "chart_note",
+            "answer",
         )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
         self._every = Toggle(label="all orders", name="every", width=110)
         self._span = SpanButtons()
         self._player = PlayerButtons(actions)
+        self._question = QuestionForm(actions, state.described.reference.label)
         self._rig = RigButtons(actions, state.described.reference.label) if actions.control else None
         if self._rig is not None:
             self._texts["notice"] = panel("notice")
@@ -81,6 +84,7 @@ class Page:
             self._every,
             self._span.root,
             self._player.root,
+            self._question.root,
         ]
         if self._rig is not None:
             roots.append(self._rig.root)
@@ -110,8 +114,7 @@ class Page:
             span = self._span.samples(state.period, state.plant.capacity)
             self._plant.update(state.period, span)
             self._twin.update(state.period, span)
-            if self._changed("span", span * state.period):
-                self._charts.span(span * state.period)
+            self._foretell(span * state.period)
             self._tell(now)
             happened = (state.verdicts, state.events.count, state.period)
             if self._changed("happened", happened):
@@ -129,11 +132,21 @@ class Page:
                 self._thermal.update(state.image)
             self._player.update(state.roster.player)
 
+    def _foretell(self, span: float) -> None:
+        """Draw so much of the newest time (s), and what comes after it."""
+        state = self._state
+        if self._changed("ahead", (span, state.told_ahead, state.period)):
+            most = seconds_ahead(span)
+            drawn = None if state.answered is None else state.answered.forecast
+            self._charts.fans.update(state.forecast, drawn, state.period, most)
+            self._charts.span(span if state.forecast is None else span + most)
+            self._say("answer", panels.answer(state.answered))
+
     def _tell(self, now: float) -> None:
         state = self._state
         self._say("status", panels.status(state, now))
         self._say("alarm", panels.alarm(state))
-        self._say("headline", panels.headline(state.verdict, state.period, state.sentence))
+        self._say("headline", panels.headline(state.verdict, state.period, state.sentence, state.leader))
         self._say("tiles", panels.tiles(state))
         self._say("nodes", panels.nodes(state.roster, now))
         self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)

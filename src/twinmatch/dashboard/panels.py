@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from twinmatch.dashboard.events import Event
 from twinmatch.dashboard.look import MARKS, SIGNS, text
 from twinmatch.dashboard.roster import Roster
-from twinmatch.dashboard.state import DashboardState
+from twinmatch.dashboard.state import Answered, DashboardState
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.views import COLUMNS, row
 from twinmatch.views.criteria import computed, criterion_rows
@@ -20,6 +20,7 @@ __all__ = [
     "NO_IMAGE",
     "NO_SAMPLE",
     "alarm",
+    "answer",
     "events_table",
     "family_table",
     "headline",
@@ -48,8 +49,8 @@ NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustL
 NODE_WORDS = ("well", "warning", "error", "silent")
 
 
-def headline(verdict: Verdict | None, period: float, sentence: str = "") -> str:
-    """Level and nominal in large, the verdict's figures and a sentence as the terminal has them, and why."""
+def headline(verdict: Verdict | None, period: float, sentence: str = "", leader: str = "") -> str:
+    """Level, nominal and leader in large, the figures of the verdict, the terminal's sentence, and why."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
     name, why, figures, more = "none yet", "no verdict has come yet", "", ""
     if verdict is not None:
@@ -64,7 +65,7 @@ def headline(verdict: Verdict | None, period: float, sentence: str = "") -> str:
         f'<div class="sign">{SIGNS[level]}</div><div><div class="word">{text(level.value)}</div>'
         f'<div class="meaning">{text(LEVEL_WORDS[level])}</div></div></div>'
         f'<div class="nominal"><div class="label">nominal twin, matched at</div>'
-        f'<div class="name">{text(name)}</div></div>'
+        f'<div class="name">{text(name)}</div>{_leader(leader)}</div>'
         f'<div class="why">{figures}<p><span class="label">newest verdict:</span> {text(why)}</p>{more}'
         "</div></div>"
     )
@@ -200,12 +201,26 @@ def nodes(roster: Roster, now: float) -> str:
     return f'<div class="roster">{"".join(shown)}</div>'
 
 
+def answer(answered: Answered | None) -> str:
+    """What was asked on the page, and what comes then."""
+    if answered is None:
+        return ""
+    lines = "".join(f"<p>{text(line)}</p>" for line in answered.lines)
+    return f'<div class="answer"><b>{text(answered.question)}</b>{lines}</div>'
+
+
 def notice(state: DashboardState) -> str:
     """What became of the last thing asked for."""
     if state.notice is None:
         return ""
     kind = "good" if state.notice.done else "bad"
     return f'<p class="{kind}">{text(state.notice.text)}</p>'
+
+
+def _leader(name: str) -> str:
+    if not name:
+        return ""
+    return f'<div class="label">leader, foretells best</div><div class="leader">{text(name)}</div>'
 
 
 def _more(verdict: Verdict) -> list[str]:

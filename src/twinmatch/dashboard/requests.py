@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -13,8 +14,12 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from twinmatch.dashboard.state import DashboardState
+from twinmatch.dashboard.state import Answered, DashboardState
+from twinmatch.dynamics import Plant
+from twinmatch.nodes.forecast_messages import forecast_from
 from twinmatch.nodes.samples import RELIABLE
+from twinmatch.views.forecast import forecast_words
+from twinmatch_msgs.srv import WhatIf
 
 __all__ = ["Requests"]
 
@@ -35,12 +40,14 @@ class Requests:
         later: Callable[[Callable[[], None]], None],
         *,
         control: bool,
+        plant: type[Plant],
     ) -> None:
         """Make clients; `later` has a function called in the node's thread."""
-        self._node, self._state, self._later = node, state, later
+        self._node, self._state, self._later, self._plant = node, state, later, plant
         self._control = control
         self._pause = node.create_client(SetBool, "player/pause")
         self._rate = node.create_client(SetParameters, "player/set_parameters")
+        self._ahead = node.create_client(WhatIf, "twin/what_if")
         if control:
             self._clear = node.create_client(Trigger, "pwm_bridge/clear_fault")
             self._stop = node.create_client(Trigger, "pwm_bridge/stop")
@@ -65,6 +72,29 @@ class Requests:
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
         request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
         self._call(self._rate, request, "the player", self._tell_rate)
+
+    def what_if(self, level: float, hold: float | None) -> None:
+        """Ask the discriminator what comes if the set-point goes to a level, and back after a time (s)."""
+        said = self._state.described.reference
+        question = f"set-point {level:g} {said.unit}" + ("" if hold is None else f" for {hold:g} s")
+        request = WhatIf.Request(times=[0.0], levels=[level])
+        if hold is not None:
+            now = (self._state.plant.newest() or {"reference": level})["reference"]
+            request = WhatIf.Request(times=[0.0, hold], levels=[level, now])
+
+        def show(answer: WhatIf.Response) -> None:
+            if not answer.success:
+                self._state.answer(Answered(question, (answer.message,)))
+                return
+            forecast = forecast_from(answer.forecast)
+            lines = (*forecast_words(forecast, self._plant), *forecast.notes)
+            self._state.answer(Answered(question, lines, forecast))
+
+        def miss(why: str) -> None:
+            self._state.answer(Answered(question, (why,)))
+
+        miss("asked")
+        self._call(self._ahead, request, "the discriminator", show, miss)
 
     def clear_fault(self) -> None:
         """Let the output be driven again after a fault."""
@@ -107,10 +137,18 @@ class Requests:
                 True, f"asked for {level:g} {unit}; the set-point above follows with the next sample"
             )
 
-    def _call(self, client: Any, request: Any, whom: str, then: Callable[[Any], None]) -> None:
+    def _call(
+        self,
+        client: Any,
+        request: Any,
+        whom: str,
+        then: Callable[[Any], None],
+        otherwise: Callable[[str], None] | None = None,
+    ) -> None:
         def call() -> None:
             if not client.service_is_ready():
-                self._state.tell(False, f"{whom} is not there ({client.srv_name})")
+                miss = otherwise or partial(self._state.tell, False)
+                miss(f"{whom} is not there ({client.srv_name})")
                 return
             client.call_async(request).add_done_callback(done)
 

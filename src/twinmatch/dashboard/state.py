@@ -16,13 +16,14 @@ from twinmatch.dashboard.history import History
 from twinmatch.dashboard.roster import Roster
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.dynamics import Plant
+from twinmatch.forecasting import Forecast
 from twinmatch.plants import Peltier
 from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.views.events import Event as Told
 from twinmatch.views.events import EventKind, Stretch, events
 
-__all__ = ["CAPACITY", "DashboardState", "Drive", "Notice", "TwinRow"]
+__all__ = ["CAPACITY", "Answered", "DashboardState", "Drive", "Notice", "TwinRow"]
 
 CAPACITY = 36_000
 """Samples that are kept: an hour at 10 Hz, ten hours at 1 Hz."""
@@ -59,6 +60,15 @@ class Drive(NamedTuple):
     """Why the output is held at zero; empty: it is not."""
 
 
+class Answered(NamedTuple):
+    """A question of the page and what became of it."""
+
+    question: str
+    lines: tuple[str, ...]
+    """In words; why there is no forecast, if there is none."""
+    forecast: Forecast | None = None
+
+
 class Notice(NamedTuple):
     """What became of the last thing asked for on the page."""
 
@@ -91,6 +101,12 @@ class DashboardState:
         """Counts up with every change of the two above."""
         self.sentence = ""
         """What the session comes down to so far; empty: no nominal yet."""
+        self.forecast: Forecast | None = None
+        """What the leader foretold at the newest sample."""
+        self.answered: Answered | None = None
+        """The newest question of the page."""
+        self.told_ahead = 0
+        """Counts up with every change of the two above."""
         self.drive: Drive | None = None
         self.events = EventLog(EVENTS)
         self.roster = Roster()
@@ -112,6 +128,13 @@ class DashboardState:
     def fault(self) -> str:
         """The fault that holds the output at zero; empty: there is none."""
         return self._fault
+
+    @property
+    def leader(self) -> str:
+        """Who foretells best; empty: nobody yet."""
+        if self.forecast is not None:
+            return self.forecast.candidate
+        return "" if self.verdict is None else self.verdict.leader or ""
 
     def push_sample(self, sample: Sample, now: float) -> None:
         """Take a sample that came at `now` (s)."""
@@ -141,6 +164,18 @@ class DashboardState:
             self.verdict = verdict
             self.verdicts += 1
             self._stretch(verdict)
+
+    def push_forecast(self, forecast: Forecast) -> None:
+        """Take what the leader foretells."""
+        with self.lock:
+            self.forecast = forecast
+            self.told_ahead += 1
+
+    def answer(self, answered: Answered) -> None:
+        """Take note of what was asked on the page and what came of it."""
+        with self.lock:
+            self.answered = answered
+            self.told_ahead += 1
 
     def push_drive(self, drive: Drive) -> None:
         """Take what the driver's board reported."""
@@ -186,6 +221,7 @@ class DashboardState:
         if self.twin.last is not None and self.twin.last > first:
             self.twin.clear()
         self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
+        self.forecast, self.answered, self.told_ahead = None, None, self.told_ahead + 1
         self.trust.clear()
         self._intervals.clear()
         self._note(Lane.NODES, Mark.NOTE, "a new session began", f"the one before had {duration:g} s")

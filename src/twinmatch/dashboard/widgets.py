@@ -9,7 +9,7 @@ from bokeh.models import Button, NumericInput, RadioButtonGroup, Row
 from twinmatch.dashboard.actions import RATES, Actions
 from twinmatch.dashboard.roster import Player
 
-__all__ = ["PlayerButtons", "RigButtons", "SpanButtons"]
+__all__ = ["PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
 
 SPANS = (("5 min", 300.0), ("20 min", 1200.0), ("1 h", 3600.0), ("all", 0.0))
 """Names and seconds; 0: everything that is kept."""
@@ -61,6 +61,25 @@ class PlayerButtons:
     def _on_rate(self, _name: str, _old: Any, new: int | None) -> None:
         if self._player is not None and new is not None and RATES[new] != self._player.rate:
             self._actions.rate(RATES[new])
+
+
+class QuestionForm:
+    """What comes if the set-point is another? Asking moves nothing."""
+
+    def __init__(self, actions: Actions, label: str) -> None:
+        """Ask `actions` for what is entered; `label` names the set-point."""
+        self._actions = actions
+        self._level = NumericInput(title=label, mode="float", width=110)
+        self._hold = NumericInput(title="for / s (empty: stays)", mode="float", low=0.001, width=150)
+        ask = Button(label="Ask", width=70, button_type="primary")
+        ask.on_click(self._on_ask)
+        styles = {"align-items": "flex-end", "flex-wrap": "wrap"}
+        self.root = Row(self._level, self._hold, ask, name="question", spacing=8, styles=styles)
+
+    def _on_ask(self) -> None:
+        if self._level.value is not None:
+            hold = None if self._hold.value is None else float(self._hold.value)
+            self._actions.what_if(float(self._level.value), hold)
 
 
 class RigButtons:

@@ -15,11 +15,12 @@ from twinmatch.forecasting.forecast import CONFIDENCE, HORIZONS, Band, Forecast
 from twinmatch.forecasting.ledger import PERSISTENCE, Ledger
 from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.profile import SetPoints
-from twinmatch.forecasting.what_if import Answer, Question, what_if
+from twinmatch.forecasting.what_if import NEAR, Answer, Question, what_if
 
 __all__ = [
     "CONFIDENCE",
     "HORIZONS",
+    "NEAR",
     "PERSISTENCE",
     "Answer",
     "Band",

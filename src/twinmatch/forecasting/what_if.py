@@ -13,12 +13,12 @@ from twinmatch.forecasting.forecast import Forecast
 from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.profile import SetPoints
 
-__all__ = ["MOST_SAMPLES", "Answer", "Question", "what_if"]
+__all__ = ["MOST_SAMPLES", "NEAR", "Answer", "Question", "what_if"]
 
 MOST_SAMPLES: Final = 3600
 """Longest forecast that is given: what an answer costs grows with it."""
-_NEAR: Final = 3.0
-"""How near the output has to come if nothing else is said, in units of a reading's noise."""
+NEAR: Final = 10.0
+"""How near to a level counts as there if nothing else is said, in the output's noise: 1 °C on the rig."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Question:
     level: float | None = None
     """Output to wait for; None: the last set-point."""
     tolerance: float | None = None
-    """How near to it counts as there; None: three times the noise of a reading."""
+    """How near to it counts as there; None: `NEAR`."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def what_if(outlook: Outlook, question: Question) -> Answer:
     else:
         ahead = SetPoints.held(outlook.sample.reference)
     level = (ahead.levels or (ahead.before,))[-1] if question.level is None else question.level
-    tolerance = _NEAR * output.noise if question.tolerance is None else question.tolerance
+    tolerance = NEAR * output.noise if question.tolerance is None else question.tolerance
     forecast = outlook.forecast(ahead.ahead(period, size))
     notes = ahead.notes + _beyond(size, outlook)
     if notes:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from twinmatch.forecasting import Answer, Forecast, Question
+from twinmatch.forecasting import Answer, Band, Forecast, Question
 from twinmatch.nodes.sample_messages import stamp_header
 from twinmatch.signals import FloatArray, SignalError
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
 
-__all__ = ["SHOWN", "answer_message", "forecast_message", "question_from", "shown_samples"]
+__all__ = ["SHOWN", "answer_message", "forecast_from", "forecast_message", "question_from", "shown_samples"]
 
 SHOWN = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0)
 """Seconds ahead at which a forecast is published: close together where it is sharp."""
@@ -59,6 +59,25 @@ def forecast_message(
     )
     stamp_header(message.header, stamp)
     return message
+
+
+def forecast_from(message: messages.Forecast) -> Forecast:
+    """A forecast from `Forecast`."""
+    output, entry = (
+        Band(*(np.array(getattr(message, f"{name}{edge}")) for edge in ("", "_low", "_high")))
+        for name in ("output", "input")
+    )
+    return Forecast(
+        sample=message.sample,
+        candidate=message.candidate,
+        structure=message.structure,
+        confidence=message.confidence,
+        time=np.array(message.time),
+        reference=np.array(message.reference),
+        output=output,
+        input=entry,
+        notes=tuple(message.notes),
+    )
 
 
 def question_from(request: services.WhatIf.Request) -> Question:

@@ -8,15 +8,22 @@ from typing import Any, Final
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.forecasting import HORIZONS, Band, Forecast, Moment, largest_input, time_held, time_to_reach
+from twinmatch.forecasting import (
+    HORIZONS,
+    NEAR,
+    Band,
+    Forecast,
+    Moment,
+    largest_input,
+    time_held,
+    time_to_reach,
+)
 from twinmatch.views.fan import Fan
 from twinmatch.views.quantities import number
 from twinmatch.views.words import words_of
 
 __all__ = ["came_words", "forecast_document", "forecast_words"]
 
-_THERE: Final = 10.0
-"""How near to a level counts as there, in units of the output's noise: 1 °C on the rig."""
 _MOST_LEVELS: Final = 4
 """Of more set-points one after another only the last is told of."""
 
@@ -92,7 +99,7 @@ def _part(forecast: Forecast, first: int, end: int) -> Forecast:
 def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     """When the output is where one set-point wants it."""
     words, level = words_of(plant), float(part.reference[0])
-    near = _THERE * plant.output.noise
+    near = NEAR * plant.output.noise
     goal = f"within {_with(f'{near:g}', words.output_unit)} of {_with(f'{level:g}', words.output_unit)}"
     if not only:
         goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
