@@ -24,7 +24,7 @@ def filled(judged: Judgement, leave_out: range = range(0)) -> DashboardState:
 def test_at_the_end_it_is_the_terminals(judged: Judgement) -> None:
     settings = TwinSettings()
     state = filled(judged)
-    say(state, settings.gains, settings.limits)
+    say(state, settings.gains)
     assert state.sentence == sentence(judged.summary)
     assert judged.summary.nominal in state.sentence
 
@@ -32,7 +32,7 @@ def test_at_the_end_it_is_the_terminals(judged: Judgement) -> None:
 def test_missing_samples_do_not_disturb_it(judged: Judgement) -> None:
     settings = TwinSettings()
     state = filled(judged, leave_out=range(5, 9))
-    say(state, settings.gains, settings.limits)
+    say(state, settings.gains)
     assert state.sentence.startswith(f"Nominal: {judged.summary.nominal} set")
 
 
@@ -45,5 +45,5 @@ def test_without_a_nominal_nothing_is_said(judged: Judgement, verdicts: int) -> 
     for verdict in judged.verdicts[:verdicts]:
         assert verdict.nominal is None
         state.push_verdict(verdict)
-    say(state, settings.gains, settings.limits)
+    say(state, settings.gains)
     assert state.sentence == ""
