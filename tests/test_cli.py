@@ -291,7 +291,7 @@ def test_a_terminal_shows_the_run_and_ends_with_the_sentence() -> None:
         *("candidate", "°C", "mV/K", "W/K", "J/K", "order", "characters", "nAIC", "BIC", "°C²+PWM²"),
         *("sum", "interval", "nominal", "b(P,", "C)"),
     ]
-    assert lines[-1].startswith("Nominal: ")
+    assert lines[-1].startswith("Leader: ")
     assert "trust it between" in lines[-1]
 
 
@@ -301,14 +301,14 @@ def test_a_narrow_terminal_without_colours_cuts_no_number(fault_session: Path) -
     assert not re.search(r"\x1b\[(?:[0-9]+;)*(?:3[0-8]|4[0-8]|9[0-7])[;m]", written)
     lines = stands.splitlines()
     assert max(len(line.rstrip()) for line in lines) <= 60
-    rows = [line for line in lines if re.match(r"[▶ ] \d+ °C", line)]
+    rows = [line for line in lines if re.match(r"[▶ ][○ ] \d+ °C", line)]
     assert len(rows) >= 2
     for row in rows:
-        cells = re.split(r" {2,}", row[2:].strip())
+        cells = re.split(r" {2,}", row[3:].strip())
         assert all(re.fullmatch(r"−?\d+(\.\d+)?\*?|\d\d\d\d1|–", cell) for cell in cells[1:]), row
     words = " ".join(" ".join(lines).split())
     assert "fault drive-lost since" in words
-    assert "do not trust it now: the plant shows drive-lost" in words.split("Nominal: ")[1]
+    assert "do not trust it now: the plant shows drive-lost" in words.split("Leader and nominal: ")[1]
 
 
 def test_a_pipe_gets_plain_lines_and_the_sentence_last(fault_session: Path) -> None:
@@ -325,7 +325,7 @@ def test_a_pipe_gets_plain_lines_and_the_sentence_last(fault_session: Path) -> N
     assert 640 <= int(told.split()[0]) < 660  # at once, not at the next trigger
     assert told[columns:].startswith("drive-lost: ")
     assert len({line[:columns].split()[0] for line in verdicts}) == len(verdicts)
-    assert lines[-1].startswith("Nominal: ")
+    assert lines[-1].startswith("Leader and nominal: ")
     assert lines[-1].endswith(").")
     assert "do not trust it now: the plant shows drive-lost" in lines[-1]
 

@@ -210,7 +210,7 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
     assert browser.column("output", FORECAST, "t")[-1] == last + 300.0
     low, mean, high = (browser.column("control", 2, f"input{edge}") for edge in ("_low", "", "_high"))
     assert all(a <= b <= c for a, b, c in zip(low, mean, high, strict=True))
-    assert "leader, foretells best" in browser.text
+    assert "leader, the twin to ask what comes next" in browser.text
     ends = browser.run("return Bokeh.documents[0].get_model_by_name('output').x_range.end")
     assert ends == last + 300.0
     _ask(browser, "55.5", "120")

@@ -26,6 +26,7 @@ def test_at_the_end_it_is_the_terminals(judged: Judgement) -> None:
     state = filled(judged)
     say(state, settings.gains)
     assert state.sentence == sentence(judged.summary)
+    assert judged.summary.leader in state.sentence
     assert judged.summary.nominal in state.sentence
 
 
@@ -33,17 +34,18 @@ def test_missing_samples_do_not_disturb_it(judged: Judgement) -> None:
     settings = TwinSettings()
     state = filled(judged, leave_out=range(5, 9))
     say(state, settings.gains)
-    assert state.sentence.startswith(f"Nominal: {judged.summary.nominal} set")
+    assert state.sentence.startswith("Leader")
+    assert judged.summary.leader in state.sentence
 
 
 @pytest.mark.parametrize("verdicts", [0, 1])
-def test_without_a_nominal_nothing_is_said(judged: Judgement, verdicts: int) -> None:
+def test_without_candidates_nothing_is_said(judged: Judgement, verdicts: int) -> None:
     settings = TwinSettings()
     state = DashboardState()
     for sample in judged.samples[:50]:
         state.push_sample(sample, 0.0)
     for verdict in judged.verdicts[:verdicts]:
-        assert verdict.nominal is None
+        assert verdict.leader is verdict.nominal is None
         state.push_verdict(verdict)
     say(state, settings.gains)
     assert state.sentence == ""

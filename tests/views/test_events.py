@@ -58,6 +58,16 @@ def report(sample: int, status: Status) -> MatchReport:
     return MatchReport(sample, 50.0, match)
 
 
+def test_whoever_takes_the_lead_is_told() -> None:
+    story = [verdict(60, TrustLevel.UNKNOWN, nominal=None), verdict(120, TrustLevel.TRUSTED)]
+    story += [replace(story[1], sample=180, leader=name) for name in ("a", "a", "b")]
+    found = [e for e in events(story) if e.kind is EventKind.LEADER]
+    assert [(e.title, e.why) for e in found] == [
+        ("a leads", "the first to foretell"),
+        ("b leads", "its forecasts are worth more than those of a"),
+    ]
+
+
 def test_events_come_in_order_with_their_kind_and_reason() -> None:
     story = [
         verdict(60, TrustLevel.UNKNOWN, nominal=None),
@@ -68,7 +78,7 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
         verdict(300, TrustLevel.FAULT, nominal="70 °C", fault="drive-lost"),
     ]
     story[1] = replace(story[1], match=ADMITTED, reason="matched on these samples")
-    story[3] = replace(story[3], match=REFUSED, reason="match refused: on its bound")
+    story[3] = replace(story[3], match=REFUSED, reason="match refused: on its bound", miss_y=3.0, miss_u=0.5)
     story[5] = replace(story[5], dismissed=("50 °C",))
     found = events(story)
     assert [(e.sample, e.kind) for e in found] == [
@@ -84,7 +94,7 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
     assert (found[0].title, found[0].why) == ("match admitted", "matched on these samples")
     assert (found[3].title, found[3].why) == ("match refused", "on its bound")
     assert found[7].title == "50 °C dismissed"
-    assert "8.00 °C and 60.0 PWM apart" in found[5].why
+    assert "output 3.0 and control 0.5 half widths of the band from what was foretold" in found[5].why
     assert found[6] == Event(
         260, EventKind.FAULT, "fault: drive-lost", "why it is so (it shows since sample 255)"
     )

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from tests.support.rig import rig
-from twinmatch.discrimination import CandidateScore, Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.discrimination import CandidateScore, Criteria, ForecastScore, OrderScore, TrustLevel, Verdict
 from twinmatch.views import Summary, sentence
 from twinmatch.views.line import Lines, closing_lines, header_text, line_text, redraws
 
@@ -45,6 +45,11 @@ VERDICT = Verdict(
     certainty="50 °C is the only candidate",
     structure="sink with mass",
     structure_parameters=rig(seebeck=0.063),
+    leader="sink with mass",
+    leader_confidence=0.84,
+    forecasts=(ForecastScore("sink with mass", rig(), 0, 299, 9.25, (9.25,), 7.0),),
+    miss_y=0.5,
+    miss_u=0.7,
 )
 NONE_YET = replace(
     VERDICT,
@@ -55,6 +60,10 @@ NONE_YET = replace(
     driven_rms_y=math.nan,
     closed_rms_u=math.nan,
     decided=False,
+    leader=None,
+    forecasts=(),
+    miss_y=math.nan,
+    miss_u=math.nan,
 )
 
 
@@ -71,14 +80,15 @@ def test_every_figure_stands_below_its_name_and_unit() -> None:
     assert told == {
         "t / s": "150",
         "level": "trusted",
+        "leader": "sink with mass",
         "nominal": "50 °C",
         "decided": "yes",
         "order": "22221",
         "gain / characters": "1200",
         "ν-gap sum": "0.250",
         "ν-gap to plant": "0.125",
-        "rms y / °C": "0.50",
-        "rms u / PWM": "7.0",
+        "miss y / half band": "0.50",
+        "miss u / half band": "0.70",
         "why": VERDICT.reason,
     }
 
@@ -90,7 +100,7 @@ def test_what_is_not_known_is_a_dash() -> None:
 def test_a_fault_is_told_by_name_and_a_line_stays_one_line() -> None:
     text = line_text(replace(VERDICT, fault="drive-lost", decided=False, reason="the plate\ndoes not obey"))
     assert text.endswith("drive-lost: the plate does not obey")
-    assert cells(text)[3] == "no"
+    assert cells(text)[4] == "no"
 
 
 def test_a_long_name_does_not_run_into_the_next_column() -> None:
@@ -117,15 +127,19 @@ def test_only_news_are_told_and_without_wrapping_or_colours(capsys: pytest.Captu
     ]
 
 
-def test_the_end_is_notes_certainty_structure_and_the_sentence() -> None:
+def test_the_end_is_notes_leader_nominal_structure_and_the_sentence() -> None:
     summary = Summary("50 °C", TrustLevel.TRUSTED, None, 0.98, 0.9, 5, 2, {}, notes=("cut short",))
     lines = closing_lines(summary, VERDICT)
     assert lines[0] == "Note: cut short"
-    assert lines[1] == "Certainty: 50 °C is the only candidate."
-    assert lines[2].startswith("Structure: the samples pay for sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
-    assert lines[2].endswith(", L 5.00 A).")
-    assert lines[3] == sentence(summary)
-    assert closing_lines(summary, None) == [lines[0], lines[3]]
+    assert lines[1] == (
+        "Leader, the twin to ask what comes next: sink with mass (confidence 0.84), its forecasts save 9.2 "
+        "characters each."
+    )
+    assert lines[2] == "Nominal, the centre of the family: 50 °C is the only candidate."
+    assert lines[3].startswith("Structure: the samples pay for sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
+    assert lines[3].endswith(", L 5.00 A).")
+    assert lines[4] == sentence(summary)
+    assert closing_lines(summary, None) == [lines[0], lines[4]]
 
 
 class Terminal(io.StringIO):

@@ -9,8 +9,10 @@ import pytest
 
 from tests.support.rig import rig
 from twinmatch.discrimination import TrustLevel
+from twinmatch.plants import Peltier
 from twinmatch.views import Summary, TrustRange, sentence
 
+SINK = Peltier.model("sink with mass").parameters()
 SUMMARY = Summary(
     nominal="70 °C",
     level=TrustLevel.TRUSTED,
@@ -31,6 +33,21 @@ SUMMARY = Summary(
         (
             {},
             "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; trust it between 25 and 92 °C.",
+        ),
+        (
+            {"leader": "70 °C"},
+            "Leader and nominal: 70 °C set; orders 22221; temperature fit 98.8 %; trust it between 25 and "
+            "92 °C.",
+        ),
+        (
+            {"leader": "50 °C"},
+            "Leader: 50 °C set; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: 70 °C set, "
+            "orders 22221.",
+        ),
+        (
+            {"leader": SINK.model.structure_name, "parameters": SINK, "nominal": None, "order": None},
+            "Leader: sink with mass; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: nobody, "
+            "no match stands.",
         ),
         (
             {"level": TrustLevel.DOUBTFUL},

@@ -55,8 +55,8 @@ def last_screen(written: str) -> list[str]:
 
 
 def table_of(screen: Sequence[str]) -> dict[str, list[str]]:
-    """The cells of every candidate, by its name; the nominal one's mark is left out."""
-    rows = [re.sub("^▶ ", "", line.strip()) for line in screen]
+    """The cells of every candidate, by its name; marks are left out."""
+    rows = [re.sub("^[▶○]+ ", "", line.strip()) for line in screen]
     found = [re.split(r" {2,}", row) for row in rows if re.match(r"\d+ °C  ", row)]
     return {cells[0]: [cell.strip() for cell in cells[1:]] for cells in found}
 
@@ -88,7 +88,9 @@ def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement
     text = "\n".join(screen)
     for unit in ("mV/K", "W/K", "J/K", "characters", "°C²+PWM²"):
         assert unit in text
-    assert f"▶ {verdict.nominal}" in text
+    assert re.search(rf"▶? ?○ {verdict.nominal}", text)
+    assert f"{verdict.leader} (confidence " in text
+    assert ", its forecasts save " in text
 
 
 def believed(judged: Judgement, first: int) -> tuple[str, ...]:
@@ -106,6 +108,7 @@ def test_level_progress_fault_and_events_are_told(judged: Judgement) -> None:
     assert f"{told.sample} s ! fault: drive-lost" in text
     assert "match admitted: candidate 70 °C" in text
     assert f"{nominal_score(told).name} is nominal" in text  # type: ignore[union-attr]
+    assert f"{next(v.leader for v in judged.verdicts if v.leader)} leads" in text
     assert re.search(r"\x1b\[[0-9;]*31[0-9;]*m FAULT ", written)
 
 

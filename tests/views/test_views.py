@@ -59,8 +59,8 @@ def test_a_row_has_a_cell_per_column_and_dashes_where_nothing_is_known() -> None
     known = row(verdict(TrustLevel.TRUSTED, stands=False))
     unknown = row(verdict(TrustLevel.UNKNOWN, stands=True, nominal=None))
     assert len(known) == len(unknown) == len(COLUMNS)
-    assert known[1:6] == ("trusted", "50 °C", "22221", "1200", "0.000")
-    assert set(unknown[2:9]) == {"–"}
+    assert known[1:7] == ("trusted", "–", "50 °C", "22221", "1200", "0.000")
+    assert set(unknown[2:10]) == {"–"}
 
 
 def test_news_are_what_was_identified_or_changed() -> None:

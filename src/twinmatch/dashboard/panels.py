@@ -36,9 +36,9 @@ SILENCE = 5.0
 """Periods without a sample, but at least as many seconds, after which the page says so."""
 LIGHT = (TrustLevel.UNKNOWN, TrustLevel.DOUBTFUL)
 """Levels whose colour wants dark letters."""
-IN_WORDS = ("level", "nominal", "why")
+IN_WORDS = ("level", "leader", "nominal", "why")
 """Columns of the terminal's table that are shown in large or as a sentence."""
-CALLED = {"t / s": "judged at / s", "gain": "gain / characters", "rms u": "rms u / PWM"}
+CALLED = {"t / s": "judged at / s", "gain": "gain / characters"}
 """Its names that have no room there for a unit."""
 DASH = "–"
 NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
@@ -50,11 +50,15 @@ NODE_WORDS = ("well", "warning", "error", "silent")
 
 
 def headline(verdict: Verdict | None, period: float, sentence: str = "", leader: str = "") -> str:
-    """Level, nominal and leader in large, the figures of the verdict, the terminal's sentence, and why."""
+    """Level and leader in large, the nominal candidate, the verdict's figures, a sentence, and why.
+
+    `leader` is that of a forecast newer than the verdict, if there is one.
+    """
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
-    name, why, figures, more = "none yet", "no verdict has come yet", "", ""
+    name, nominal, why, figures, more = "none yet", "none yet", "no verdict has come yet", "", ""
     if verdict is not None:
-        name, why = verdict.nominal or name, verdict.reason
+        name, why = verdict.leader or verdict.nominal or name, verdict.reason
+        nominal = verdict.nominal or nominal
         told = dict(zip(COLUMNS, row(verdict, period), strict=True))
         more = f"<p><b>{text(sentence)}</b></p>" if sentence else ""
         more += "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
@@ -64,8 +68,9 @@ def headline(verdict: Verdict | None, period: float, sentence: str = "", leader:
         f'<div class="hero"><div class="level{dark}" style="background:{LEVELS[level]}">'
         f'<div class="sign">{SIGNS[level]}</div><div><div class="word">{text(level.value)}</div>'
         f'<div class="meaning">{text(LEVEL_WORDS[level])}</div></div></div>'
-        f'<div class="nominal"><div class="label">nominal twin, matched at</div>'
-        f'<div class="name">{text(name)}</div>{_leader(leader)}</div>'
+        f'<div class="leader"><div class="label">leader, the twin to ask what comes next</div>'
+        f'<div class="name">{text(leader or name)}</div>'
+        f'<div class="label">nominal, the centre of the family: <b>{text(nominal)}</b></div></div>'
         f'<div class="why">{figures}<p><span class="label">newest verdict:</span> {text(why)}</p>{more}'
         "</div></div>"
     )
@@ -215,12 +220,6 @@ def notice(state: DashboardState) -> str:
         return ""
     kind = "good" if state.notice.done else "bad"
     return f'<p class="{kind}">{text(state.notice.text)}</p>'
-
-
-def _leader(name: str) -> str:
-    if not name:
-        return ""
-    return f'<div class="label">leader, foretells best</div><div class="leader">{text(name)}</div>'
 
 
 def _more(verdict: Verdict) -> list[str]:

@@ -23,7 +23,7 @@ def say(state: DashboardState, gains: PidGains) -> None:
         verdict, period = state.verdict, state.period
         columns, _ = state.plant.since(0)
     said = ""
-    if verdict is not None and verdict.nominal is not None:
+    if verdict is not None and (verdict.leader or verdict.nominal):
         samples = _samples(columns)
         if samples:
             said = sentence(summarise(samples, [verdict], replace(gains, period=period)))

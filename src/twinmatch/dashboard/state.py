@@ -251,6 +251,7 @@ _LANES = {
     EventKind.ADMITTED: Lane.MATCH,
     EventKind.REFUSED: Lane.MATCH,
     EventKind.DISMISSED: Lane.MATCH,
+    EventKind.LEADER: Lane.TRUST,
     EventKind.NOMINAL: Lane.TRUST,
     EventKind.LEVEL: Lane.TRUST,
     EventKind.FAULT: Lane.FAULT,
@@ -259,6 +260,7 @@ _MARKS = {
     EventKind.ADMITTED: Mark.GOOD,
     EventKind.REFUSED: Mark.WARNING,
     EventKind.DISMISSED: Mark.WARNING,
+    EventKind.LEADER: Mark.NOTE,
     EventKind.NOMINAL: Mark.NOTE,
 }
 _LEVEL_MARKS = {

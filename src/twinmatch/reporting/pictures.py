@@ -25,7 +25,7 @@ from twinmatch.views.figures import (
     save,
     svg,
 )
-from twinmatch.views.standing import last_verdict
+from twinmatch.views.standing import last_verdict, shown_twin
 from twinmatch.views.words import words_of
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def pictures(
     found = [
         _picture(
             "session",
-            "Plant and nominal twin over the whole session",
+            "Plant and leading twin over the whole session",
             _session_alt(j),
             draw_session(j.samples, j.verdicts, j.settings),
         ),
@@ -154,10 +154,11 @@ def _session_alt(j: Judgement) -> str:
     words = words_of(j.settings.plant)
     span = f"{low:.1f} to {high:.1f} {words.output_unit}"
     base = f"Time series of set-point, measured {words.output} ({span}) and control"
-    if j.summary.nominal is None:
-        return f"{base}; there is no nominal twin to compare them with."
+    shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
+    if shown is None:
+        return f"{base}; there is no twin to compare them with."
     return (
-        f"{base}, with the closed-loop and the driven twin of {j.summary.nominal}; below, what is left "
+        f"{base}, with the closed-loop and the driven twin of {shown.name}; below, what is left "
         f"between plant and twin. The closed-loop twin fits the {words.output} to "
         f"{100 * j.summary.fit_y:.1f} %."
     )

@@ -17,7 +17,7 @@ from twinmatch.views.intervals import Interval, interval, value_of
 from twinmatch.views.line import print_header, print_line
 from twinmatch.views.news import News, news
 from twinmatch.views.quantities import Quantity, in_order, number, quantity
-from twinmatch.views.standing import last_verdict, nominal_score
+from twinmatch.views.standing import Shown, last_verdict, nominal_score, shown_twin
 from twinmatch.views.summary import Summary, sentence, summarise
 from twinmatch.views.table import COLUMNS, STYLES, row
 from twinmatch.views.trust_range import TrustRange, trust_range
@@ -37,6 +37,7 @@ __all__ = [
     "Member",
     "News",
     "Quantity",
+    "Shown",
     "Stretch",
     "Summary",
     "TrustRange",
@@ -60,6 +61,7 @@ __all__ = [
     "root_mean_square",
     "row",
     "sentence",
+    "shown_twin",
     "summarise",
     "trust_range",
     "value_of",

@@ -26,6 +26,8 @@ def document(
         "matches": [document_of(m) for m in matches],
         "verdicts": [document_of(v) for v in verdicts],
         "summary": {
+            "leader": summary.leader,
+            "leader_confidence": _finite(summary.leader_confidence),
             "nominal": summary.nominal,
             "level": summary.level.value,
             "parameters": parameters_document(summary.parameters) if summary.parameters else None,

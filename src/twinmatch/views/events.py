@@ -1,4 +1,4 @@
-"""What happened in a session, as a time line: matches, changes of the nominal twin, trust lost and found."""
+"""What happened in a session, as a time line: matches, who leads, who is nominal, trust lost and found."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from twinmatch.discrimination import ADMITTED, REFUSED, TrustLevel, Verdict
 from twinmatch.matching import Status
 from twinmatch.twin import MatchReport
 from twinmatch.views.style import LEVEL_WORDS
-from twinmatch.views.words import apart
+from twinmatch.views.words import missed
 
 __all__ = [
     "STATUS_WORDS",
@@ -40,6 +40,7 @@ class EventKind(Enum):
     ADMITTED = "match admitted"
     REFUSED = "match refused"
     DISMISSED = "candidate dismissed"
+    LEADER = "leader"
     NOMINAL = "nominal"
     LEVEL = "trust"
     FAULT = "fault"
@@ -70,14 +71,18 @@ def events(verdicts: Sequence[Verdict]) -> list[Event]:
     """Everything worth telling, in the order in which it happened; matches as the verdict has them."""
     found: list[Event] = []
     nominal: str | None = None
+    leader: str | None = None
     level, fault = TrustLevel.UNKNOWN, ""
     for verdict in verdicts:
         found += _match_events(verdict)
+        if verdict.leader != leader and verdict.leader is not None:
+            found.append(_leader_event(verdict, leader))
         if verdict.nominal != nominal and verdict.nominal is not None:
             found.append(_nominal_event(verdict, nominal))
         if (verdict.level, verdict.fault) != (level, fault):
             found.append(_level_event(verdict))
-        nominal, level, fault = verdict.nominal, verdict.level, verdict.fault
+        leader, nominal = verdict.leader, verdict.nominal
+        level, fault = verdict.level, verdict.fault
     return found
 
 
@@ -96,7 +101,7 @@ def match_word(report: MatchReport, verdicts: Sequence[Verdict]) -> str:
 
 
 def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch]:
-    """How far to trust the nominal twin over time: a verdict's level is that of the samples since the last.
+    """How far to trust the leader over time: a verdict's level is that of the samples since the last.
 
     A fault begins at the sample since which it shows, not where the verdict before it ended.
 
@@ -131,6 +136,11 @@ def _why(verdict: Verdict) -> str:
     return verdict.reason.removeprefix("match refused: ")
 
 
+def _leader_event(verdict: Verdict, before: str | None) -> Event:
+    why = f"its forecasts are worth more than those of {before}" if before else "the first to foretell"
+    return Event(verdict.sample, EventKind.LEADER, f"{verdict.leader} leads", why)
+
+
 def _nominal_event(verdict: Verdict, before: str | None) -> Event:
     title = f"{verdict.nominal} is nominal"
     why = f"before it was {before}" if before else "the first candidate"
@@ -144,5 +154,5 @@ def _level_event(verdict: Verdict) -> Event:
         return Event(verdict.sample, kind, f"fault: {verdict.fault}", f"{verdict.reason}{since}")
     why = LEVEL_WORDS[verdict.level]
     if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT}:
-        why += f": over the newest samples they are {apart(verdict)} apart"
+        why += f": {missed(verdict)}"
     return Event(verdict.sample, kind, verdict.level.value, why)

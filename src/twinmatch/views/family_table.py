@@ -17,7 +17,7 @@ from twinmatch.views.quantities import Quantity, number, quantity
 
 __all__ = ["LEGEND", "believed_of", "family_table"]
 
-LEGEND = "▶ nominal; * the window determines it to a factor of two"
+LEGEND = "▶ leader; ○ nominal; * the window determines it to a factor of two"
 """What the marks in the table mean."""
 
 Believed = Mapping[tuple[int, int], Sequence[str]]
@@ -49,7 +49,7 @@ def family_table(verdict: Verdict, believed: Believed, width: int) -> Table:
     for column in chosen:
         table.add_column(column.header, no_wrap=True, justify="left" if column is CANDIDATE else "right")
     for place, (candidate, _) in enumerate(rows):
-        style = "bold" if candidate.name == verdict.nominal else ""
+        style = "bold" if candidate.name in {verdict.leader, verdict.nominal} else ""
         table.add_row(*(cells[column][place] for column in chosen), style=style)
     return table
 
@@ -66,7 +66,10 @@ def _cells(
     texts = [column.cell(candidate, believed) for candidate, believed in rows]
     if column is not CANDIDATE:
         return texts
-    marks = ["▶" if candidate.name == verdict.nominal else " " for candidate, _ in rows]
+    marks = [
+        f"{'▶' if c.name == verdict.leader else ' '}{'○' if c.name == verdict.nominal else ' '}"
+        for c, _ in rows
+    ]
     return [f"{mark} {text}" for mark, text in zip(marks, texts, strict=True)]
 
 

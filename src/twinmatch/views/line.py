@@ -11,6 +11,7 @@ from twinmatch.views.news import News
 from twinmatch.views.quantities import quantity
 from twinmatch.views.summary import Summary, sentence
 from twinmatch.views.table import STYLES, row
+from twinmatch.views.words import leader_words
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,27 +21,30 @@ __all__ = ["Lines", "closing_lines", "header_text", "line_text", "print_header",
 _NAMES = (
     "t / s",
     "level",
+    "leader",
     "nominal",
     "decided",
     "order",
     "gain / characters",
     "ν-gap sum",
     "ν-gap to plant",
-    "rms y / °C",
-    "rms u / PWM",
+    "miss y / half band",
+    "miss u / half band",
 )
-_WIDTHS = tuple(max(7, len(name)) for name in _NAMES)
+_LEADER = 45
+"""Room for the name of a structure with three parts."""
+_WIDTHS = tuple(_LEADER if name == "leader" else max(7, len(name)) for name in _NAMES)
 
 
 def line_text(verdict: Verdict, period: float = 1.0) -> str:
-    """Time, level, nominal and figures in columns, then the fault by name and the reason; one line.
+    """Time, level, leader, nominal and figures in columns, then the fault by name and the reason; one line.
 
     `period` is the sample time, s.
     """
-    when, level, nominal, *figures, why = row(verdict, period)
+    when, level, leader, nominal, *figures, why = row(verdict, period)
     decided = "–" if verdict.nominal is None else "yes" if verdict.decided else "no"
     named = f"{verdict.fault}: " if verdict.fault else ""
-    return _columns((when, level, nominal, decided, *figures)) + " ".join(f"{named}{why}".split())
+    return _columns((when, level, leader, nominal, decided, *figures)) + " ".join(f"{named}{why}".split())
 
 
 def header_text() -> str:
@@ -63,13 +67,15 @@ def print_header(console: Console) -> None:
 
 
 def closing_lines(summary: Summary, verdict: Verdict | None) -> list[str]:
-    """What is said at the end: notes, how sure the choice is, the plant's structure, and the sentence.
+    """What is said at the end: notes, who leads and who is nominal, the plant's structure, and the sentence.
 
     `verdict` is the last one.
     """
     said = [f"Note: {note}" for note in summary.notes]
+    if verdict is not None and verdict.leader is not None:
+        said.append(f"Leader, the twin to ask what comes next: {leader_words(verdict)}.")
     if verdict is not None and verdict.certainty:
-        said.append(f"Certainty: {verdict.certainty}.")
+        said.append(f"Nominal, the centre of the family: {verdict.certainty}.")
     if verdict is not None and verdict.structure:
         said.append(f"Structure: the samples pay for {verdict.structure}{_plant(verdict)}.")
     return [*said, sentence(summary)]

@@ -14,11 +14,11 @@ class News:
 
     def __init__(self) -> None:
         """Begin with nothing told."""
-        self._told: tuple[TrustLevel, str, str | None, bool] | None = None
+        self._told: tuple[TrustLevel, str, str | None, str | None, bool] | None = None
 
     def worth_telling(self, verdict: Verdict) -> bool:
-        """True if something was identified, or level, fault, nominal or its certainty changed."""
-        says = (verdict.level, verdict.fault, verdict.nominal, verdict.decided)
+        """True if something was identified, or level, fault, leader, nominal or its certainty changed."""
+        says = (verdict.level, verdict.fault, verdict.leader, verdict.nominal, verdict.decided)
         changed = says != self._told
         self._told = says
         return changed or not verdict.stands

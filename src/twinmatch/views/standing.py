@@ -1,12 +1,26 @@
-"""The verdict that stands at the end, and its nominal candidate."""
+"""The verdict that stands at the end, its nominal candidate, and the twin that is shown first."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from twinmatch.discrimination import CandidateScore, Verdict
+from twinmatch.dynamics import Parameters
 
-__all__ = ["last_verdict", "nominal_score"]
+__all__ = ["Shown", "last_verdict", "nominal_score", "shown_twin"]
+
+
+class Shown(NamedTuple):
+    """The twin that is shown first."""
+
+    name: str
+    parameters: Parameters
+
+    @property
+    def words(self) -> str:
+        """What it is called: a match by its set-point, a structure by its name."""
+        return self.name if self.name == self.parameters.model.structure_name else f"{self.name} set"
 
 
 def last_verdict(verdicts: Sequence[Verdict]) -> Verdict | None:
@@ -19,3 +33,13 @@ def nominal_score(verdict: Verdict | None) -> CandidateScore | None:
     if verdict is None:
         return None
     return next((c for c in verdict.candidates if c.name == verdict.nominal), None)
+
+
+def shown_twin(verdict: Verdict | None) -> Shown | None:
+    """The leader; in a verdict from before there were leaders the nominal candidate. None without both."""
+    if verdict is None:
+        return None
+    known = {c.name: c.parameters for c in verdict.candidates}
+    known |= {s.name: s.parameters for s in verdict.forecasts}
+    name = verdict.leader or verdict.nominal
+    return Shown(name, known[name]) if name in known else None

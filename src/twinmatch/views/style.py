@@ -51,9 +51,9 @@ LEVELS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
 )
 LEVEL_WORDS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
     {
-        TrustLevel.UNKNOWN: "there is no candidate yet",
-        TrustLevel.TRUSTED: "the twin does what the plant does",
-        TrustLevel.DOUBTFUL: "twin and plant differ by more than they should",
+        TrustLevel.UNKNOWN: "nothing has come yet of what a twin foretold",
+        TrustLevel.TRUSTED: "what comes is what the twin foretold",
+        TrustLevel.DOUBTFUL: "what comes lies outside the bands that were given",
         TrustLevel.FAULT: "no twin explains what the plant does",
     }
 )

@@ -12,6 +12,7 @@ from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import closed_loop_fit
 from twinmatch.views.quantities import number
+from twinmatch.views.standing import Shown, nominal_score, shown_twin
 from twinmatch.views.trust_range import TrustRange, trust_range
 from twinmatch.views.words import words_of
 
@@ -23,14 +24,15 @@ UNEXPLAINED = "unexplained"
 
 @dataclass(frozen=True)
 class Summary:
-    """The end of a session: who is nominal and how well its twin follows the whole of it."""
+    """The end of a session: who leads, how well that twin follows the whole of it, and who is nominal."""
 
     nominal: str | None
     level: TrustLevel
     """Of the last verdict."""
     parameters: Parameters | None
+    """Of the leader; without one (earlier versions named none) of the nominal candidate."""
     fit_y: float
-    """NRMSE fit of the closed-loop twin's temperature over the whole session; NaN without a nominal."""
+    """NRMSE fit of its closed-loop twin's output over the whole session; NaN without candidates."""
     fit_u: float
     verdicts: int
     identified: int
@@ -44,6 +46,10 @@ class Summary:
     """Levels between which forecasts came true."""
     fault: str = ""
     """Name of the fault that the plant shows at the end; empty for none."""
+    leader: str | None = None
+    """The twin to ask what comes next."""
+    leader_confidence: float = math.nan
+    """How often its error was within 3 % of the best candidate's."""
 
 
 def summarise(
@@ -54,10 +60,10 @@ def summarise(
 ) -> Summary:
     """Sum up a session from what came out of it."""
     last = verdicts[-1] if verdicts else None
-    chosen = next((c for c in last.candidates if c.name == last.nominal), None) if last else None
+    nominal, shown = nominal_score(last), shown_twin(last)
     fit = (math.nan, math.nan)
     remarks = list(notes)
-    if chosen is not None:
+    if shown is not None:
         stretches = unbroken(samples)
         longest = max(stretches, key=len)
         if len(stretches) > 1:
@@ -65,37 +71,58 @@ def summarise(
                 f"the fit is that of samples {longest[0].index} to {longest[-1].index}, "
                 f"the longest of {len(stretches)} unbroken stretches"
             )
-        fit = closed_loop_fit(chosen.parameters, Window.from_samples(longest, gains.period), gains)
+        fit = closed_loop_fit(shown.parameters, Window.from_samples(longest, gains.period), gains)
     return Summary(
         nominal=last.nominal if last else None,
         level=last.level if last else TrustLevel.UNKNOWN,
-        parameters=chosen.parameters if chosen else None,
+        parameters=shown.parameters if shown else None,
         fit_y=fit[0],
         fit_u=fit[1],
         verdicts=len(verdicts),
         identified=sum(not v.stands for v in verdicts),
         matches=dict(Counter(v.match for v in verdicts if v.match)),
         notes=tuple(remarks),
-        order=chosen.chosen_order if chosen else None,
-        range=trust_range(last, chosen.parameters.model.plant.output.unit) if last and chosen else None,
+        order=nominal.chosen_order if nominal else None,
+        range=trust_range(last, shown.parameters.model.plant.output.unit) if last and shown else None,
         fault=last.fault if last else "",
+        leader=last.leader if last else None,
+        leader_confidence=last.leader_confidence if last else math.nan,
     )
 
 
 def sentence(summary: Summary) -> str:
-    """The summary as a person would say it, in one line."""
-    if summary.nominal is None:
+    """The summary as a person would say it, in one line: whom to ask and to trust, and who is nominal."""
+    if summary.leader is None and summary.nominal is None:
         if summary.level is TrustLevel.FAULT:
             return f"No nominal twin: {_trouble(summary)}. Look at the plant first."
         return (
             f"No nominal twin: {summary.verdicts} verdicts, but no match stands. "
             "The loop needs set-point steps of a few degrees, some minutes apart."
         )
-    parts = [f"Nominal: {summary.nominal} set", f"orders {summary.order}"]
+    parts = [_who(summary)]
     if math.isfinite(summary.fit_y):
         output = words_of(summary.parameters.model.plant).output if summary.parameters else "output"
         parts.append(f"{output} fit {number(100 * summary.fit_y, 1)} %")
-    return f"{'; '.join([*parts, _trust(summary)])}."
+    return f"{'; '.join([*parts, _trust(summary)])}.{_center(summary)}"
+
+
+def _who(summary: Summary) -> str:
+    """The twin that is shown first."""
+    if summary.leader is None:
+        return f"Nominal: {summary.nominal} set; orders {summary.order}"
+    name = Shown(summary.leader, summary.parameters).words if summary.parameters else summary.leader
+    if summary.leader == summary.nominal:
+        return f"Leader and nominal: {name}; orders {summary.order}"
+    return f"Leader: {name}"
+
+
+def _center(summary: Summary) -> str:
+    """The nominal candidate, where the leader is another."""
+    if summary.leader is None or summary.leader == summary.nominal:
+        return ""
+    if summary.nominal is None:
+        return " Nominal: nobody, no match stands."
+    return f" Nominal: {summary.nominal} set, orders {summary.order}."
 
 
 def _trust(summary: Summary) -> str:

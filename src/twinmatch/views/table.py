@@ -11,13 +11,14 @@ __all__ = ["COLUMNS", "STYLES", "row"]
 COLUMNS = (
     "t / s",
     "level",
+    "leader",
     "nominal",
     "order",
     "gain",
     "ν-gap sum",
     "ν-gap now",
-    "rms y / °C",
-    "rms u",
+    "miss y",
+    "miss u",
     "why",
 )
 
@@ -31,7 +32,11 @@ STYLES = {
 
 
 def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
-    """The cells of one verdict, in the order of `COLUMNS`."""
+    """The cells of one verdict, in the order of `COLUMNS`.
+
+    The misses are the leader's, in half widths of the bands that it gave; order, gain and ν-gaps the nominal
+    candidate's.
+    """
     nominal = nominal_score(verdict)
     order = gain = total = now = "–"
     if nominal is not None:
@@ -43,12 +48,13 @@ def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
     return (
         number(verdict.sample * period, 0),
         verdict.level.value,
+        verdict.leader or "–",
         verdict.nominal or "–",
         order,
         gain,
         total,
         now,
-        number(verdict.driven_rms_y, 2),
-        number(verdict.closed_rms_u, 1),
+        number(verdict.miss_y, 2),
+        number(verdict.miss_u, 2),
         verdict.reason,
     )

@@ -21,7 +21,7 @@ from twinmatch.views.quantities import number
 from twinmatch.views.standing import nominal_score
 from twinmatch.views.style import LEVEL_WORDS
 from twinmatch.views.table import STYLES
-from twinmatch.views.words import apart
+from twinmatch.views.words import leader_words, missed
 
 __all__ = ["Screen", "view_on"]
 
@@ -38,7 +38,8 @@ _MARKS = {
     EventKind.ADMITTED: ("✓", "green"),
     EventKind.REFUSED: ("✗", "yellow"),
     EventKind.DISMISSED: ("✗", "yellow"),
-    EventKind.NOMINAL: ("▶", "bold"),
+    EventKind.LEADER: ("▶", "bold"),
+    EventKind.NOMINAL: ("○", "bold"),
     EventKind.LEVEL: ("●", "bold"),
     EventKind.FAULT: ("!", "bold red"),
 }
@@ -160,7 +161,7 @@ def view_on(console: Console, title: str, period: float = 1.0, total: int | None
 
 
 def _headline(verdict: Verdict | None, period: float) -> RenderableType:
-    """Level, nominal, fault and reason, each behind its name."""
+    """Level, leader, nominal, fault and reason, each behind its name."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
     grid = Table.grid(padding=(0, 2, 0, 0))
     grid.add_row(
@@ -173,12 +174,13 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     if verdict is None:
         grid.add_row("verdict", "none has come yet")
         return grid
+    grid.add_row("leader", Text(leader_words(verdict)))
     grid.add_row("nominal", _nominal(verdict))
     if verdict.fault:
         since = "" if verdict.fault_since is None else f" since {number(verdict.fault_since * period, 0)} s"
         grid.add_row("fault", Text(f"{verdict.fault}{since}", style=STYLES[TrustLevel.FAULT]))
-    if verdict.nominal is not None:
-        grid.add_row("plant − twin", Text(f"{apart(verdict)} (RMS)"))
+    if verdict.leader is not None:
+        grid.add_row("forecasts", Text(missed(verdict)))
     grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
     return grid
 

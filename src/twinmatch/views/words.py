@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from twinmatch.discrimination import Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.views.quantities import number
 
-__all__ = ["Words", "apart", "with_unit", "words_of"]
+__all__ = ["Words", "leader_words", "missed", "with_unit", "words_of"]
 
 
 class Words(NamedTuple):
@@ -42,9 +43,22 @@ def with_unit(name: str, unit: str) -> str:
     return f"{name} / {unit}" if unit else name
 
 
-def apart(verdict: Verdict) -> str:
-    """How far plant and nominal twin were from one another over the newest samples, with units."""
-    words = words_of(verdict.candidates[0].parameters.model.plant) if verdict.candidates else None
-    units = (words.output_unit, words.input_unit) if words else ("", "")
-    figures = (number(verdict.driven_rms_y, 2), number(verdict.closed_rms_u, 1))
-    return " and ".join(f"{figure} {unit}".rstrip() for figure, unit in zip(figures, units, strict=True))
+def missed(verdict: Verdict) -> str:
+    """How far the newest samples lay from what was foretold, in half widths of the band."""
+    if math.isnan(verdict.miss_y):
+        return "nothing has come yet of what was foretold"
+    of = verdict.forecasts[0].parameters if verdict.forecasts else None
+    words = words_of(of.model.plant) if of else None
+    names = (words.output, words.input) if words else ("output", "control")
+    misses = (number(verdict.miss_y, 1), number(verdict.miss_u, 1))
+    told = " and ".join(f"{name} {miss}" for name, miss in zip(names, misses, strict=True))
+    return f"{told} half widths of the band from what was foretold"
+
+
+def leader_words(verdict: Verdict) -> str:
+    """The leader, how sure that is, and what its forecasts have saved."""
+    if verdict.leader is None:
+        return "none yet"
+    gain = next((s.gain for s in verdict.forecasts if s.name == verdict.leader), math.nan)
+    saved = "" if math.isnan(gain) else f", its forecasts save {number(gain, 1)} characters each"
+    return f"{verdict.leader} (confidence {number(verdict.leader_confidence, 2)}){saved}"

@@ -12,7 +12,7 @@ from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import TwinSettings
 from twinmatch.views.comparison import Comparison, compare, rolling_rms
 from twinmatch.views.figures.drawing import new_figure, stack, styled, time_axis
-from twinmatch.views.standing import last_verdict, nominal_score
+from twinmatch.views.standing import shown_twin
 from twinmatch.views.style import CLOSED, DRIVEN, PLANT, SET_POINT
 from twinmatch.views.words import with_unit, words_of
 
@@ -30,9 +30,9 @@ _SHOWN = 0.99
 
 @styled
 def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings) -> Figure:
-    """Output and control of plant and nominal twins, and the residuals with their 95 % band."""
-    nominal = nominal_score(last_verdict(verdicts))
-    parts = compare(samples, nominal.parameters, settings.gains) if nominal else ()
+    """Output and control of the plant and of the leader's twins, and the residuals with their 95 % band."""
+    shown = shown_twin(verdicts[-1] if verdicts else None)
+    parts = compare(samples, shown.parameters, settings.gains) if shown else ()
     rows = 4 if parts else 2
     figure = new_figure(10, 1.75 * rows)
     axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])

@@ -13,7 +13,7 @@ from twinmatch.twin import TwinSettings
 from twinmatch.views.figures.discrimination import draw_gains, fill_matrix
 from twinmatch.views.figures.drawing import new_figure, save, styled, time_axis
 from twinmatch.views.figures.health import draw_levels
-from twinmatch.views.standing import last_verdict, nominal_score
+from twinmatch.views.standing import Shown, last_verdict, nominal_score, shown_twin
 from twinmatch.views.style import CLOSED, PLANT, SET_POINT
 from twinmatch.views.words import Words, words_of
 
@@ -27,7 +27,7 @@ __all__ = ["draw_verdict"]
 def draw_verdict(
     samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings, path: Path
 ) -> None:
-    """Plant and nominal twin, trust over time, the criteria and the ν-gap matrix, on one page.
+    """Plant and leading twin, trust over time, the criteria and the ν-gap matrix, on one page.
 
     Raises:
         TwinmatchError: matplotlib cannot write such a file there.
@@ -38,11 +38,13 @@ def draw_verdict(
     control = figure.add_subplot(grid[1, :], sharex=temperature)
     trust = figure.add_subplot(grid[2, :], sharex=temperature)
     last = last_verdict(verdicts)
-    nominal = nominal_score(last)
+    shown = shown_twin(verdicts[-1] if verdicts else None)
     for number, stretch in enumerate(unbroken(samples)):
         window = Window.from_samples(stretch, settings.period)
-        _draw_signals(temperature, control, window, nominal, settings, label=number == 0)
-    _dress(temperature, control, nominal, words_of(settings.plant))
+        _draw_signals(temperature, control, window, shown, settings, label=number == 0)
+    _dress(temperature, control, words_of(settings.plant))
+    if shown is not None:
+        temperature.set_title(_title(shown, nominal_score(last)))
     draw_levels(trust, verdicts, settings.period, samples[0].index)
     time_axis(trust, settings.period, samples[0].index, samples[-1].index)
     if last is not None:
@@ -55,7 +57,7 @@ def _draw_signals(
     temperature: Axes,
     control: Axes,
     window: Window,
-    nominal: CandidateScore | None,
+    shown: Shown | None,
     settings: TwinSettings,
     *,
     label: bool,
@@ -68,17 +70,21 @@ def _draw_signals(
     )
     temperature.plot(time, window.output, color=PLANT, lw=1.2, label=names[1])
     control.plot(time, window.input, color=PLANT, lw=0.9)
-    if nominal is None or len(window) < 4:
+    if shown is None or len(window) < 4:
         return
-    twin = simulate_window(nominal.parameters, window, gains=settings.gains)
-    name = f"twin of {nominal.name}" if label else hidden
+    twin = simulate_window(shown.parameters, window, gains=settings.gains)
+    name = f"twin of {shown.name}" if label else hidden
     temperature.plot(time[2:], twin.output, color=CLOSED, lw=1, label=name)
     control.plot(time[2:], twin.input, color=CLOSED, lw=0.8)
 
 
-def _dress(temperature: Axes, control: Axes, nominal: CandidateScore | None, words: Words) -> None:
-    if nominal is not None:
-        temperature.set_title(f"Nominal: {nominal.name}, order {nominal.chosen_order}")
+def _title(shown: Shown, nominal: CandidateScore | None) -> str:
+    """The twin that is drawn, and who is nominal."""
+    centre = f"nominal: {nominal.name}, order {nominal.chosen_order}" if nominal else "nominal: nobody"
+    return f"Leader: {shown.name}; {centre}"
+
+
+def _dress(temperature: Axes, control: Axes, words: Words) -> None:
     temperature.set_ylabel(words.output_label)
     temperature.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     control.set_ylabel(words.input_label)
