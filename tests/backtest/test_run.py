@@ -9,14 +9,21 @@ import numpy as np
 import pytest
 
 from tests.support.places import SHIPPED
+from tests.support.plants import Motor
 from tests.support.steps import drive_lost
+from twinmatch.backtest import draw_backtest
 from twinmatch.backtest.errors import BacktestError
 from twinmatch.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, TWINS, Backtest
-from twinmatch.backtest.run import Choices, backtest, backtest_session
+from twinmatch.backtest.run import Choices, Listener, backtest, backtest_session, graded
 from twinmatch.backtest.summary import HINDSIGHT, Card, Marked
+from twinmatch.backtest.table import columns
+from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
+from twinmatch.judging.judgement import judge_samples
 from twinmatch.judging.terms import terms_from_files
 from twinmatch.sessions import open_any, samples_of, write_session
 from twinmatch.signals import Window
+from twinmatch.twin import TwinSettings
+from twinmatch.views.figures import save
 
 TWIN_ONLY = Choices(every=120.0, peers=())
 
@@ -87,6 +94,38 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
     tested = backtest(session, terms_from_files(session), TWIN_ONLY)
     assert (tested.marked, tested.cards, tested.shown) == ((), [], ())
     assert any("there was no candidate yet" in note for note in tested.notes)
+
+
+def test_nothing_is_forecast_over_a_gap() -> None:
+    """Forty samples are lost: what is said before ends there, and what is said after begins anew."""
+    whole = open_any(SHIPPED)
+    session = replace(whole, samples=[*whole.samples[:1000], *whole.samples[1040:1300]])
+    tested = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("persistence",)))
+    reach = {(m.sample, m.sample + round(m.horizon)) for m in tested.marked}
+    assert any(last < 1000 for _, last in reach)
+    assert any(first >= 1040 for first, _ in reach)
+    assert not any(first < 1040 and last >= 1000 for first, last in reach)
+    assert len(tested.came) == 2
+
+
+def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
+    """A motor, twenty samples a second: the leader errs by its sensor's noise, and units are the motor's."""
+    truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
+    reference = np.repeat([50.0, 150.0, 90.0, -60.0, 120.0, 30.0], 240)
+    sensor = Sensor(noise=Motor.output.noise).realise(reference.size, 0.05, 3)
+    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), gains=Motor.loop, sensor=sensor)
+    samples = samples_of(Window(reference, run.output, run.input, period=0.05))
+    choices = Choices(every=2.0, horizons=(0.5, 5.0))
+    listener = Listener.to(samples, 0.05, choices)
+    judgement = judge_samples("motor", samples, TwinSettings.of(Motor, period=0.05), beside=listener)
+    tested = graded(judgement, listener, choices)
+    leader = card(tested, LEADER, 5.0)
+    assert leader.count > 10
+    assert 0.5 < leader.median < 2.0
+    assert leader.ratio < 1.2
+    assert leader.median < card(tested, "persistence", 5.0).median
+    assert "end / rad/s" in columns(tested.plant)
+    save(draw_backtest(tested), tmp_path / "motor.png")
 
 
 def test_pictured_forecasts_follow_one_another(shipped: Backtest) -> None:

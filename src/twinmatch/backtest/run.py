@@ -15,6 +15,7 @@ from twinmatch.backtest.peers import PEERS, peers
 from twinmatch.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
 from twinmatch.backtest.scoring import samples_within
 from twinmatch.backtest.summary import Marked, best_in_hindsight, common
+from twinmatch.dynamics import SKIPPED
 from twinmatch.forecasting import CONFIDENCE, HORIZONS, Forecast, Outlook
 from twinmatch.judging.interrupt import held_interrupts
 from twinmatch.judging.judgement import Judgement, Watch, judge
@@ -227,7 +228,7 @@ class _Grading:
             said = {name: outlook.forecast(origin.ahead) for name, outlook in asked.outlooks.items()}
             for part, name in asked.who.items():
                 self.marked += add(part, said[name], name)
-            if NOMINAL in asked.who:
+            if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
                 self.marked += add(CONSTANT, self._constant(asked, said, origin.past), asked.who[NOMINAL])
         self.marked += best_in_hindsight(
             m for name, forecast in said.items() for m in add(name, forecast, name)
