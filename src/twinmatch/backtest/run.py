@@ -192,7 +192,7 @@ def graded(
         came=held,
         shown=_one_after_another(f for f in grading.shown if f.sample in judged),
         absent=tuple(absent),
-        notes=tuple(_notes(len(found), len(judged), grading)),
+        notes=tuple(_notes(len(found), judged, grading)),
     )
 
 
@@ -258,12 +258,17 @@ def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
     return tuple(found)
 
 
-def _notes(asked: int, judged: int, grading: _Grading) -> Iterable[str]:
+def _notes(asked: int, judged: set[int], grading: _Grading) -> Iterable[str]:
     """What was left out and why."""
     if grading.unasked:
         yield f"{grading.unasked} of {asked} forecasts could not be made: there was no candidate yet"
     if grading.spoilt:
         yield f"{grading.spoilt} of {asked} forecasts are left out: nobody foresees a fault of the plant"
-    short = asked - judged - grading.unasked - grading.spoilt
-    if short > 0:
-        yield f"{short} of {asked} forecasts are left out: not everybody could answer"
+    answered: dict[int, set[str]] = {}
+    for one in grading.marked:
+        answered.setdefault(one.sample, set()).add(one.who)
+    everybody = {one.who for one in grading.marked}
+    short = [everybody - names for sample, names in answered.items() if sample not in judged]
+    if short:
+        names = ", ".join(sorted(set().union(*short) - {CONSTANT}))
+        yield f"{len(short)} of {asked} forecasts are left out: not everybody could answer yet ({names})"
