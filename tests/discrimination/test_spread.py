@@ -83,7 +83,7 @@ def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
 def test_scales_of_a_known_spread() -> None:
     """One frequency, |t·v + e| with v = 0.5 and real e: t·v = 0.5 − e at its own quantiles."""
     e = np.linspace(-0.2, 0.2, 1001)
-    a, b, c = np.array([[0.25]]), (2 * 0.5 * e).reshape(1, -1, 1), (e**2).reshape(1, -1, 1)
+    a, b, c = np.array([[0.25]]), (2 * 0.5 * e).reshape(1, 1, -1), (e**2).reshape(1, 1, -1)
     least, most = fitting_scales(np.array([0]), a, b, c, 0.05)
     assert 0.5 * least == pytest.approx(0.5 - 0.18, abs=2e-3)
     assert 0.5 * most == pytest.approx(0.5 + 0.18, abs=2e-3)
@@ -95,7 +95,8 @@ def test_what_noise_alone_explains_may_be_nothing() -> None:
     held = []
     for _ in range(60):
         v = 0.1 * (rng.normal(size=(1, 20)) + 1j * rng.normal(size=(1, 20)))  # estimated: noise again
-        a, b, c = np.abs(v) ** 2, 2 * (v.conj()[:, None] * e).real, np.abs(e) ** 2
+        moved = np.swapaxes(e, 1, 2)
+        a, b, c = np.abs(v) ** 2, 2 * (v.conj()[:, :, None] * moved).real, np.abs(moved) ** 2
         least, most = fitting_scales(np.array([0]), a, b, c, 0.05)
         held.append(least == 0.0)
         assert most < 3.0

@@ -27,7 +27,7 @@ __all__ = ["ANGLES", "HOLD", "Held", "held", "held_slopes", "held_symbol"]
 HOLD = 240
 """Samples for which a set-point is held."""
 
-ANGLES: FloatArray = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, 11)])
+ANGLES: FloatArray = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, 8)])
 """Frequencies at which responses are known, radians per sample: zero, and from a quarter of what a regime
 resolves to the highest there is."""
 
@@ -88,15 +88,10 @@ def held_slopes(
     slopes = np.zeros((len(free), ANGLES.size), dtype=np.complex128)
     for row, name in zip(slopes, free, strict=True):
         declared, value = parameters.model.declared[name], parameters[name]
-        step = STEP * declared.scale
-        # A parameter on the edge of what is possible is moved inwards only.
-        ends = [v for v in (value - step, value + step) if declared.possible(v)]
-        above, below = (ends[1], ends[0]) if len(ends) == 2 else (ends[0], value)
-        responses = [
-            still if v == value else _response(parameters.replace(**{name: v}), set_point, terms)
-            for v in (above, below)
-        ]
-        row[:] = (responses[0] - responses[1]) / (above - below)
+        moved = value + STEP * declared.scale
+        if not declared.possible(moved):
+            moved = value - STEP * declared.scale
+        row[:] = (_response(parameters.replace(**{name: moved}), set_point, terms) - still) / (moved - value)
     return still, slopes
 
 

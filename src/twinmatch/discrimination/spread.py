@@ -54,22 +54,22 @@ def disturbed_pair(
         moved2: of the other.
 
     Returns:
-        Shapes (frequencies,), (draws, frequencies) and (draws, frequencies).
+        Shapes (frequencies,), (frequencies, draws) and (frequencies, draws): draws lie side by side, so that
+        a machine takes several at once.
     """
     draws, points, rows = moved1.shape
     a = np.zeros(points)
-    b = np.zeros((draws, points))
-    c = np.zeros((draws, points))
+    b = np.zeros((points, draws))
+    c = np.zeros((points, draws))
     for m in range(rows):
         for k in range(m + 1, rows):
-            v = still1[:, m] * still2[:, k] - still1[:, k] * still2[:, m]
             for w in range(points):
-                a[w] += v[w].real * v[w].real + v[w].imag * v[w].imag
-            for s in range(draws):
-                for w in range(points):
-                    e = moved1[s, w, m] * moved2[s, w, k] - moved1[s, w, k] * moved2[s, w, m] - v[w]
-                    b[s, w] += 2 * (v[w].real * e.real + v[w].imag * e.imag)
-                    c[s, w] += e.real * e.real + e.imag * e.imag
+                v = still1[w, m] * still2[w, k] - still1[w, k] * still2[w, m]
+                a[w] += v.real * v.real + v.imag * v.imag
+                for s in range(draws):
+                    e = moved1[s, w, m] * moved2[s, w, k] - moved1[s, w, k] * moved2[s, w, m] - v
+                    b[w, s] += 2 * (v.real * e.real + v.imag * e.imag)
+                    c[w, s] += e.real * e.real + e.imag * e.imag
     return a, b, c
 
 
@@ -109,10 +109,10 @@ def failing_draws(
         failed: whether the condition fails at each operating point without the draws, shape (points,).
     """
     width = a.size // failed.size
-    fails = np.full(c.shape[0], failed.any())
+    fails = np.full(c.shape[1], failed.any())
     top = math.sqrt(a.max())
-    for s in range(c.shape[0]):
-        if not failed.any() and top + math.sqrt(c[s].max()) < 1:
+    for s in range(c.shape[1]):
+        if not failed.any() and top + math.sqrt(c[:, s].max()) < 1:
             continue
         fails[s] = False
         for p in range(failed.size):
@@ -129,14 +129,18 @@ def estimates(
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float
 ) -> FloatArray:
     """Sum over the pairs `which` of the largest |scale·v + e|, one per draw, shape (draws,)."""
-    draws, points = b.shape[1:]
+    points, draws = b.shape[1:]
     total = np.zeros(draws)
-    for s in range(draws):
-        for p in which:
-            top = 0.0
-            for w in range(points):
-                top = max(top, (a[p, w] * scale + b[p, s, w]) * scale + c[p, s, w])
-            total[s] += min(1.0, math.sqrt(top))
+    top = np.empty(draws)
+    for p in which:
+        top[:] = 0.0
+        for w in range(points):
+            square = a[p, w] * scale
+            for s in range(draws):
+                found = (square + b[p, w, s]) * scale + c[p, w, s]
+                top[s] = found if found > top[s] else top[s]
+        for s in range(draws):
+            total[s] += min(1.0, math.sqrt(top[s]))
     return total
 
 
@@ -144,17 +148,8 @@ def estimates(
 def _reaching(  # noqa: PLR0917
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float, seen: float
 ) -> int:
-    """In how many draws `estimates` is `seen` or more; a single pair is left as soon as it is."""
-    if which.size > 1:
-        return int(np.sum(estimates(which, a, b, c, scale) >= seen))
-    p = which[0]
-    count = 0
-    for s in range(b.shape[1]):
-        for w in range(b.shape[2]):
-            if (a[p, w] * scale + b[p, s, w]) * scale + c[p, s, w] >= seen * seen:
-                count += 1
-                break
-    return count
+    """In how many draws `estimates` is `seen` or more."""
+    return int(np.sum(estimates(which, a, b, c, scale) >= seen))
 
 
 @compiled
@@ -169,7 +164,7 @@ def fitting_scales(
     for p in which:
         seen += math.sqrt(a[p].max())
         most += math.sqrt(c[p].max())
-    draws = b.shape[1]
+    draws = b.shape[2]
     rare = int(tail * draws)
     # beyond these no draw could bring the estimate to what was seen
     widest = 2 * most / max(seen, 1e-300)

@@ -169,7 +169,7 @@ class _Family:
         still, moved = zip(*(_directions(twin, gaps.points, terms, rng) for twin in twins), strict=True)
         first, second = np.triu_indices(len(twins), 1)
         width = still[0].shape[0]
-        a, c = np.empty((first.size, width)), np.empty((first.size, DRAWS, width))
+        a, c = np.empty((first.size, width)), np.empty((first.size, width, DRAWS))
         b, fails = np.empty_like(c), np.zeros((first.size, DRAWS), dtype=np.bool_)
         for p, (i, j) in enumerate(zip(first, second, strict=True)):
             a[p], b[p], c[p] = disturbed_pair(still[i], still[j], moved[i], moved[j])

@@ -113,5 +113,6 @@ class Contenders:
         except TwinmatchError:
             return None  # too few samples yet, or no fit: the one before stands
         point = float(np.median(history.reference))
-        candidate = Candidate(model.structure_name, point, fit.parameters, history)
+        free = model.structure.free
+        candidate = Candidate(model.structure_name, point, fit.parameters, history, free, fit.covariance)
         return Contender(candidate, fit, history.last)

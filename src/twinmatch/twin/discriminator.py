@@ -208,6 +208,7 @@ class Discriminator:
             return ()
         gone = self._members.expel(alarm.first, alarm.flagged)
         gone += self._contenders.expel(alarm.first, alarm.flagged)
+        self._present.forget()
         self._enter()
         if not gone or self._standing is None or self._looked is None:
             return gone

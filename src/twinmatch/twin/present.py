@@ -25,6 +25,10 @@ class Present:
         self._noise, self._gains = noise, gains
         self._fit: StructureFit | None = None
 
+    def forget(self) -> None:
+        """Begin anew: samples that were fitted turned out to show a fault."""
+        self._fit = None
+
     def look(self, history: Window | None) -> Parameters | None:
         """The plant as the newest samples show it; None where they are too few."""
         try:
