@@ -48,14 +48,22 @@ class Calibration:
         start = np.repeat(_half_normal(levels)[:, None], 2, axis=1)
         self._quotients = [start] * len(leads)
         self._weights = [np.ones(_BEFOREHAND)] * len(leads)
-        self._widths = np.stack([self._width(lead) for lead in range(len(leads))], axis=1)
+        self._widths = np.zeros((2, len(leads)))
+        self._stale = set(range(len(leads)))
 
     def copy(self) -> Calibration:
         """One that learns on by itself."""
         twin = Calibration(self.leads, self.kept)
         twin._quotients, twin._weights = list(self._quotients), list(self._weights)
-        twin._widths = self._widths.copy()
+        twin._widths, twin._stale = self._widths.copy(), set(self._stale)
         return twin
+
+    def learn(self, quotients: FloatArray, before: int = 0) -> None:
+        """Learn from one forecast: quotients of output and input at N samples ahead, shape (2, N), those at
+        leads beyond `before`."""
+        for place, lead in enumerate(self.leads):
+            if before < lead <= quotients.shape[1]:
+                self.add(place, quotients[:, lead - 1])
 
     def add(self, lead: int, quotients: FloatArray) -> None:
         """Learn from one forecast at one of the leads, counted from 0: quotients of output and input."""
@@ -63,11 +71,14 @@ class Calibration:
         self._weights[lead] = np.append(self._weights[lead] * self.kept, 1.0)
         if self._weights[lead][0] < _FORGOTTEN:
             self._quotients[lead], self._weights[lead] = self._quotients[lead][1:], self._weights[lead][1:]
-        self._widths[:, lead] = self._width(lead)
+        self._stale.add(lead)
 
     @property
     def widths(self) -> FloatArray:
         """Half width of a band in standard deviations, at every lead, shape (2, L)."""
+        for lead in self._stale:
+            self._widths[:, lead] = self._width(lead)
+        self._stale.clear()
         return self._widths.copy()
 
     def _width(self, lead: int) -> FloatArray:

@@ -8,7 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics import Foretold, Parameters, PidGains, PidState, foretell
+from twinmatch.dynamics import (
+    Foretold,
+    Parameters,
+    PidGains,
+    PidState,
+    advance,
+    foretell,
+    simulate_closed_loop,
+)
 from twinmatch.forecasting.errors import ForecastError
 from twinmatch.forecasting.follower import drift_of
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast
@@ -63,6 +71,28 @@ class Outlook:
             gains=self.gains,
             disturbances=disturbances,
         )
+
+    def mean(self, reference: FloatArray, disturbances: FloatArray | None = None) -> FloatArray:
+        """Output and input of `foretold`, to the last bit, at a third of its cost; shape (2, N).
+
+        `disturbances` are those from the newest sample on, shape (N + 1, d), if there are any.
+        """
+        begun = advance(
+            self.parameters,
+            self.states,
+            self.sample.input,
+            self.gains.period,
+            None if disturbances is None else disturbances[0],
+        )
+        found = simulate_closed_loop(
+            self.parameters,
+            reference,
+            states=begun,
+            controller=self.controller,
+            gains=self.gains,
+            disturbances=None if disturbances is None else disturbances[1:],
+        )
+        return np.stack([found.output, found.input])
 
     def deviations(self, foretold: Foretold) -> FloatArray:
         """Standard deviations of output and input that the twin reckons with, shape (2, N)."""

@@ -29,8 +29,11 @@ __all__ = ["Entrant", "ForecastSettings", "Forecaster"]
 
 _NEAR: Final = 1.03
 """A leader whose error is no larger than this times the least in hindsight counts as right."""
-_RUN_IN_S: Final = 300.0
-"""Newest stretch on which a new candidate's hidden states are found, s."""
+_RUN_IN_S: Final = (60.0, 300.0)
+"""Newest stretch on which a new candidate follows the plant, s: where its states are known, and where the
+hidden ones have to be found."""
+_SELDOM: Final = 3
+"""Only every third time do bands of those who do not lead learn."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +69,6 @@ class Entrant(NamedTuple):
     """Of the free parameters."""
     states_at: Callable[[int], FloatArray | None] = lambda _: None
     """Its states at a sample, where they are known."""
-
-
-@dataclass
-class _Departure:
-    """What was known at one sample from which all foretold."""
-
-    sample: int
-    snapshot: Snapshot
 
 
 @dataclass
@@ -136,10 +131,9 @@ class Forecaster:
         self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
         self._trust = _Trust(kept=self._kept)
-        self._departures: deque[_Departure] = deque()
-        run_in = round(_RUN_IN_S / period)
-        self._recent: deque[Sample] = deque(maxlen=max(self._longest, run_in) + 1)
-        self._run_in = run_in
+        self._departures: dict[int, Snapshot] = {}
+        self._run_in = tuple(round(stretch / period) for stretch in _RUN_IN_S)
+        self._recent: deque[Sample] = deque(maxlen=max(self._longest, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
         self._pid = Pid(gains)
         self.notes: tuple[str, ...] = ()
@@ -195,11 +189,14 @@ class Forecaster:
         for twin in self._twins.values():
             twin.follower.push(sample)
         if self._twins and sample.index % self._stride == 0:
-            self._departures.append(_Departure(sample.index, self.snapshot()))
-        for departure in self._departures:
-            self._learn(departure)
-        while self._departures and self._departures[0].sample + self._longest <= sample.index:
-            self._departures.popleft()
+            leader = self.leader
+            outlooks = {name: self._outlook(name, banded=name == leader) for name in self._order}
+            self._departures[sample.index] = Snapshot(leader, outlooks)
+        for place, ahead in enumerate(self.horizons):
+            departure = self._departures.get(sample.index - ahead)
+            if departure is not None:
+                self._learn(departure, sample.index - ahead, place)
+        self._departures.pop(sample.index - self._longest, None)
 
     def enter(self, entrants: Sequence[Entrant], successors: Mapping[str, str] | None = None) -> None:
         """Set who the candidates are; those that are there with the same parameters just go on.
@@ -229,7 +226,7 @@ class Forecaster:
         """What all candidates know at the newest sample."""
         if not self._recent:
             return Snapshot()
-        return Snapshot(self.leader, {name: self.outlook(name) for name in self._order})
+        return Snapshot(self.leader, {name: self._outlook(name) for name in self._order})
 
     def outlook(self, name: str | None = None) -> Outlook:
         """What a candidate, or the leader, knows at the newest sample.
@@ -238,6 +235,10 @@ class Forecaster:
             ForecastError: there is no candidate yet, or none of that name.
         """
         name = candidate_called(self.leader if name is None else name, self._twins if self._recent else {})
+        return self._outlook(name)
+
+    def _outlook(self, name: str, *, banded: bool = True) -> Outlook:
+        """What a candidate knows; without bands it is made for its mean."""
         twin = self._twins[name]
         return Outlook(
             sample=self._recent[-1],
@@ -249,7 +250,7 @@ class Forecaster:
             controller=self._pid.state,
             gains=self._gains,
             leads=self._leads,
-            widths=twin.calibration.widths,
+            widths=twin.calibration.widths if banded else np.full((2, len(self._leads)), np.nan),
             visited=self._visited,
             notes=self.notes,
         )
@@ -263,12 +264,11 @@ class Forecaster:
         if not self._recent:
             return None
         newest = self._recent[-1].index
-        made = [d for d in self._departures if d.sample <= newest - samples and d.snapshot.leader is not None]
+        made = [sample for sample in self._departures if sample <= newest - samples]
         if not made:
             return None
-        departure = made[-1]
-        came = list(self._recent)[departure.sample - newest :]
-        forecast = departure.snapshot.outlook().forecast(np.array([s.reference for s in came]))
+        came = list(self._recent)[made[-1] - newest :]
+        forecast = self._departures[made[-1]].outlook().forecast(np.array([s.reference for s in came]))
         newest_of = came[-samples:]
         return promise_of(
             forecast, np.array([s.output for s in newest_of]), np.array([s.input for s in newest_of])
@@ -284,9 +284,12 @@ class Forecaster:
 
     def _begun(self, entrant: Entrant, before: _Twin | None) -> _Twin:
         """A twin that has followed the newest samples, as far back as they were kept."""
-        calibration = before.calibration if before else Calibration(self._leads, self._kept)
-        recent = list(self._recent)[-self._run_in :]
-        states = entrant.states_at(recent[0].index) if recent else None
+        calibration = before.calibration.copy() if before else Calibration(self._leads, self._kept)
+        for stretch in self._run_in:
+            recent = list(self._recent)[-stretch:]
+            states = entrant.states_at(recent[0].index) if recent else None
+            if states is not None:
+                break
         follower = Follower(
             entrant.parameters,
             self._gains.period,
@@ -298,33 +301,31 @@ class Forecaster:
             follower.push(sample)
         return _Twin(entrant, follower, calibration)
 
-    def _learn(self, departure: _Departure) -> None:
-        """Hold the forecasts of one sample against what came, if one of their horizons is just over."""
-        ahead = self._recent[-1].index - departure.sample
-        if ahead not in self.horizons or self._ledger is None:
+    def _learn(self, departure: Snapshot, sample: int, place: int) -> None:
+        """Hold the forecasts made at one sample against what came until one of their horizons."""
+        ahead, ledger = self.horizons[place], self._ledger
+        if ledger is None or self._spoilt(sample, sample + ahead):
             return
-        if self._spoilt(departure.sample, departure.sample + ahead):
-            return
-        place = self.horizons.index(ahead)
         past = list(self._recent)[-ahead - 1 :]
-        came, reference = past[1:], np.array([s.reference for s in past[1:]])
+        reference = np.array([s.reference for s in past[1:]])
         rows = np.array([s.disturbances for s in past]) if past[0].disturbances else None
-        measured = np.array([[s.output for s in came], [s.input for s in came]])
+        measured = np.array([[s.output for s in past[1:]], [s.input for s in past[1:]]])
         before = max((h for h in self.horizons if h < ahead), default=0)
-        leads = [i for i, lead in enumerate(self._leads) if before < lead <= ahead]
-        errors = {PERSISTENCE: (measured - [[past[0].output], [past[0].input]])[:, before:]}
-        paths = {}
-        for name, outlook in departure.snapshot.outlooks.items():
+        held = np.array([[past[0].output], [past[0].input]])
+        errors, paths = {PERSISTENCE: (measured - held)[:, before:]}, {}
+        seldom = sample // self._stride % _SELDOM
+        for name, outlook in departure.outlooks.items():
             if name not in self._twins:
                 continue
-            foretold = outlook.foretold(reference, rows)
-            off = measured - np.stack([foretold.output, foretold.input])
+            if seldom and name != departure.leader:
+                off = measured - outlook.mean(reference, rows)
+            else:
+                foretold = outlook.foretold(reference, rows)
+                off = measured - np.stack([foretold.output, foretold.input])
+                quotients = np.abs(off) / outlook.deviations(foretold)
+                self._twins[name].calibration.learn(quotients, before)
             errors[name] = off[:, before:]
-            paths[name] = float(np.sqrt(np.mean(np.square(off / self._ledger.noise[:, None]))))
-            quotients = np.abs(off) / outlook.deviations(foretold)
-            for lead in leads:
-                self._twins[name].calibration.add(lead, quotients[:, self._leads[lead] - 1])
-        self._ledger.add(errors, place)
-        leader = departure.snapshot.leader
-        if ahead == self._longest and leader in paths:
-            self._trust.add(paths[leader] <= _NEAR * min(paths.values()))
+            paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))
+        ledger.add(errors, place)
+        if ahead == self._longest and departure.leader in paths:
+            self._trust.add(paths[departure.leader] <= _NEAR * min(paths.values()))
