@@ -11,10 +11,10 @@ import pytest
 from tests.support.places import SHIPPED
 from tests.support.plants import Motor
 from tests.support.steps import drive_lost
-from twinmatch.backtest import draw_backtest
+from twinmatch.backtest import Choices, draw_backtest
 from twinmatch.backtest.errors import BacktestError
 from twinmatch.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, TWINS, Backtest
-from twinmatch.backtest.run import Choices, Listener, backtest, backtest_session, graded
+from twinmatch.backtest.run import Listener, backtest, backtest_session, graded
 from twinmatch.backtest.summary import HINDSIGHT, Card, Marked
 from twinmatch.backtest.table import columns
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop

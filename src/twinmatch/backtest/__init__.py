@@ -5,13 +5,14 @@
 the same samples and set-points as the twin and knows nothing else.
 """
 
+from twinmatch.backtest.choices import Choices
 from twinmatch.backtest.document import document
 from twinmatch.backtest.errors import BacktestError
 from twinmatch.backtest.figure import draw_backtest
 from twinmatch.backtest.peer import Peer
 from twinmatch.backtest.peers import PEERS, Absent, peers
 from twinmatch.backtest.result import Backtest, over_all
-from twinmatch.backtest.run import Choices, Listener, backtest, backtest_session, graded
+from twinmatch.backtest.run import Listener, backtest, backtest_session, graded
 from twinmatch.backtest.scoring import Marks, SignalMarks, interval_score, marks
 from twinmatch.backtest.summary import Card, Marked, best_in_hindsight, cards, common
 from twinmatch.backtest.table import sentences, tables

@@ -28,6 +28,8 @@ WIDTH = 140
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
+    # Sessions stand first: behind --horizon or --peers they would be taken for more of these.
+    parser.usage = "%(prog)s SESSION [SESSION ...] [options]"
     parser.add_argument(
         "sessions",
         type=Path,
@@ -90,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _one(path: Path, options: argparse.Namespace) -> Backtest:
-    from twinmatch.backtest.run import Choices, backtest_session  # noqa: PLC0415 — as above
+    from twinmatch.backtest import Choices, backtest_session  # noqa: PLC0415 — as above
 
     horizons = None if options.horizon is None else tuple(options.horizon)
     choices = Choices(options.every, horizons, tuple(options.peers))
