@@ -119,7 +119,7 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     longest = Window.from_samples(max(unbroken(judgement.samples), key=len), gains.period)
     rows = []
     for candidate, known in zip(
-        judgement.verdicts[-1].candidates, entry["verdicts"][-1]["candidates"], strict=True
+        judgement.verdicts[-1].modelled, entry["verdicts"][-1]["candidates"], strict=False
     ):
         chosen = next(order for order in known["orders"] if order["order"] == candidate.chosen_order)
         fit = closed_loop_fit(candidate.parameters, longest, gains)

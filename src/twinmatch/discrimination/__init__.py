@@ -11,7 +11,7 @@ window, `identify` finds Box–Jenkins models of it, and `score` holds them agai
 and `judge_uncertainty` how sure all that is. A `Verdict` carries it.
 """
 
-from twinmatch.discrimination.certainty import Certainty, judge_uncertainty
+from twinmatch.discrimination.certainty import DECIDED_FROM, Certainty, judge_uncertainty, with_margins
 from twinmatch.discrimination.code_length import (
     InformationGain,
     code_length,
@@ -43,6 +43,7 @@ from twinmatch.discrimination.weights import AkaikeWeights, akaike_weights, scor
 
 __all__ = [
     "ADMITTED",
+    "DECIDED_FROM",
     "REFUSED",
     "AkaikeWeights",
     "Candidate",
@@ -95,4 +96,5 @@ __all__ = [
     "stability_margin",
     "twin_response",
     "two_part_length",
+    "with_margins",
 ]

@@ -24,7 +24,7 @@ from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["DECIDED_FROM", "Certainty", "judge_uncertainty"]
+__all__ = ["DECIDED_FROM", "Certainty", "judge_uncertainty", "with_margins"]
 
 DECIDED_FROM = CONFIDENCE
 """Probability of being nominal from which the choice counts as decided: that of the intervals beside it.
@@ -72,16 +72,20 @@ def judge_uncertainty(
         return Certainty(tuple(candidates), False, "")
     chosen = names.index(nominal)
     known = family_uncertainty(twins, gaps, terms, plant=plant, seed=seed)
-    scored = _with_intervals(_with_margins(candidates, chosen, terms.gains), known)
+    scored = _with_intervals(with_margins(candidates, chosen, terms.gains), known)
     decided = bool(known.nominal_probability[chosen] >= DECIDED_FROM)
     said = [_choice(scored, chosen, decided), _reach(scored, chosen)]
     said += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
     return Certainty(scored, decided, "; ".join(said))
 
 
-def _with_margins(
+def with_margins(
     candidates: Sequence[CandidateScore], chosen: int, gains: PidGains
 ) -> tuple[CandidateScore, ...]:
+    """The candidates with the running controller's margins, and the distance of each from the chosen one.
+
+    One that cannot be held at its operating point has none.
+    """
     try:
         controller = loop_controller(gains)
     except TwinmatchError:  # it has no proportional part to scale by

@@ -53,6 +53,10 @@ class PlantGaps:
         """The largest over the points, shape (n, n), symmetric with a zero diagonal."""
         return np.asarray(self.at.max(axis=0), dtype=np.float64)
 
+    def of(self, count: int) -> PlantGaps:
+        """Those between the first `count` twins."""
+        return PlantGaps(self.points, self.at[:, :count, :count], self.left_out)
+
 
 def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], terms: Held) -> PlantGaps:
     """ν-gaps between the plants of all pairs of twins, of any structures of one plant.

@@ -126,9 +126,10 @@ class Verdict:
     dismissed: tuple[str, ...] = ()
     """Names of the candidates that left with this verdict: matched while the fault already showed."""
     decided: bool = False
-    """Whether the data tell which candidate is nominal."""
+    """Whether the data tell who leads: `leader_confidence` is 0.9 or more."""
     certainty: str = ""
-    """One plain sentence: how sure the choice is, and which candidates the running controller holds for."""
+    """Plain words: how sure the leader is, how sure the nominal, and which candidates the running controller
+    holds for."""
     fault: str = ""
     """Name of the fault a health monitor found in the plant; empty for none."""
     fault_since: int | None = None
@@ -160,6 +161,12 @@ class Verdict:
     """Of the forecasts, s."""
     forecasts: tuple[ForecastScore, ...] = ()
     """Every candidate that foretells, the leader among them."""
+
+    @property
+    def modelled(self) -> tuple[CandidateScore, ...]:
+        """The paper's family: candidates that have Box–Jenkins models, first among all, in the order of
+        `identified_gap`. Those behind them are other structures of the plant."""
+        return tuple(candidate for candidate in self.candidates if candidate.orders)
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:

@@ -25,7 +25,7 @@ def criterion_tables(verdict: Verdict) -> list[Table]:
     columns = ("output", "order", *(_column(c) for c in shown))
     return [
         Table(_criterion_caption(c, verdict), columns, _criterion_body(c, shown), _chosen_rows(c))
-        for c in verdict.candidates
+        for c in verdict.modelled
     ]
 
 
@@ -57,9 +57,9 @@ def order_table(verdict: Verdict) -> Table | None:
     """Akaike weights of the orders, both outputs together; None where they were not computed."""
     if not any(math.isfinite(o.weight) for c in verdict.candidates for o in c.orders):
         return None
-    names = [o.order for o in verdict.candidates[0].orders]
+    names = [o.order for o in verdict.modelled[0].orders]
     rows = []
-    for c in verdict.candidates:
+    for c in verdict.modelled:
         best = max(o.weight for o in c.orders)
         weights = (Cell(number(o.weight, 3), best=o.weight == best) for o in c.orders)
         differences = (Cell(number(o.aic_difference, 1), best=o.weight == best) for o in c.orders)
@@ -70,38 +70,37 @@ def order_table(verdict: Verdict) -> Table | None:
 
 def gap_table(verdict: Verdict) -> Table:
     """The ν-gaps, their sums, and what else is known of every candidate's distance."""
+    title, extra = "ν-gap between the plants", _gap_extras(verdict.candidates)
     sums = [c.nu_gap_sum for c in verdict.candidates]
-    return _distances(
-        "ν-gap between the plants", verdict, verdict.nu_gap, sums, _gap_extras(verdict.candidates)
-    )
+    return _distances(title, verdict.candidates, verdict.nu_gap, sums, extra, nominal=verdict.nominal)
 
 
 def identified_table(verdict: Verdict) -> Table:
     """The ν-gaps between the models identified on the twins, as in the paper."""
-    sums = [c.identified_gap_sum for c in verdict.candidates]
+    sums = [c.identified_gap_sum for c in verdict.modelled]
     extra: list[_Extra] = [("to the newest window's model", lambda c: number(c.identified_gap_to_plant, 3))]
     title = f"ν-gap between the models of order {verdict.order}"
-    return _distances(title, verdict, verdict.identified_gap, sums, extra)
+    return _distances(title, verdict.modelled, verdict.identified_gap, sums, extra, nominal=verdict.nominal)
 
 
 def _distances(
     title: str,
-    verdict: Verdict,
+    candidates: Sequence[CandidateScore],
     matrix: Sequence[Sequence[float]],
     sums: Sequence[float],
     extra: Sequence[_Extra],
+    *,
+    nominal: str | None,
 ) -> Table:
     """A matrix of distances with its column sums and more columns behind."""
     rows = []
-    for c, gaps, total in zip(verdict.candidates, matrix, sums, strict=True):
+    for c, gaps, total in zip(candidates, matrix, sums, strict=True):
         told = (Cell(text(c)) for _, text in extra)
         total_cell = Cell(number(total, 3), best=total == min(sums))
         rows.append((head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *told))
-    names = [c.name for c in verdict.candidates]
+    names = [c.name for c in candidates]
     columns = ("candidate", *names, "Σ", *(name for name, _ in extra))
-    return Table(
-        title, columns, tuple(rows), frozenset(k for k, n in enumerate(names) if n == verdict.nominal)
-    )
+    return Table(title, columns, tuple(rows), frozenset(k for k, n in enumerate(names) if n == nominal))
 
 
 def _gap_extras(candidates: Sequence[CandidateScore]) -> list[_Extra]:

@@ -106,7 +106,7 @@ def pictures(
         gains = ", ".join(
             f"{c.name}: order {c.chosen_order}, gain "
             f"{next(o.total.gain for o in c.orders if o.order == c.chosen_order)} characters"
-            for c in last.candidates
+            for c in last.modelled
         )
         sums = ", ".join(f"{c.name} {c.nu_gap_sum:.2f}" for c in last.candidates)
         found += [

@@ -9,7 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import ADMITTED, REFUSED, Candidate, SimoModel, TrustLevel, Verdict
+from twinmatch.discrimination import (
+    ADMITTED,
+    DECIDED_FROM,
+    REFUSED,
+    Candidate,
+    SimoModel,
+    TrustLevel,
+    Verdict,
+)
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import SLOW, Alarm, Health, Monitor, State
@@ -19,7 +27,6 @@ from twinmatch.twin.contenders import Contenders
 from twinmatch.twin.forecaster import Entrant, Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest
 from twinmatch.twin.members import Judged, Members, plant_model
-from twinmatch.twin.present import Present
 from twinmatch.twin.promises import Promise, Promises
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
@@ -99,7 +106,6 @@ class Discriminator:
         """Of all candidates, at the newest sample of which everything is said."""
         self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
         self._successors: dict[str, str] = {}
-        self._present = Present(watched(self.settings.plant), self.settings.noise, self.settings.gains)
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
         self._request: MatchRequest | None = None
@@ -208,12 +214,11 @@ class Discriminator:
             return ()
         gone = self._members.expel(alarm.first, alarm.flagged)
         gone += self._contenders.expel(alarm.first, alarm.flagged)
-        self._present.forget()
         self._enter()
         if not gone or self._standing is None or self._looked is None:
             return gone
         if not len(self._members):
-            nobody = Judged((), None, None, (), (), (), decided=False, certainty="")
+            nobody = Judged((), None, None, (), (), (), certainty="")
             self._standing = replace(self._standing, **nobody._asdict())
             return gone
         order = self._members.order
@@ -235,8 +240,8 @@ class Discriminator:
                 c.candidate.name,
                 c.candidate.parameters,
                 (c.fit_first, c.last),
-                c.fit.model.structure.free,
-                c.fit.covariance,
+                c.candidate.free,
+                c.candidate.covariance,
                 c.states_at,
             )
             for c in self._contenders.held
@@ -244,18 +249,21 @@ class Discriminator:
         for candidate in reversed(self._members.newest):
             held = candidate.window
             samples = (held.first, held.last) if held is not None else (0, -1)
-            entrants.append(Entrant(candidate.name, candidate.parameters, samples))
+            known = candidate.covariance if len(candidate.covariance) else None
+            entrants.append(Entrant(candidate.name, candidate.parameters, samples, candidate.free, known))
         self.forecaster.enter(entrants, self._successors)
         self._successors = {}
 
     def _forecast(self, verdict: Verdict) -> Verdict:
         """The verdict with what the candidates' forecasts are worth."""
         forecaster = self.forecaster
-        leader = forecaster.leader
+        leader, confidence = forecaster.leader, forecaster.confidence
         return replace(
             verdict,
             leader=leader,
-            leader_confidence=float("nan") if leader is None else forecaster.confidence,
+            leader_confidence=float("nan") if leader is None else confidence,
+            decided=leader is not None and confidence >= DECIDED_FROM,
+            certainty="; ".join(part for part in (forecaster.sentence, verdict.certainty) if part),
             horizons=forecaster.settings.horizons,
             forecasts=forecaster.scores,
         )
@@ -285,7 +293,7 @@ class Discriminator:
             plant = plant_model(window, self._members.order)
         except TwinmatchError as error:
             return self._stand(sample, window, f"nothing could be identified: {error}")
-        self._looked = _Looked(window, plant, self._present.look(self._structure.history))
+        self._looked = _Looked(window, plant, self._contenders.now)
         fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
         self._standing = self._scored(fresh, self._looked)
         doubtful = report is not None and report.match.status is Status.NOT_EXPLAINED
@@ -301,7 +309,8 @@ class Discriminator:
         self._contenders.push(window, excited=excited)
 
     def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
-        return replace(verdict, **self._members.judge(*looked)._asdict())
+        structures = [contender.candidate for contender in self._contenders.held]
+        return replace(verdict, **self._members.judge(*looked, structures)._asdict())
 
     def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
         """The verdict before, marked as standing; only health, residuals and level are new."""

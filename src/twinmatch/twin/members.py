@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from twinmatch.discrimination import (
     score_orders,
     spans_of,
     twin_response,
+    with_margins,
 )
 from twinmatch.dynamics import Parameters
 from twinmatch.identification import ORDERS
@@ -55,7 +57,6 @@ class Judged(NamedTuple):
     nu_gap: tuple[tuple[float, ...], ...]
     nu_gap_points: tuple[float, ...]
     identified_gap: tuple[tuple[float, ...], ...]
-    decided: bool
     certainty: str
 
 
@@ -129,20 +130,27 @@ class Members:
             del self._members[name]
         return gone
 
-    def judge(self, newest: Window, plant: SimoModel, now: Parameters | None) -> Judged:
+    def judge(
+        self, newest: Window, plant: SimoModel, now: Parameters | None, structures: Sequence[Candidate] = ()
+    ) -> Judged:
         """Score everyone against a measured window, and choose.
 
         Args:
             newest: the window.
             plant: the model identified on it.
             now: the plant as the newest samples show it, if they do.
+            structures: candidates of other structures; they are compared with the family, which is the
+                paper's, and have no Box–Jenkins models.
         """
         family = [self._members[c.name] for c in self._family.candidates]
         models = [j.models[plant.order] for j in family]
         identified = nu_gap_matrix([m.symbol for m in models])
-        twins = [Uncertain(c.parameters, c.free, c.covariance) for c in self._family.candidates]
-        points, terms = self._points(newest), self._held
+        everyone = [*self._family.candidates, *structures]
+        twins = [Uncertain(c.parameters, c.free, c.covariance) for c in everyone]
+        points, terms, count = self._points(newest), self._held, len(family)
         gaps = plant_gaps([t.parameters for t in twins], points, terms)
+        to_now = [None if now is None else plant_gap(t.parameters, now, points, terms) for t in twins]
+        distances = gaps.matrix[:, :count].sum(axis=1)
         decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
         scores = tuple(
             CandidateScore(
@@ -153,24 +161,43 @@ class Members:
                 last=member.window.last if member.candidate.window else member.window.first - 1,
                 orders=member.orders,
                 chosen_order=member.chosen,
-                nu_gap_sum=float(gaps.matrix[k].sum()),
+                nu_gap_sum=float(distances[k]),
                 newest=score(model, newest, decimals, absolute=absolute).total,
-                nu_gap_to_plant=None if now is None else plant_gap(twins[k].parameters, now, points, terms),
+                nu_gap_to_plant=to_now[k],
                 identified_gap_sum=float(identified[k].sum()),
                 identified_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
             )
             for k, (member, model) in enumerate(zip(family, models, strict=True))
         )
         nominal = nominal_of(scores)
-        known = judge_uncertainty(scores, twins, gaps, nominal, terms, plant=now, seed=self._settings.seed)
+        known = judge_uncertainty(
+            scores, twins[:count], gaps.of(count), nominal, terms, plant=now, seed=self._settings.seed
+        )
+        others = tuple(
+            CandidateScore(
+                name=candidate.name,
+                operating_point=candidate.operating_point,
+                parameters=candidate.parameters,
+                first=candidate.window.first if candidate.window else 0,
+                last=candidate.window.last if candidate.window else -1,
+                orders=(),
+                chosen_order="",
+                nu_gap_sum=float(distances[count + k]),
+                newest=None,
+                nu_gap_to_plant=to_now[count + k],
+            )
+            for k, candidate in enumerate(structures)
+        )
+        if nominal is not None:
+            centre = next(c for c in known.candidates if c.name == nominal)
+            others = with_margins((centre, *others), 0, self._settings.gains)[1:]
         return Judged(
-            candidates=known.candidates,
+            candidates=(*known.candidates, *others),
             nominal=nominal,
             order=plant.order,
             nu_gap=_rows(gaps.matrix),
             nu_gap_points=gaps.points,
             identified_gap=_rows(identified),
-            decided=known.decided,
             certainty=known.certainty,
         )
 

@@ -92,7 +92,7 @@ def family(
     if verdict is None:
         return ()
     members = []
-    for score in verdict.candidates:
+    for score in verdict.modelled:
         match = _match_of(score, matches)
         window = _window_of(score, matches, samples, settings.period)
         if window is not None:

@@ -41,8 +41,8 @@ class Column(NamedTuple):
 
 def family_table(verdict: Verdict, believed: Believed, width: int) -> Table:
     """The candidates with the columns that fit into `width` characters, the most important ones first."""
-    rows = [(c, believed.get((c.first, c.last), ())) for c in verdict.candidates]
-    columns = _columns(verdict) if verdict.candidates else (CANDIDATE,)
+    rows = [(c, believed.get((c.first, c.last), ())) for c in verdict.modelled]
+    columns = _columns(verdict) if verdict.modelled else (CANDIDATE,)
     cells = {column: _cells(column, rows, verdict) for column in columns}
     table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
     chosen = _fitting({column: _width(column, texts) for column, texts in cells.items()}, width)

@@ -189,7 +189,7 @@ def _nominal(verdict: Verdict) -> Text:
     chosen = nominal_score(verdict)
     if chosen is None:
         return Text("none yet")
-    sure = "decided" if verdict.decided else "not decided: the data do not tell which is nominal"
+    sure = "decided" if verdict.decided else "not decided: the data do not tell who foretells best"
     probability = f", probability {number(chosen.nominal_probability, 2)}"
     return Text.assemble((chosen.name, "bold"), f"  {sure}{probability}")
 

@@ -58,12 +58,11 @@ def draw_gains(axes: Axes, verdict: Verdict) -> None:
 
 
 def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
-    orders = [o.order for o in verdict.candidates[0].orders]
-    places = np.arange(len(verdict.candidates))
+    candidates = verdict.modelled
+    orders = [o.order for o in candidates[0].orders]
+    places = np.arange(len(candidates))
     width = 0.8 / len(orders)
-    table = np.array(
-        [[getattr(o.total, attribute) for o in c.orders] for c in verdict.candidates], dtype=float
-    )
+    table = np.array([[getattr(o.total, attribute) for o in c.orders] for c in candidates], dtype=float)
     for k, order in enumerate(orders):
         values = _above_best(table, attribute)[:, k]
         bars = axes.bar(
@@ -73,11 +72,11 @@ def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
             label=order,
             color=ORDERS[k % len(ORDERS)],
         )
-        for bar, candidate in zip(bars, verdict.candidates, strict=True):
+        for bar, candidate in zip(bars, candidates, strict=True):
             if candidate.chosen_order == order:
                 bar.set_edgecolor("black")
                 bar.set_linewidth(1.6)
-    axes.set_xticks(places, [c.name for c in verdict.candidates])
+    axes.set_xticks(places, [c.name for c in candidates])
     axes.grid(visible=False, axis="x")
 
 
