@@ -104,7 +104,7 @@ def _prospect(forecaster: Forecaster, sample: int, candidate: str | None) -> Pro
 def _outlook(forecaster: Forecaster, candidate: str) -> Outlook:
     """What it knows, with a word where no forecast of it could be judged yet."""
     outlook = forecaster.outlook(candidate)
-    if any(score.forecasts for score in forecaster.scores if score.name == candidate):
+    if forecaster.forecasts_of(candidate):
         return outlook
     note = (
         "no forecast of this candidate could be held against what came yet, so that the band is its own "
