@@ -95,7 +95,7 @@ def test_the_criterion_tables_hold_the_verdict_and_the_best_is_bold(page: Elemen
     verdict = shipped.judged.judgement.verdicts[-1]
     tables = tables_of(page)
     decimals = {"gain": 0, "explanation": 3, "naic": 3, "bic": 1, "mdl": 4}
-    for candidate in verdict.candidates:
+    for candidate in verdict.modelled:
         mark = ", nominal" if candidate.name == verdict.nominal else ""
         table = tables[f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"]
         names = [h.text.split(" / ")[0] for h in next(table.all("thead")).all("th")]

@@ -54,11 +54,12 @@ def telling(verdict: Verdict) -> Verdict:
                 for o, w, d in zip(c.orders, (0.7, 0.2, 0.1, 0.0), (0.0, 2.5, 3.9, 40.0), strict=True)
             ),
         )
-        for k, c in enumerate(verdict.candidates)
+        for k, c in enumerate(verdict.modelled)
     )
     return replace(
         verdict,
         candidates=candidates,
+        nu_gap=tuple(row[: len(candidates)] for row in verdict.nu_gap[: len(candidates)]),
         certainty="the choice is certain",
         structure="sink with mass",
         structure_parameters=RIG,

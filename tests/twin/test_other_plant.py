@@ -47,9 +47,9 @@ def test_its_family_is_judged(outcomes: list[Outcome]) -> None:
     verdicts = [v for o in outcomes for v in o.verdicts]
     last = verdicts[-1]
     assert last.level is TrustLevel.TRUSTED
-    assert len(last.candidates) >= 4
+    assert len(last.modelled) >= 4
     assert last.nominal in {c.name for c in last.candidates}
-    assert all(c.name.endswith(" rad/s") for c in last.candidates)
+    assert all(c.name.endswith(" rad/s") for c in last.modelled)
     assert all(v.fault == "" for v in verdicts)
     matrix = np.array(last.nu_gap)
     assert np.all((matrix >= 0) & (matrix <= 1))

@@ -63,11 +63,16 @@ def test_verdicts_are_consistent_in_themselves(simulated_outcomes: list[Outcome]
         assert np.array_equal(matrix, matrix.T)
         assert np.all(np.diag(matrix) == 0.0)
         assert np.all((matrix >= 0.0) & (matrix <= 1.0))
+        family = verdict.modelled
+        assert verdict.candidates[: len(family)] == family, "matches first, other structures behind them"
+        assert matrix.shape == (len(verdict.candidates),) * 2
         sums = [c.nu_gap_sum for c in verdict.candidates]
-        np.testing.assert_allclose(sums, matrix.sum(axis=0), rtol=1e-12)
-        nominal = next(c for c in verdict.candidates if c.name == verdict.nominal)
-        assert nominal.nu_gap_sum == min(sums)
-        for candidate in verdict.candidates:
+        np.testing.assert_allclose(sums, matrix[: len(family)].sum(axis=0), rtol=1e-12)
+        nominal = next(c for c in family if c.name == verdict.nominal)
+        assert nominal.nu_gap_sum == min(sums[: len(family)])
+        assert verdict.leader in {c.name for c in verdict.candidates}
+        assert {c.name for c in verdict.candidates} == {f.name for f in verdict.forecasts}
+        for candidate in family:
             assert [o.order for o in candidate.orders] == ["22221", "33331", "44441", "55551"]
             for order in candidate.orders:
                 assert order.total.gain == order.y.gain + order.u.gain
@@ -160,7 +165,7 @@ def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_s
     rig = Peltier.model().parameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
     twin = Twin(given=[Candidate("paper 50 °C", 50.0, rig, None)])
     verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
-    assert {c.name for c in verdicts[-1].candidates} == {"50 °C"}
+    assert {c.name for c in verdicts[-1].modelled} == {"50 °C"}
 
 
 def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:

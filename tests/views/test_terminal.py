@@ -65,8 +65,8 @@ def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement
     screen = last_screen(shown(judged, 160, until=LOST - 1))
     verdict = next(v for v in reversed(judged.verdicts) if v.sample < LOST)
     table = table_of(screen)
-    assert list(table) == [c.name for c in verdict.candidates]
-    for score in verdict.candidates:
+    assert list(table) == [c.name for c in verdict.modelled]
+    for score in verdict.modelled:
         total = next(o for o in score.orders if o.order == score.chosen_order).total
         assert table[score.name] == [
             number(score.operating_point, 1),
@@ -119,7 +119,7 @@ def test_no_line_is_wider_than_the_terminal_and_no_number_is_cut(judged: Judgeme
     wide = table_of(last_screen(shown(judged, 200)))
     narrow = table_of(screen)
     assert set(narrow) == set(wide)
-    for score in judged.verdicts[-1].candidates:
+    for score in judged.verdicts[-1].modelled:
         assert set(narrow[score.name]) <= set(wide[score.name])
         assert score.chosen_order in narrow[score.name]
 
