@@ -73,8 +73,9 @@ class Contenders:
 
     @property
     def now(self) -> Parameters | None:
-        """The plant as the newest fit of the richest structure shows it; None before the first."""
-        fits = [c.fit for c in self._held.values()]
+        """The plant as the newest fit of the richest structure shows it, of equals the one named last; None
+        before the first."""
+        fits = [c.fit for c in reversed(self._held.values())]
         return max(fits, key=lambda fit: fit.n_parameters).parameters if fits else None
 
     def push(self, window: Window, *, excited: bool) -> bool:

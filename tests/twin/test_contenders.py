@@ -1,0 +1,116 @@
+"""Structures fitted again and again: the plant as it is now, found from samples of rigs that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinmatch.discrimination import Held, plant_gap, spans_of
+from twinmatch.dynamics import Parameters, begin, gains_of, simulate_closed_loop
+from twinmatch.matching import Noise
+from twinmatch.plants import Peltier
+from twinmatch.signals import Window
+from twinmatch.twin import watched
+from twinmatch.twin.contenders import Contenders
+
+GAINS = gains_of(Peltier, 1.0)
+TERMS = Held(GAINS, spans_of(Peltier))
+POINTS = (30.0, 50.0, 70.0)
+RIG = Peltier.model("sink with mass, free ambient, switched drive").parameters(
+    seebeck=0.06,
+    conductance=0.7,
+    heat_capacity=30.0,
+    ambient=296.0,
+    sink_heat_capacity=350.0,
+    sink_convection=4.0,
+)
+
+
+def contenders() -> Contenders:
+    return Contenders(watched(Peltier)[1:], Noise.of(Peltier), GAINS)
+
+
+def seen(window: Window) -> Parameters:
+    """The plant as it stands after one excited window."""
+    held = contenders()
+    assert held.push(window, excited=True)
+    assert held.now is not None
+    return held.now
+
+
+def recorded(rig: Parameters, seed: int, first: int = 0) -> Window:
+    reference = np.repeat([30.0, 50.0, 70.0, 40.0, 60.0], 200)
+    sensor = Peltier.sensor.realise(reference.size, 1.0, seed)
+    run = simulate_closed_loop(rig, reference, states=begin(rig, 25.0), sensor=sensor, gains=GAINS)
+    return Window(reference, run.output, run.input, first=first)
+
+
+def test_it_is_the_richest_structure_that_is_watched() -> None:
+    found = seen(recorded(RIG, 1))
+    assert found.model.structure_name == "sink with mass, free ambient, switched drive"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_its_plant_is_near_the_one_that_was_recorded(seed: int) -> None:
+    """Nearer by far than a rig whose plate holds a third more heat."""
+    other = RIG.replace(heat_capacity=40.0)
+    found = plant_gap(seen(recorded(RIG, seed)), RIG, POINTS, TERMS)
+    assert found < 0.5 * plant_gap(other, RIG, POINTS, TERMS)
+
+
+def test_it_follows_a_plant_that_changes() -> None:
+    """Behind a gap the plate has got heavier, and only the newest samples count."""
+    held, heavy = contenders(), RIG.replace(heat_capacity=40.0)
+    held.push(recorded(RIG, 4), excited=True)
+    first = held.now
+    held.push(recorded(heavy, 5, first=5000), excited=True)
+    second = held.now
+    assert first is not None
+    assert second is not None
+    assert plant_gap(first, RIG, POINTS, TERMS) < plant_gap(first, heavy, POINTS, TERMS)
+    assert plant_gap(second, heavy, POINTS, TERMS) < plant_gap(second, RIG, POINTS, TERMS)
+
+
+def test_all_that_are_watched_compete_and_the_fit_that_is_worth_most_goes_first() -> None:
+    held = contenders()
+    held.push(recorded(RIG, 2), excited=True)
+    assert {c.fit.model for c in held.held} == set(watched(Peltier)[1:])
+    charges = [c.fit.charge for c in held.held]
+    assert charges == sorted(charges)
+
+
+def test_a_fit_says_where_its_states_were() -> None:
+    window = recorded(RIG, 2)
+    held = contenders()
+    held.push(window, excited=True)
+    best = held.held[0]
+    states = best.states_at(window.last)
+    assert states is not None
+    assert states[0] - 273.15 == pytest.approx(window.output[-1], abs=0.5)  # five times the noise
+    assert best.states_at(window.last + 1) is None
+    assert best.states_at(-1) is None
+
+
+def test_too_few_samples_and_quiet_ones_tell_nothing() -> None:
+    held, window = contenders(), recorded(RIG, 1)
+    assert not held.push(window.part(0, 40), excited=True)
+    assert held.now is None
+    assert not contenders().push(window, excited=False), "the first fit waits for a step"
+
+
+def test_a_quiet_plant_is_fitted_again_when_the_fit_is_old() -> None:
+    held, window = contenders(), recorded(RIG, 1)
+    held.push(window.part(0, 300), excited=True)
+    assert not held.push(window.part(301, 600), excited=False)
+    assert held.push(window.part(601, 950), excited=False)
+    assert held.held[0].last == 950
+
+
+def test_who_was_fitted_to_a_fault_has_to_go() -> None:
+    held, window = contenders(), recorded(RIG, 6)
+    held.push(window.part(0, 500), excited=True)
+    assert not held.expel(600, 700)
+    gone = held.expel(450, 520)
+    assert set(gone) == {model.structure_name for model in watched(Peltier)[1:]}
+    assert held.now is None
+    assert not held.held
