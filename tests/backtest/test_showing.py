@@ -17,7 +17,7 @@ from twinmatch.backtest.origins import ask, mark, origins, regular
 from twinmatch.backtest.peers import Absent, peers
 from twinmatch.backtest.result import LEADER, Backtest, over_all
 from twinmatch.backtest.scoring import Marks, SignalMarks
-from twinmatch.backtest.summary import Marked
+from twinmatch.backtest.summary import HINDSIGHT, Marked
 from twinmatch.backtest.table import cells, columns, sentences, tables
 from twinmatch.plants import Peltier
 from twinmatch.views.figures import save
@@ -113,6 +113,16 @@ def test_several_sessions_are_one(tested: Backtest) -> None:
     assert [c.median for c in total.cards] == [c.median for c in tested.cards]
     assert total.absent == tested.absent
     assert total.notes == ("loop: a note", "loop: a note")
+
+
+def test_sessions_of_one_name_are_not_mixed_up() -> None:
+    """The best in hindsight of each stays its own: ratios of 2 and 4, and not of 2 and 2."""
+    first, second = (
+        Backtest("a", Peltier, 1.0, (60.0,), 0.9, (one(LEADER, 4.0), one(HINDSIGHT, best)))
+        for best in (2.0, 1.0)
+    )
+    (card, _) = over_all([first, second]).cards
+    assert (card.who, card.ratio) == (LEADER, 3.0)
 
 
 def test_the_picture_shows_errors_coverage_and_forecasts(tested: Backtest, tmp_path: Path) -> None:
