@@ -12,12 +12,16 @@ import pytest
 pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
 
 from bokeh.document import Document
+from bokeh.events import ButtonClick
 from bokeh.models import ColumnDataSource
 
 from twinmatch.dashboard import DashboardState, TwinRow
 from twinmatch.dashboard.feed import POINTS, Feed, stride_for
 from twinmatch.dashboard.history import History
 from twinmatch.dashboard.page import Page
+from twinmatch.dashboard.state import Answered
+from twinmatch.dashboard.widgets import QuestionForm
+from twinmatch.forecasting import Band, Forecast
 from twinmatch.judging.judgement import Judgement
 from twinmatch.signals import Sample
 
@@ -154,6 +158,76 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
         assert sums["gap"] == [c.nu_gap_sum for c in verdict.candidates]
         assert [sums["column"][k] for k, s in enumerate(sums["style"]) if s == "bold"] == [verdict.nominal]
         assert interval is None or cells["interval"][1] == interval
+
+
+def forecast(sample: int) -> Forecast:
+    time = np.array([1.0, 10.0, 60.0, 75.0, 90.0, 300.0])
+    level = 40.0 + time / 100
+    bands = [Band(level, level - 1.0, level + 1.0), Band(time, time - 9.0, time + 9.0)]
+    return Forecast(sample, "50 °C", "held sink", 0.9, time, np.full(time.size, 50.0), *bands)
+
+
+def test_what_comes_is_drawn_as_far_as_the_span_has_room() -> None:
+    """A quarter of five minutes is 75 s; of twenty, all of it. The axis reaches as much further."""
+    state = DashboardState()
+    page, document = opened(state)
+    fill(state, 0, 400, period=1.0)
+    time = document.get_model_by_name("output").x_range
+    page.update()
+    assert (list(source(document, "output", 3).data["t"]), time.follow_interval) == ([], 1200.0)
+    state.push_forecast(forecast(399))
+    page.update()
+    drawn = source(document, "output", 3).data
+    assert list(drawn["t"]) == [400.0, 409.0, 459.0, 474.0, 489.0, 699.0]
+    assert list(drawn["output_low"]) == list(drawn["output"] - 1.0)
+    assert source(document, "control", 2) is source(document, "output", 3)
+    assert time.follow_interval == 1500.0
+    document.get_model_by_name("span").active = 0
+    page.update()
+    assert list(source(document, "output", 3).data["t"]) == [400.0, 409.0, 459.0, 474.0]
+    assert time.follow_interval == 375.0
+
+
+def test_an_answer_stays_until_the_next_and_goes_with_the_session() -> None:
+    state = DashboardState()
+    page, document = opened(state)
+    fill(state, 0, 400, period=1.0)
+    state.answer(Answered("set-point <b>60</b> °C", ("so <i>it</i> is",), forecast(350)))
+    page.update()
+    text = document.get_model_by_name("answer").text
+    assert "set-point &lt;b&gt;60&lt;/b&gt; °C" in text
+    assert "so &lt;i&gt;it&lt;/i&gt; is" in text
+    assert source(document, "output", 6).data["t"][0] == 351.0
+    state.answer(Answered("set-point 400 °C", ("no",)))
+    page.update()
+    assert len(source(document, "output", 6).data["t"]) == 0
+    state.push_forecast(forecast(399))
+    assert state.ahead is not None
+    assert state.leader == "50 °C"
+    fill(state, 0, 2, period=1.0)
+    page.update()
+    assert document.get_model_by_name("answer").visible is False
+    state.push_forecast(forecast(400))  # one of the session before that came late
+    page.update()
+    assert state.ahead is None
+    assert len(source(document, "output", 3).data["t"]) == 0
+
+
+@pytest.mark.parametrize(("hold", "asked"), [(None, (55.0, None)), (90.0, (55.0, 90.0))])
+def test_the_form_asks_what_is_entered(hold: float | None, asked: tuple[float, float | None]) -> None:
+    heard: list[tuple[float, float | None]] = []
+
+    class Asked(Nothing):
+        def what_if(self, level: float, hold: float | None) -> None:
+            heard.append((level, hold))
+
+    form = QuestionForm(Asked(), "set-point / °C")
+    level, time, button = form.root.children
+    button._trigger_event(ButtonClick(button))
+    assert heard == []  # nothing was entered
+    level.value, time.value = 55.0, hold
+    button._trigger_event(ButtonClick(button))
+    assert heard == [asked]
 
 
 def test_without_control_the_document_has_no_button_for_it() -> None:

@@ -15,7 +15,7 @@ from tests.support.processes import Process
 from tests.support.ros import Listener
 from twinmatch.forecasting import Question, what_if
 from twinmatch.nodes.conversions import leader_message
-from twinmatch.nodes.forecast_messages import answer_message, forecast_message, shown_samples
+from twinmatch.nodes.forecast_messages import answer_message, forecast_from, forecast_message, shown_samples
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED
 from twinmatch.signals import Sample
@@ -209,6 +209,35 @@ def test_questions_that_make_no_sense_are_answered_in_one_line(
 
     listener.spin_until(lambda: value("forecast from sample"), "word of forecasts")
     assert "" not in value("leader")
+
+
+def test_a_forecast_comes_back_from_its_message_to_the_last_bit(offline: Offline) -> None:
+    outlook = offline.discriminator.forecaster.outlook()
+    foretold = outlook.forecast(np.linspace(40.0, 80.0, 300))
+    back = forecast_from(forecast_message(foretold, 5))
+    assert repr(back) == repr(foretold)
+    np.testing.assert_array_equal(back.input.low, foretold.input.low)
+    np.testing.assert_array_equal(back.output.high, foretold.output.high)
+    part = forecast_from(forecast_message(foretold, 5, (1, 60, 300)))
+    assert part.output.mean.tolist() == foretold.output.mean[[0, 59, 299]].tolist()
+
+
+@pytest.mark.parametrize(
+    ("period", "horizons", "first", "count"),
+    [
+        (1.0, (10, 60, 300), 1, 16),
+        (0.1, (100, 600, 3000), 10, 16),
+        (20.0, (1, 3, 15), 1, 8),
+        (1.0, (4,), 1, 4),
+    ],
+)
+def test_what_is_shown_holds_every_horizon(
+    period: float, horizons: tuple[int, ...], first: int, count: int
+) -> None:
+    shown = shown_samples(period, horizons)
+    assert set(horizons) <= set(shown)
+    assert (shown[0], shown[-1], len(shown)) == (first, max(horizons), count)
+    assert list(shown) == sorted(set(shown))
 
 
 def _answered(given: WhatIf.Response) -> WhatIf.Response | None:

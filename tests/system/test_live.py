@@ -17,13 +17,16 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
+from rclpy.serialization import deserialize_message
+
 from tests.support.places import PROJECT
 from tests.support.processes import Process
 from tests.support.waiting import PATIENCE
 from twinmatch.emulation.virtual_rig_control import tell
 from twinmatch.judging.verification import verify_session
-from twinmatch.sessions import read_session
+from twinmatch.sessions import Session, read_session
 from twinmatch.sessions.repair import repair_session
+from twinmatch_msgs.msg import Forecast
 
 SPEED = 4.0
 """Slow enough for a busy machine: a second of the plant is a quarter of one here."""
@@ -128,8 +131,18 @@ def test_a_run_to_the_end_of_its_profile_verifies_and_leaves_nothing(
     found = verify_session(run.session)
     assert found.identical, found.difference
     assert found.verdicts >= 2
+    indices = {sample.index for sample in session.samples}
+    foretold = [decoded.sample for decoded in _forecasts(session)]
+    assert len(foretold) > 20  # from the first match on, 90 s after the step
+    assert foretold == sorted(set(foretold))
+    assert set(foretold) == {index for index in indices if index >= foretold[0]}
     assert not control.parent.exists()
     assert not children_of(run.process.id)
+
+
+def _forecasts(session: Session) -> list[Forecast]:
+    messages = session.messages(["/twin/forecast"])
+    return [deserialize_message(message.data, Forecast) for message in messages]
 
 
 @pytest.mark.slow

@@ -134,12 +134,12 @@ class Page:
 
     def _foretell(self, span: float) -> None:
         """Draw so much of the newest time (s), and what comes after it."""
-        state = self._state
-        if self._changed("ahead", (span, state.told_ahead, state.period)):
+        state, forecast = self._state, self._state.ahead
+        if self._changed("ahead", (span, state.told_ahead, state.period, forecast is None)):
             most = seconds_ahead(span)
-            drawn = None if state.answered is None else state.answered.forecast
-            self._charts.fans.update(state.forecast, drawn, state.period, most)
-            self._charts.span(span if state.forecast is None else span + most)
+            answer = None if state.answered is None else state.answered.forecast
+            self._charts.fans.update(forecast, answer, state.period, most)
+            self._charts.span(span if forecast is None else span + most)
             self._say("answer", panels.answer(state.answered))
 
     def _tell(self, now: float) -> None:

@@ -130,6 +130,12 @@ class DashboardState:
         return self._fault
 
     @property
+    def ahead(self) -> Forecast | None:
+        """The newest forecast; None if it is of a sample that this session has not come to."""
+        last, forecast = self.plant.last, self.forecast
+        return None if forecast is None or last is None or forecast.sample > last else forecast
+
+    @property
     def leader(self) -> str:
         """Who foretells best; empty: nobody yet."""
         if self.forecast is not None:

@@ -78,9 +78,10 @@ class DiscriminatorNode(SampleNode):
             if len(self._stamps) > MOST_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             step = self._discriminator.push_sample(item)
-        self._foreteller.look(self._discriminator)
         for verdict in step.verdicts:
             self._publish(verdict)
+        if step.verdicts:  # a match may have brought a candidate
+            self._foreteller.look(self._discriminator)
         if step.request is not None:
             self._times_asked = 0
             self._ask(request_message(step.request, self._stamps.get(step.request.sample, 0)))
