@@ -74,7 +74,7 @@ def test_it_is_made_for_printing(page: Element) -> None:
 
 def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(page: Element) -> None:
     images = list(page.all("img"))
-    assert len(images) == 8
+    assert len(images) == 9
     for image in images:
         head, data = image.attributes["src"].split(",", 1)
         assert head == "data:image/svg+xml;base64"
@@ -132,6 +132,27 @@ def test_the_forecasts_stand_beside_what_came_and_beside_the_peers(page: Element
         assert best == [c.who for c in asked if c.median == min(a.median for a in asked)]
     for line in sentences(tested):
         assert line in page.text
+
+
+def test_what_it_foretold_stands_beside_what_came(page: Element, shipped: Report) -> None:
+    samples = {s.index: s for s in shipped.judged.judgement.samples}
+    shown = {f.sample: f for f in shipped.judged.tested.shown}
+    rows = grid(tables_of(page)["What it foretold, and what came"])
+    assert len(rows) == min(6, len(shown))
+    for row in rows:
+        forecast = shown[int(row[0].text)]  # one sample a second
+        last = samples[forecast.sample + forecast.time.size]
+        levels = [float(level) for level in row[2].text.split(" → ")]
+        assert row[1].text == forecast.candidate
+        assert (levels[0], levels[-1]) == (samples[forecast.sample + 1].reference, last.reference)
+        assert row[4].text == f"{last.output:.1f}"
+        came = np.array([samples[forecast.sample + 1 + k].output for k in range(forecast.time.size)])
+        assert float(row[5].text) == pytest.approx(
+            np.sqrt(np.mean((came - forecast.output.mean) ** 2)), abs=5.1e-3
+        )
+        held = (forecast.output.low <= came) & (came <= forecast.output.high)
+        assert row[6].text == f"{100 * held.mean():.0f} %"
+    assert "foretold" in shipped.pictures
 
 
 def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: Report) -> None:

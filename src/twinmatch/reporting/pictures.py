@@ -12,10 +12,13 @@ from twinmatch.backtest import Backtest, draw_backtest, sentences
 from twinmatch.discrimination import REFUSED
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Judgement
+from twinmatch.reporting.foretold import fans_of
 from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.family import Member
+from twinmatch.views.fan import Fan
 from twinmatch.views.figures import (
     draw_criteria,
+    draw_forecasts,
     draw_health,
     draw_matrix,
     draw_parameters,
@@ -80,6 +83,10 @@ def pictures(
                 "forecasts", "Forecasts against what came", _forecasts_alt(tested), draw_backtest(tested)
             )
         )
+        fans = fans_of(tested, j)
+        if fans:
+            figure = draw_forecasts(fans, j.settings.plant)
+            found.append(_picture("foretold", "What it foretold", _foretold_alt(fans), figure))
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
         figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
@@ -181,6 +188,14 @@ def _forecasts_alt(tested: Backtest) -> str:
     return (
         "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their bands "
         f"against what came. {' '.join(sentences(tested))}"
+    )
+
+
+def _foretold_alt(fans: Sequence[Fan]) -> str:
+    told = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
+    return (
+        "Forecasts with their bands ahead of what was known, what came, and what came minus forecast within "
+        f"the band. Made at samples {told}."
     )
 
 

@@ -10,6 +10,7 @@ from twinmatch.backtest import sentences
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Watch
 from twinmatch.reporting.forecast_tables import forecast_tables
+from twinmatch.reporting.foretold import fans_of, foretold_table
 from twinmatch.reporting.judging import Judged, judge
 from twinmatch.reporting.match_tables import (
     event_table,
@@ -90,6 +91,7 @@ class Report:
             "words": [*plain_words(judgement), *sentences(judged.tested)[-1:]],
             "forecasts": forecast_tables(judged.tested),
             "foretold": sentences(judged.tested),
+            "fans": foretold_table(fans_of(judged.tested, judgement), judgement.settings.plant),
             "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
             "confidence": f"{100 * judged.tested.confidence:.0f}",
             "forecast_notes": [

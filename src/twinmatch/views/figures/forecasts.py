@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,8 @@ __all__ = ["draw_forecasts"]
 
 _COLUMNS = 3
 """Panels beside one another, at most."""
+_LETTERS = 36
+"""Of a name in one line above a panel."""
 _BAND = f"band to hold {100 * CONFIDENCE:.0f} %"
 
 
@@ -89,7 +92,8 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
         axes.plot(forecast.time, band.mean, color=CLOSED, lw=1.1, label="forecast")
         axes.axvline(0, color=SET_POINT, lw=0.8)
         axes.margins(x=0.01)
-    output.set_title(f"sample {forecast.sample}:\n{forecast.candidate}")
+    name = "\n".join(wrap(forecast.candidate, _LETTERS))
+    output.set_title(f"sample {forecast.sample}:\n{name}", size=9)
 
 
 def _draw_left(axes: Axes, fan: Fan) -> None:
