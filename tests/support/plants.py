@@ -40,6 +40,7 @@ class Motor(Plant, name="motor"):
     """A DC motor that holds a speed against a load: current limit, dry friction, and an inertia."""
 
     title = "DC motor"
+    followed = "with friction"
     parts = ("friction",)
     speed = Output(unit="rad/s", noise=0.2, span=(-500.0, 500.0))
     volts = Drive(unit="V", limits=(-24.0, 24.0), noise=0.3)

@@ -31,9 +31,9 @@ _UNSURE: Final = 0.6
 _PART: Final = 0.5
 """… or of one that has none, in its scale."""
 _PLAIN: Final = np.array([0.6, 0.001, 5e-4, 0.2, 0.15])
-"""How far the equations of a real rig are off: straying of a state that the output shows, in noises, of
-another, in scales, of a parameter, in scales, per √s; a fading push, in noises per second; and the error of
-a movement, as a share of it."""
+"""How far the equations of a real rig are off: straying of a state that the output shows, in noises, and of
+another, in scales, in the root of a sample; of a parameter, in scales, in the root of a second; a fading
+push, in noises per sample; and the error of a movement, as a share of it."""
 
 
 class Stretch(NamedTuple):
@@ -144,11 +144,12 @@ class Tracker:
             np.where(self._shown, 3.0 * seen, 0.5 * scales),
             np.where(self.logged, _UNSURE, _PART * self._scales),
         ])  # fmt: skip
-        self._noise = noise
         drift = np.zeros(self.size)
         drift[:n] = np.where(self._shown, _PLAIN[0] * seen, _PLAIN[1] * scales)
         drift[n : n + m] = _PLAIN[2] * self._scales
-        drift[self.fading] = _PLAIN[3] * noise * math.sqrt(2.0 / _FADES)
+        drift[:n] /= math.sqrt(period)  # a plant that is sampled faster is a faster one
+        drift[self.fading] = _PLAIN[3] * noise / period * math.sqrt(2.0 / _FADES)
+        self._fading = _PLAIN[3] * noise / period
         self._drifts = [level * drift for level in levels]
         self._swift = [level * float(_PLAIN[4]) for level in levels]
         self._closed = np.zeros(self.size)
@@ -162,7 +163,7 @@ class Tracker:
         values[:n] = begin(self.parameters, output, disturbances=disturbances)
         spread = np.zeros(self.size)
         spread[: self._first.size] = self._first
-        spread[self.fading] = self._levels[level] * _PLAIN[3] * self._noise
+        spread[self.fading] = self._levels[level] * self._fading
         return Belief(values, np.diag(spread**2))
 
     def again(self, belief: Belief, output: float, disturbances: FloatArray) -> Belief:

@@ -18,6 +18,8 @@ __all__ = ["LEVELS", "REACH", "Block", "Past", "joined"]
 
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 """How far the equations may be off, in what a real rig shows."""
+_BLIND: Final = 4
+"""Level from which on the plant does so much that the equations do not know that no change can be told."""
 _BLOCK: Final = 10.0
 """Samples are taken in so many seconds at a time."""
 REACH: Final = 48
@@ -65,6 +67,8 @@ class Past:
         """Of those, how many since the plant was first seen."""
         self.level = len(LEVELS) - 2
         """The one that is judged by."""
+        self.blind = False
+        """Whether the plant does what the equations do not know, so that no change can be seen by them."""
         self.moved_level = False
         """Whether the last block changed it."""
         self._rough = self._noise * _SECOND
@@ -171,7 +175,7 @@ class Past:
         best = int(np.flatnonzero(total <= total.min() + _CLEARLY)[-1])
         before, level = self.level, min(best + 1, len(LEVELS) - 1)
         if self._counted >= _WAIT:
-            self.level = level
+            self.level, self.blind = level, best >= _BLIND
         return self.level != before
 
 

@@ -49,7 +49,7 @@ class Changes:
         self._past = Past(parameters, period)
         self.tracker = self._past.tracker
         noise = parameters.model.plant.output.noise
-        self.hypotheses = hypotheses(self.tracker, noise)
+        self.hypotheses = hypotheses(self.tracker, noise, period)
         self._jumps = list({h.index: h for h in self.hypotheses}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
         self._best: tuple[Change, Belief] | None = None
@@ -92,7 +92,8 @@ class Changes:
         self._past.take(stretch, self._traces, settled=self.suspected)
         if self._past.moved_level:
             self._clear()
-        if self._past.known < _LEARN:
+        if self._past.known < _LEARN or self._past.blind:
+            self._best = None
             return None
         return self._asked()
 

@@ -32,7 +32,7 @@ _SHARE: Final = 0.3
 _OFFSET: Final = 30.0
 """Spread of an offset of the reading, in noises."""
 _PUSH: Final = 1.0
-"""Spread of a push, in noises per second."""
+"""Spread of a push, in noises per sample."""
 _SLOWLY: Final = 300.0
 """Time in which a slow change makes its spread, s."""
 _ROOMS: Final = 1800.0
@@ -93,7 +93,7 @@ class Change:
         return self.value - self.before
 
 
-def hypotheses(tracker: Tracker, noise: float) -> Sequence[Hypothesis]:
+def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypothesis]:
     """Of one plant: those its file gives a role to, and those of every plant."""
     found: list[Hypothesis] = []
     for name in tracker.free:
@@ -110,7 +110,7 @@ def hypotheses(tracker: Tracker, noise: float) -> Sequence[Hypothesis]:
     for kind, index, unit, spread in (
         (Kind.DRIVE, tracker.share, 1.0, _SHARE),
         (Kind.SENSOR, tracker.offset, noise, _OFFSET),
-        (Kind.OTHER, tracker.push, noise, _PUSH),
+        (Kind.OTHER, tracker.push, noise / period, _PUSH),
     ):
         sudden = Hypothesis(kind, index, 0.0, spread * unit, _LEAST[kind] * unit)
         found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOWLY, price=_RARE)]

@@ -9,6 +9,7 @@ from typing import Final
 from twinmatch.dynamics import Parameters
 from twinmatch.health.balance import BLOCK, TRIAL, Balance
 from twinmatch.health.finding import Finding, Words
+from twinmatch.health.precedence import GRAVER, UNFOLLOWED
 from twinmatch.health.record import SLOW, Alarm, Fault, Health, State
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.slow import Slow
@@ -29,18 +30,6 @@ _PROVE: Final = 10.0
 """Time for which the plant has to follow the drive before that counts as mended, s."""
 _TACIT: Final = 120.0
 """Time without any trace after which it counts as mended without proof, s."""
-_SUDDEN: Final = frozenset(Fault) - SLOW
-_NAMED: Final = SLOW - {Fault.DRIFT}
-_GRAVER: Final = {
-    Fault.DRIFT: _SUDDEN | _NAMED,
-    Fault.DRIVE_WEAK: frozenset({Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}),
-    **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
-}
-"""Faults that are told though another one is on, and take its place."""
-_UNFOLLOWED: Final = frozenset({
-    Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_LATE, Fault.SENSOR_IMPLAUSIBLE,
-})  # fmt: skip
-"""Faults during which nothing else can be learned of the plant."""
 
 
 class Monitor:
@@ -162,7 +151,7 @@ class Monitor:
 
     def _follow(self, sample: Sample) -> None:
         """Ask what has slowly changed, unless something graver is on or the session has only begun."""
-        if self._open and self._alarms[-1].fault in _UNFOLLOWED:
+        if self._open and self._alarms[-1].fault in UNFOLLOWED:
             return
         if (sample.index - self._begin) * self.settings.period >= self.settings.start:
             self._slow.push(sample)
@@ -211,7 +200,7 @@ class Monitor:
             on = self._alarms[-1].fault
             if finding.slow and finding.fault is on and self._slow.told is None:
                 self._slow.tell(index)  # what the drive's effect has told already
-            if finding.fault not in _GRAVER.get(on, ()):
+            if finding.fault not in GRAVER.get(on, ()):
                 return None
             earliest = index
             self._close(index - 1)
@@ -219,7 +208,7 @@ class Monitor:
             earliest = max(self._begin, self._alarms[-1].last + 1)
         self._alarms.append(Alarm(finding.fault, max(finding.first, earliest), index, None, finding.reason))
         self._open, self._slowly = True, finding.slow
-        if finding.fault in _UNFOLLOWED:
+        if finding.fault in UNFOLLOWED:
             self._slow.restart(offset=finding.fault is Fault.SENSOR_IMPLAUSIBLE)
         elif finding.slow:
             self._slow.tell(index)

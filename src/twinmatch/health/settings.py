@@ -48,7 +48,7 @@ class HealthSettings:
     the rig's healthy camera make 3 °C."""
     frozen: float = 10.0
     """How long the same reading has to be repeated, s. Healthy cameras repeat theirs for 5 s at most."""
-    change: float = 12.0
+    change: float = 9.0
     """By how much better a change has to explain the readings than none does, in nats, to be told."""
     lead: float = 4.0
     """The same against the next best change, for it to be told by name."""

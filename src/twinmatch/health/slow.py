@@ -162,6 +162,8 @@ class Slow:
         named = change.lead >= settings.lead and h.kind is not Kind.OTHER
         if h.kind is Kind.DRIVE and not settings.lost - 1.0 <= change.shift < 0.0:
             named = False  # a lost drive is told otherwise, and one that does more has no name
+        if h.kind is Kind.SENSOR and not any(rival in (Kind.ROOM, Kind.LOSSES) for rival in change.rivals):
+            named = False  # where nothing says what other surroundings do, they do what the sensor would
         if named:
             reason = f"{self._described(change)}: look at {self._where(h.kind)}"
             return Finding(_NAMES[h.kind], enough and material, change.first, reason, slow=True)
@@ -175,11 +177,8 @@ class Slow:
 
     def _either(self, change: Change) -> str:
         """A sentence for a change that the samples do not name."""
-        near = [
-            _ASKED[k]
-            for k, gain in zip(change.rivals, change.gains, strict=True)
-            if gain > change.gain - self._settings.lead
-        ]
+        gains = zip(change.rivals, change.gains, strict=True)
+        near = [_ASKED[kind] for kind, gain in gains if gain > change.gain - self._settings.lead]
         names = [_ASKED[change.hypothesis.kind], *near]
         listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
         return (

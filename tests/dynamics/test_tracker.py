@@ -1,0 +1,135 @@
+"""A plant tracked with everything unknown: what is true is found, and the filter is the textbook's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.plants import Lag
+from twinmatch.dynamics import advance, begin
+from twinmatch.dynamics.tracker import Belief, Stretch, Tracker, no_traces
+
+PERIOD, NOISE = 1.0, 0.01
+TRUTH = Lag.model().parameters(gain=2.4, lag=7.0)
+
+
+def stretch(seed: int, size: int, share: float = 1.0, rate: float = 0.0) -> Stretch:
+    """Readings of the true plant, whose drive does a share, and whose readings creep by a rate per second."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.uniform(-5.0, 5.0, size // 20 + 1), 20)[:size]
+    states, y = begin(TRUTH, 0.0), np.empty(size)
+    for k in range(size):
+        y[k] = states[0] + random.normal(0.0, NOISE) + rate * k
+        states = advance(TRUTH, states, share * u[k], PERIOD)
+    before = np.full(2, np.nan)
+    return Stretch(np.concatenate([before, y]), u, np.zeros((size, 0)), np.full(size, NOISE))
+
+
+def tracker() -> Tracker:
+    return Tracker(Lag.model().parameters(), PERIOD, (0.01, 1.0))
+
+
+def first(of: Tracker) -> Belief:
+    return of.begin(0.0, np.zeros(0), 0)
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 1000))
+def test_parameters_are_found_to_within_what_is_believed(seed: int) -> None:
+    of = tracker()
+    belief, _ = of.run(first(of), stretch(seed, 300), 0)
+    for name in of.free:
+        spread = np.sqrt(belief.covariance[of.at[name], of.at[name]]) * TRUTH[name]
+        assert of.named(belief, name) == pytest.approx(TRUTH[name], abs=5 * spread + 1e-3 * TRUTH[name])
+        assert spread < 0.02 * TRUTH[name]
+
+
+def test_in_pieces_is_the_same_as_in_one_piece_to_the_last_bit() -> None:
+    of, whole = tracker(), stretch(3, 100)
+    at_once, cost = of.run(first(of), whole, 1)
+    belief, total = first(of), 0.0
+    for a in range(0, 100, 20):
+        part = Stretch(
+            whole.output[a : a + 22],
+            whole.input[a : a + 20],
+            whole.disturbances[a : a + 20],
+            whole.noise[:20],
+        )
+        belief, more = of.run(belief, part, 1)
+        total += more
+    assert np.array_equal(belief.values, at_once.values)
+    assert np.array_equal(belief.covariance, at_once.covariance)
+    assert total == pytest.approx(cost, rel=1e-12)
+
+
+def test_with_known_parameters_it_is_the_kalman_filter_of_the_textbook() -> None:
+    """Of x' = a x + b u + c, y = x, written out here: means, variances and code length."""
+    of = tracker()
+    known = first(of)
+    for index in range(1, of.size):
+        known = known.closed(index)
+    for name in of.free:
+        of._drifts[1][of.at[name]] = 0.0
+    record = stretch(5, 60)
+    belief, cost = of.run(known, record, 1)
+    p = of.parameters
+    a = np.exp(-PERIOD / p["lag"])
+    drift, swift = of._drifts[1][0] ** 2 * PERIOD, of._swift[1]
+    fading, fade = 0.0, of._fixed.keeps[of.fading]
+    strays = of._drifts[1][of.fading] ** 2 * PERIOD
+    state, push = np.zeros(2), np.array([1.0, 0.0])
+    state[0] = known.values[0]
+    covariance = np.diag([known.covariance[0, 0], fading])
+    moved, total = np.array([[a, PERIOD], [0.0, fade]]), 0.0
+    for y, u in zip(record.output[2:], record.input, strict=True):
+        variance = push @ covariance @ push + NOISE**2
+        surprise = y - state[0]
+        variance = max(variance, (surprise / 3.0) ** 2)
+        total += 0.5 * np.log(variance) + 0.5 * surprise**2 / variance
+        gain = covariance @ push / variance
+        state = state + gain * surprise
+        covariance = covariance - np.outer(gain, covariance @ push)
+        before = state[0]
+        driven = a * before + (1 - a) * p["gain"] * u
+        state = np.array([driven + PERIOD * state[1], fade * state[1]])
+        covariance = moved @ covariance @ moved.T + np.diag(
+            [drift + (swift * (driven - before)) ** 2, strays]
+        )
+    assert cost == pytest.approx(total, rel=1e-4)
+    assert belief.values[0] == pytest.approx(state[0], rel=1e-4)
+    assert belief.covariance[0, 0] == pytest.approx(covariance[0, 0], rel=1e-2)
+
+
+def test_what_is_opened_is_found() -> None:
+    of = tracker()
+    learned, _ = of.run(first(of), stretch(1, 300), 0)
+    later = of.again(learned, 0.0, np.zeros(0))
+    weak, saved = of.run(later.opened(of.share, 0.0, 0.3), stretch(2, 100, share=0.7), 0)
+    _, plain = of.run(later, stretch(2, 100, share=0.7), 0)
+    assert weak.values[of.share] == pytest.approx(-0.3, abs=0.02)
+    assert saved < plain - 20
+    creeping = stretch(2, 100, rate=0.02)
+    crept, _ = of.run(later.opened(of.rate, 0.0, 0.02), creeping, 0, rising=of.offset)
+    assert crept.values[of.rate] == pytest.approx(0.02, rel=0.1)
+
+
+def test_traces_foretell_what_a_jump_leaves_in_the_surprises() -> None:
+    """The gain they promise is the one that following the jump for itself brings."""
+    of = tracker()
+    learned, _ = of.run(first(of), stretch(1, 300), 0)
+    later = of.again(learned, 0.0, np.zeros(0))
+    record = stretch(2, 100, rate=0.0)._replace()
+    record.output[2:] += 0.05
+    traces = no_traces(of.size)._replace(
+        effects=np.zeros((of.size, 1, 1)), hits=np.zeros((1, 1)), weights=np.zeros((1, 1))
+    )
+    traces.effects[of.offset, 0, 0] = 1.0
+    _, plain = of.run(later, record, 0, traces=traces)
+    spread = 0.1
+    promised = 0.5 * traces.hits[0, 0] ** 2 / (traces.weights[0, 0] + spread**-2) - 0.5 * np.log1p(
+        traces.weights[0, 0] * spread**2
+    )
+    _, saved = of.run(later.opened(of.offset, 0.0, spread), record, 0)
+    assert plain - saved == pytest.approx(promised, rel=0.3, abs=1.0)

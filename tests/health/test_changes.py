@@ -1,0 +1,106 @@
+"""What changed is told by name, in the plant's words; where it cannot be told apart, that is said."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from tests.support import faulty_rig as rig
+from tests.support.plants import Motor
+from twinmatch.dynamics import Parameter, Pid, PlantError, advance, begin, read
+from twinmatch.health import Fault, HealthSettings, Monitor
+from twinmatch.health.changes import Changes
+from twinmatch.plants import Peltier
+from twinmatch.signals import Sample
+
+
+@pytest.mark.parametrize(
+    ("kind", "least"),
+    [
+        ("fan-failed", 3),
+        ("room+10", 5),
+        ("room-10", 5),
+        ("supply*0.8", 5),
+        ("supply~0.6", 5),
+        ("reading+3", 4),
+    ],
+)
+def test_a_change_is_told_by_its_name_and_hardly_ever_by_another(kind: str, least: int) -> None:
+    """Six rigs of the thirty of docs/health.md."""
+    told = Counter(name for name, _ in (rig.names_told(kind, seed) for seed in range(6)))
+    right = {"fan": "losses-changed", "roo": "room-changed", "sup": "drive-weak", "rea": "sensor-drift"}[
+        kind[:3]
+    ]
+    assert told[right] >= least
+    assert sum(told[name.value] for name in Fault if name.value not in {right, "drift"}) == 0
+    assert told["early"] == 0
+
+
+def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> None:
+    samples, _ = rig.run(rig.profile(1002, 1200), rig.Break("room+10", 700), rig=rig.some_rig(2), seed=2)
+    (alarm,) = rig.watch(samples)[0].alarms
+    assert alarm.fault is Fault.ROOM_CHANGED
+    assert 680 <= alarm.first <= 720
+    assert alarm.reason.startswith("the temperature of the room is +")
+    assert "look at fan, heat sink and room" in alarm.reason
+
+
+def test_what_is_undone_is_over_and_what_stays_is_usual_after_ten_minutes() -> None:
+    reference = rig.profile(1004, 2400)
+    undone, _ = rig.run(reference, rig.Break("supply*0.7", 700, 300), rig=rig.some_rig(4), seed=4)
+    alarms = rig.watch(undone)[0].alarms
+    assert [a.fault for a in alarms] == [Fault.DRIVE_WEAK]
+    assert alarms[0].last is not None
+    assert 1000 <= alarms[0].last <= 1100
+    stays, _ = rig.run(reference, rig.Break("room+10", 700), rig=rig.some_rig(4), seed=4)
+    (alarm,) = rig.watch(stays)[0].alarms
+    assert alarm.last is not None
+    assert alarm.last - alarm.flagged == pytest.approx(600, abs=10)
+
+
+def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
+    """The simulated rig obeys the equations; one whose readings wander does not."""
+    samples, _ = rig.run(rig.profile(3, 1500), rig=rig.some_rig(3), seed=3)
+    exact = Changes(HealthSettings().followed, 1.0)
+    for sample in samples:
+        assert exact.push(sample) is None or not exact.suspected
+    assert exact.level <= 0.5
+    random, rough = np.random.default_rng(1), Changes(HealthSettings().followed, 1.0)
+    wander = np.cumsum(random.normal(0.0, 0.15, len(samples)))
+    for sample, off in zip(samples, wander, strict=True):
+        rough.push(Sample(sample.index, 0, sample.reference, sample.output + float(off), sample.input))
+    assert rough.level > exact.level
+
+
+def motor(kind: str = "") -> Monitor:
+    """800 s of a motor whose load is measured, changed after 500 s."""
+    truth = Motor.model("with friction").parameters(j=4.4e-4, b=1.1e-4, k=0.046)
+    pid, states, random = Pid(Motor.loop), begin(truth, 0.0), np.random.default_rng(7)
+    period = Motor.loop.period
+    monitor = Monitor(HealthSettings.of(Motor, period))
+    for k, reference in enumerate(np.repeat(random.uniform(-150.0, 150.0, 80), 200)):
+        late = k * period >= 500
+        y = read(truth, states) + random.normal(0.0, 0.2)
+        u, load = pid.step(float(reference), y), 0.02 * np.sin(k / 200)
+        monitor.push(Sample(k, k, float(reference), y, u, (load,)))
+        share = 0.75 if late and kind == "weak" else 1.0
+        unseen = 0.005 if late and kind == "load" else 0.0
+        states = advance(truth, states, share * u, period, np.array([load + unseen]))
+    return monitor
+
+
+def test_another_plant_is_judged_by_what_its_file_says() -> None:
+    assert motor().alarms == ()
+    assert Fault.DRIVE_WEAK in {a.fault for a in motor("weak").alarms}
+    # No parameter has a role, so a load that nobody measures has no name, and gets none.
+    assert {a.fault for a in motor("load").alarms} <= {Fault.DRIFT}
+
+
+def test_roles_and_the_structure_to_be_followed_are_checked() -> None:
+    with pytest.raises(PlantError, match="role 'lid' of a parameter"):
+        Parameter(default=1.0, bounds=(0.5, 2.0), role="lid")
+    assert Peltier.followed in Peltier.structures
+    with pytest.raises(PlantError, match="no structure 'none' to follow it in"):
+        type("Other", (Motor,), {"followed": "none"})
