@@ -60,11 +60,9 @@ def judged(path: Path) -> tuple[dict[object, Row], list[list[Row]]]:
         for (i, a), (j, b) in itertools.combinations(enumerate(verdict.candidates), 2):
             one, other = runs[a.parameters], runs[b.parameters]
             apart = size(one.output - other.output, one.input - other.input)
-            pairs[path.stem, a.parameters, b.parameters] = (
-                verdict.nu_gap[i][j],
-                verdict.identified_gap[i][j],
-                apart,
-            )
+            matched = max(i, j) < len(verdict.identified_gap)  # structures have no identified models
+            models = verdict.identified_gap[i][j] if matched else float("nan")
+            pairs[path.stem, a.parameters, b.parameters] = verdict.nu_gap[i][j], models, apart
         if verdict.sample + AHEAD < hour.last:
             ahead = hour.part(verdict.sample - 1, verdict.sample + AHEAD)
             verdicts.append([wrong(c, ahead) for c in verdict.candidates])
@@ -82,8 +80,12 @@ def wrong(candidate: CandidateScore, ahead: Window) -> Row:
 def ranks(rows: Sequence[Row]) -> FloatArray:
     """How well either ν-gap ranks it, shape (2,)."""
     table = np.array(rows)
-    known = [np.ptp(table[:, k]) > 0 for k in (0, 1)]  # equal gaps rank nothing
-    return np.array([spearmanr(table[:, k], table[:, 2]).statistic if known[k] else np.nan for k in (0, 1)])
+    found = np.full(2, np.nan)
+    for k in (0, 1):
+        known = table[np.isfinite(table[:, k])]
+        if len(known) > 1 and np.ptp(known[:, k]) > 0:  # equal gaps rank nothing
+            found[k] = spearmanr(known[:, k], known[:, 2]).statistic
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
