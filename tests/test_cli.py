@@ -310,7 +310,9 @@ def test_a_narrow_terminal_without_colours_cuts_no_number(fault_session: Path) -
         assert all(re.fullmatch(r"−?\d+(\.\d+)?\*?|\d\d\d\d1|–", cell) for cell in cells[1:]), row
     words = " ".join(" ".join(lines).split())
     assert "fault drive-lost since" in words
-    assert "do not trust it now: the plant shows drive-lost" in re.split(r"Leader(?: and nominal)?: ", words)[-1]
+    assert (
+        "do not trust it now: the plant shows drive-lost" in re.split(r"Leader(?: and nominal)?: ", words)[-1]
+    )
 
 
 def test_a_pipe_gets_plain_lines_and_the_sentence_last(fault_session: Path) -> None:

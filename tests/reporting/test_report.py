@@ -172,11 +172,12 @@ def test_the_gap_of_the_identified_models_has_a_table_of_its_own(page: Element, 
     """As in the paper's table."""
     verdict = shipped.judged.judgement.verdicts[-1]
     rows = grid(tables_of(page)[f"ν-gap between the models of order {verdict.order}"])
-    count = len(verdict.candidates)
+    count = len(verdict.identified_gap)
     shown = np.array([[float(c.text) for c in row[1 : count + 1]] for row in rows])
     np.testing.assert_allclose(shown, verdict.identified_gap, atol=5.1e-4)
     sums = [float(row[count + 1].text) for row in rows]
-    np.testing.assert_allclose(sums, [c.identified_gap_sum for c in verdict.candidates], atol=5.1e-4)
+    known = [c.identified_gap_sum for c in verdict.candidates if np.isfinite(c.identified_gap_sum)]
+    np.testing.assert_allclose(sums, known, atol=5.1e-4)
 
 
 def test_the_nominal_parameters_have_units_errors_and_intervals(page: Element, shipped: Report) -> None:
