@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.discrimination import Candidate
-from twinmatch.dynamics import Model, Parameters, PidGains
+from twinmatch.dynamics import Model, PidGains
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
@@ -70,13 +70,6 @@ class Contenders:
     def held(self) -> tuple[Contender, ...]:
         """The contenders, the one whose fit is worth most first."""
         return tuple(sorted(self._held.values(), key=lambda c: c.fit.charge))
-
-    @property
-    def now(self) -> Parameters | None:
-        """The plant as the newest fit of the richest structure shows it, of equals the one named last; None
-        before the first."""
-        fits = [c.fit for c in reversed(self._held.values())]
-        return max(fits, key=lambda fit: fit.n_parameters).parameters if fits else None
 
     def push(self, window: Window, *, excited: bool) -> bool:
         """Take one window of a healthy plant; return whether there are new fits."""

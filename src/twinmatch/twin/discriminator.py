@@ -27,6 +27,7 @@ from twinmatch.twin.contenders import Contenders
 from twinmatch.twin.forecaster import Entrant, Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest
 from twinmatch.twin.members import Judged, Members, plant_model
+from twinmatch.twin.present import Present
 from twinmatch.twin.promises import Promise, Promises
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
@@ -104,6 +105,7 @@ class Discriminator:
         )
         self.forecaster = Forecaster(self.settings.gains, self.settings.forecasts, self._spoilt)
         """Of all candidates, at the newest sample of which everything is said."""
+        self._present = Present(watched(self.settings.plant), self.settings.noise, self.settings.gains)
         self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
         self._successors: dict[str, str] = {}
         self._given = list(given)
@@ -214,6 +216,7 @@ class Discriminator:
             return ()
         gone = self._members.expel(alarm.first, alarm.flagged)
         gone += self._contenders.expel(alarm.first, alarm.flagged)
+        self._present.forget()
         self._enter()
         if not gone or self._standing is None or self._looked is None:
             return gone
@@ -230,7 +233,6 @@ class Discriminator:
         """The verdict on a window and what became of its match; None: none was to be made."""
         with one_thread():
             verdict = self._judge(trigger, fate, report)
-            self._enter()
         return self._forecast(replace(verdict, match=fate.word if fate else ""))
 
     def _enter(self) -> None:
@@ -285,6 +287,7 @@ class Discriminator:
     def _judge(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None) -> Verdict:
         sample, window = trigger.sample, trigger.window
         self._watch_structure(window, excited=trigger.excited)
+        self._enter()
         if fate is None:
             return self._stand(sample, window, "the set-point did not move")
         if not len(self._members):
@@ -293,7 +296,7 @@ class Discriminator:
             plant = plant_model(window, self._members.order)
         except TwinmatchError as error:
             return self._stand(sample, window, f"nothing could be identified: {error}")
-        self._looked = _Looked(window, plant, self._contenders.now)
+        self._looked = _Looked(window, plant, self._present.look(self._structure.history))
         fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
         self._standing = self._scored(fresh, self._looked)
         doubtful = report is not None and report.match.status is Status.NOT_EXPLAINED
@@ -309,11 +312,25 @@ class Discriminator:
         self._contenders.push(window, excited=excited)
 
     def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
-        structures = [contender.candidate for contender in self._contenders.held]
-        return replace(verdict, **self._members.judge(*looked, structures)._asdict())
+        return replace(verdict, **self._members.judge(*looked, self._beside())._asdict())
+
+    def _beside(self) -> list[Candidate]:
+        """The structure that stands beside the matches: of all the one that foretells best."""
+        held = {contender.candidate.name: contender.candidate for contender in self._contenders.held}
+        best = self.forecaster.best_of(held)
+        return [] if best is None else [held[best]]
 
     def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
         """The verdict before, marked as standing; only health, residuals and level are new."""
+        names = {c.name for c in self._standing.candidates} if self._standing is not None else set()
+        if (
+            self._standing is not None
+            and self._looked is not None
+            and names
+            and self.forecaster.leader not in names
+        ):
+            with one_thread():  # another structure has come to lead
+                self._standing = self._scored(self._standing, self._looked)
         base = replace(self._standing or self._nothing(), stands=True, reason=reason)
         return self._at(base, sample, window)
 

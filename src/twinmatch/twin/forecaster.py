@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -147,9 +147,13 @@ class Forecaster:
     @property
     def leader(self) -> str | None:
         """Whose forecasts have saved most; None without candidates."""
-        if not self._order:
-            return None
-        return self._order[int(np.argmax([-np.inf if np.isnan(s.gain) else s.gain for s in self.scores]))]
+        return self.best_of(self._order)
+
+    def best_of(self, names: Collection[str]) -> str | None:
+        """Of some candidates the one whose forecasts have saved most; None if none of them is here."""
+        scores = [score for score in self.scores if score.name in names]
+        gains = [-np.inf if np.isnan(score.gain) else score.gain for score in scores]
+        return scores[int(np.argmax(gains))].name if scores else None
 
     @property
     def confidence(self) -> float:

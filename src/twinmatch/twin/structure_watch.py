@@ -69,6 +69,11 @@ class StructureWatch:
         """The newest choice, if there is one yet."""
         return self._choice
 
+    @property
+    def history(self) -> Window | None:
+        """The newest samples without a fault, as many as are looked at; None before the first window."""
+        return self._history.window
+
     def push(self, window: Window) -> StructureChoice | None:
         """Take one window; return the choice it brought about, if any."""
         settings, before = self.settings, self._history.window
