@@ -15,6 +15,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from tests.support.places import PROJECT
 from tests.support.processes import Process, Processes
+from twinmatch.dynamics.store import cache_folder
 from twinmatch.sessions import read_session, write_session
 
 HERE = Path(__file__).resolve().parent
@@ -54,14 +55,16 @@ class Programs:
 def stranger(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment of somebody who has done nothing for twinmatch.
 
-    Where ROS 2 was sourced and not installed with pip, what sourcing has set belongs to it.
+    Where ROS 2 was sourced and not installed with pip, what sourcing has set belongs to it. Our own nodes find
+    the equations that were prepared here: deriving them anew takes a minute.
     """
     kept = ["PATH", "LANG"]
     if not (Path(sys.prefix) / "share" / "rclpy").is_dir():
         kept += ["PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "ROS_DISTRO"]
     environment = {name: os.environ[name] for name in kept if name in os.environ}
     home = tmp_path_factory.mktemp("home")
-    return {**environment, "HOME": str(home), "ROS_DOMAIN_ID": str(domain()), "OMP_NUM_THREADS": "1"}
+    prepared = {"TWINMATCH_CACHE": str(cache_folder()), "OMP_NUM_THREADS": "1"}
+    return {**environment, **prepared, "HOME": str(home), "ROS_DOMAIN_ID": str(domain())}
 
 
 @pytest.fixture
