@@ -320,17 +320,18 @@ class Discriminator:
         best = self.forecaster.best_of(held)
         return [] if best is None else [held[best]]
 
+    def _let_lead(self) -> None:
+        """Score again if another structure has come to lead, so that it stands in the family."""
+        if self._standing is None or self._looked is None:
+            return
+        names = {candidate.name for candidate in self._standing.candidates}
+        if names and self.forecaster.leader not in names:
+            with one_thread():
+                self._standing = self._scored(self._standing, self._looked)
+
     def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
         """The verdict before, marked as standing; only health, residuals and level are new."""
-        names = {c.name for c in self._standing.candidates} if self._standing is not None else set()
-        if (
-            self._standing is not None
-            and self._looked is not None
-            and names
-            and self.forecaster.leader not in names
-        ):
-            with one_thread():  # another structure has come to lead
-                self._standing = self._scored(self._standing, self._looked)
+        self._let_lead()
         base = replace(self._standing or self._nothing(), stands=True, reason=reason)
         return self._at(base, sample, window)
 
