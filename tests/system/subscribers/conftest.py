@@ -55,8 +55,8 @@ class Programs:
 def stranger(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment of somebody who has done nothing for twinmatch.
 
-    Where ROS 2 was sourced and not installed with pip, what sourcing has set belongs to it. Our own nodes find
-    the equations that were prepared here: deriving them anew takes a minute.
+    Where ROS 2 was sourced and not installed with pip, what sourcing has set belongs to it. Our own nodes
+    find the equations that were prepared here: deriving them anew takes a minute.
     """
     kept = ["PATH", "LANG"]
     if not (Path(sys.prefix) / "share" / "rclpy").is_dir():
