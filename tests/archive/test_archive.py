@@ -50,8 +50,8 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_go
         expected = json.loads(json.dumps(document(name, alone.verdicts, alone.summary, alone.matches)))
         assert {key: kept[name]["result"][key] for key in expected} == expected
         rows = [row for row in found["candidates"] if row["session"] == name]
-        assert [row["name"] for row in rows] == [c.name for c in alone.verdicts[-1].candidates]
-        for row, candidate in zip(rows, alone.verdicts[-1].candidates, strict=True):
+        assert [row["name"] for row in rows] == [c.name for c in alone.verdicts[-1].modelled]
+        for row, candidate in zip(rows, alone.verdicts[-1].modelled, strict=True):
             assert row["parameters"]["seebeck"] == candidate.parameters["seebeck"]
             assert row["nu_gap_sum"] == candidate.nu_gap_sum
             assert row["chosen_order"] == candidate.chosen_order

@@ -53,17 +53,17 @@ def test_a_fault_a_doubt_and_a_structure_are_said(judged: Judgement) -> None:
 
 def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
     last = judged.verdicts[-1]
-    criteria = computed(last.candidates)
+    criteria = computed(last.modelled)
     chosen, every = panels.family_table(last, every=False), panels.family_table(last, every=True)
-    for candidate in last.candidates:
+    for candidate in last.modelled:
         lines = [line for line in criterion_rows(candidate, criteria) if line.output == "total"]
         for line in lines:
             for cell in line.cells:
                 assert cell.text in words(every)
         assert candidate.name in words(chosen)
         assert f"{candidate.chosen_order} ✓" in words(chosen)
-    assert chosen.count("<tr") == 1 + len(last.candidates)
-    assert every.count("<tr") == 1 + sum(len(c.orders) for c in last.candidates)
+    assert chosen.count("<tr") == 1 + len(last.modelled)
+    assert every.count("<tr") == 1 + sum(len(c.orders) for c in last.modelled)
     assert every.count('class="best"') > 0
     assert words(chosen).count("nominal") == 1
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -100,13 +101,13 @@ def test_what_is_not_known_is_a_dash() -> None:
 def test_a_fault_is_told_by_name_and_a_line_stays_one_line() -> None:
     text = line_text(replace(VERDICT, fault="drive-lost", decided=False, reason="the plate\ndoes not obey"))
     assert text.endswith("drive-lost: the plate does not obey")
-    assert cells(text)[4] == "no"
+    assert cells(text)[3] == "no"
 
 
 def test_a_long_name_does_not_run_into_the_next_column() -> None:
     name = "the paper's candidate for 50 °C"
     text = line_text(replace(VERDICT, nominal=name, candidates=(replace(CANDIDATE, name=name),)))
-    assert f"{name}  yes" in text
+    assert f"{name}  22221" in text
 
 
 def test_only_news_are_told_and_without_wrapping_or_colours(capsys: pytest.CaptureFixture[str]) -> None:
@@ -131,11 +132,10 @@ def test_the_end_is_notes_leader_nominal_structure_and_the_sentence() -> None:
     summary = Summary("50 °C", TrustLevel.TRUSTED, None, 0.98, 0.9, 5, 2, {}, notes=("cut short",))
     lines = closing_lines(summary, VERDICT)
     assert lines[0] == "Note: cut short"
-    assert lines[1] == (
-        "Leader, the twin to ask what comes next: sink with mass (confidence 0.84), its forecasts save 9.2 "
-        "characters each."
+    assert (
+        lines[1] == "The leader is the twin to ask what comes next, the nominal one the centre of the family."
     )
-    assert lines[2] == "Nominal, the centre of the family: 50 °C is the only candidate."
+    assert lines[2] == "Certainty: 50 °C is the only candidate."
     assert lines[3].startswith("Structure: the samples pay for sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
     assert lines[3].endswith(", L 5.00 A).")
     assert lines[4] == sentence(summary)
@@ -160,3 +160,10 @@ def test_a_view_is_redrawn_on_a_terminal_that_can(
 ) -> None:
     monkeypatch.setenv("TERM", term)
     assert redraws(stream) is drawn
+
+
+def test_a_nominal_structure_has_no_order_and_no_gain() -> None:
+    """It stands in the family without Box–Jenkins models."""
+    sink = replace(CANDIDATE, name="sink with mass", orders=(), chosen_order="")
+    told = line_text(replace(VERDICT, nominal=sink.name, candidates=(CANDIDATE, sink)))
+    assert re.search(r"yes +sink with mass +– +– +0\.250", told)

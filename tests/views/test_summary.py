@@ -50,6 +50,11 @@ SUMMARY = Summary(
             "no match stands.",
         ),
         (
+            {"leader": "50 °C", "nominal": "sink with mass", "order": ""},
+            "Leader: 50 °C set; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: sink with "
+            "mass.",
+        ),
+        (
             {"level": TrustLevel.DOUBTFUL},
             "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: what comes lies "
             "outside the bands (it held between 25 and 92 °C).",

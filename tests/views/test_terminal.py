@@ -56,7 +56,7 @@ def last_screen(written: str) -> list[str]:
 
 def table_of(screen: Sequence[str]) -> dict[str, list[str]]:
     """The cells of every candidate, by its name; marks are left out."""
-    rows = [re.sub("^[▶○]+ ", "", line.strip()) for line in screen]
+    rows = [re.sub("^[▶○]* *", "", line.strip()) for line in screen]
     found = [re.split(r" {2,}", row) for row in rows if re.match(r"\d+ °C  ", row)]
     return {cells[0]: [cell.strip() for cell in cells[1:]] for cells in found}
 

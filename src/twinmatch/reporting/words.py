@@ -126,8 +126,7 @@ def _leader(last: Verdict, shown: Shown) -> str:
     whose = f"of the {count} twins that foretell" if count > 1 else "of the only twin that foretells"
     return (
         f"The twin to ask what comes next is the {what}. It leads: {whose}, its forecasts have saved the "
-        "most characters against saying that nothing changes. Its error was within 3 % of the best one's in "
-        f"{number(100 * last.leader_confidence, 0)} % of the cases so far."
+        "most characters against saying that nothing changes."
     )
 
 
@@ -135,14 +134,18 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
     count = len(last.candidates)
     if count == 1:
         return (
-            f"The family of matches has one candidate, matched at {nominal.name}; it is nominal because "
-            "there is no other to compare it with."
+            f"The family has one candidate, matched at {nominal.name}; it is nominal because there is no "
+            "other to compare it with."
         )
+    written = (
+        f" Its behaviour is written best by a Box–Jenkins model of order {nominal.chosen_order}."
+        if nominal.chosen_order
+        else ""
+    )
     return (
-        f"The family of matches has {count} candidates. Its centre, the nominal one, was matched at "
+        f"The family has {count} candidates, matches and structures. Its centre, the nominal one, is "
         f"{nominal.name}: its plant's ν-gaps to the others (0: behaves the same in a loop, 1: does not) have "
-        f"the smallest sum, {nominal.nu_gap_sum:.3f}. Its behaviour is written best by a Box–Jenkins model "
-        f"of order {nominal.chosen_order}."
+        f"the smallest sum, {nominal.nu_gap_sum:.3f}.{written}"
     )
 
 

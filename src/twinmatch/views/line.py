@@ -11,7 +11,6 @@ from twinmatch.views.news import News
 from twinmatch.views.quantities import quantity
 from twinmatch.views.summary import Summary, sentence
 from twinmatch.views.table import STYLES, row
-from twinmatch.views.words import leader_words
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,8 +21,8 @@ _NAMES = (
     "t / s",
     "level",
     "leader",
-    "nominal",
     "decided",
+    "nominal",
     "order",
     "gain / characters",
     "ν-gap sum",
@@ -42,9 +41,9 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
     `period` is the sample time, s.
     """
     when, level, leader, nominal, *figures, why = row(verdict, period)
-    decided = "–" if verdict.nominal is None else "yes" if verdict.decided else "no"
+    decided = "–" if verdict.leader is None else "yes" if verdict.decided else "no"
     named = f"{verdict.fault}: " if verdict.fault else ""
-    return _columns((when, level, leader, nominal, decided, *figures)) + " ".join(f"{named}{why}".split())
+    return _columns((when, level, leader, decided, nominal, *figures)) + " ".join(f"{named}{why}".split())
 
 
 def header_text() -> str:
@@ -73,9 +72,11 @@ def closing_lines(summary: Summary, verdict: Verdict | None) -> list[str]:
     """
     said = [f"Note: {note}" for note in summary.notes]
     if verdict is not None and verdict.leader is not None:
-        said.append(f"Leader, the twin to ask what comes next: {leader_words(verdict)}.")
+        said.append(
+            "The leader is the twin to ask what comes next, the nominal one the centre of the family."
+        )
     if verdict is not None and verdict.certainty:
-        said.append(f"Nominal, the centre of the family: {verdict.certainty}.")
+        said.append(f"Certainty: {verdict.certainty}.")
     if verdict is not None and verdict.structure:
         said.append(f"Structure: the samples pay for {verdict.structure}{_plant(verdict)}.")
     return [*said, sentence(summary)]

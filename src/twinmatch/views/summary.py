@@ -109,10 +109,10 @@ def sentence(summary: Summary) -> str:
 def _who(summary: Summary) -> str:
     """The twin that is shown first."""
     if summary.leader is None:
-        return f"Nominal: {summary.nominal} set; orders {summary.order}"
+        return f"Nominal: {summary.nominal} set{_order(summary, '; ')}"
     name = Shown(summary.leader, summary.parameters).words if summary.parameters else summary.leader
     if summary.leader == summary.nominal:
-        return f"Leader and nominal: {name}; orders {summary.order}"
+        return f"Leader and nominal: {name}{_order(summary, '; ')}"
     return f"Leader: {name}"
 
 
@@ -122,7 +122,13 @@ def _center(summary: Summary) -> str:
         return ""
     if summary.nominal is None:
         return " Nominal: nobody, no match stands."
-    return f" Nominal: {summary.nominal} set, orders {summary.order}."
+    set_there = " set" if summary.order else ""
+    return f" Nominal: {summary.nominal}{set_there}{_order(summary, ', ')}."
+
+
+def _order(summary: Summary, before: str) -> str:
+    """Of the nominal candidate; a structure has no Box–Jenkins models, and none."""
+    return f"{before}orders {summary.order}" if summary.order else ""
 
 
 def _trust(summary: Summary) -> str:

@@ -40,9 +40,9 @@ def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
     nominal = nominal_score(verdict)
     order = gain = total = now = "–"
     if nominal is not None:
-        order = nominal.chosen_order
-        score = next(o for o in nominal.orders if o.order == order)
-        gain = number(score.total.gain, 0)
+        score = next((o for o in nominal.orders if o.order == nominal.chosen_order), None)
+        if score is not None:  # a structure has no Box–Jenkins models
+            order, gain = score.order, number(score.total.gain, 0)
         total = number(nominal.nu_gap_sum, 3)
         now = number(nominal.nu_gap_to_plant, 3)
     return (

@@ -174,7 +174,7 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     if verdict is None:
         grid.add_row("verdict", "none has come yet")
         return grid
-    grid.add_row("leader", Text(leader_words(verdict)))
+    grid.add_row("leader", _leader(verdict))
     grid.add_row("nominal", _nominal(verdict))
     if verdict.fault:
         since = "" if verdict.fault_since is None else f" since {number(verdict.fault_since * period, 0)} s"
@@ -189,9 +189,14 @@ def _nominal(verdict: Verdict) -> Text:
     chosen = nominal_score(verdict)
     if chosen is None:
         return Text("none yet")
+    return Text.assemble((chosen.name, "bold"), f"  probability {number(chosen.nominal_probability, 2)}")
+
+
+def _leader(verdict: Verdict) -> Text:
+    if verdict.leader is None:
+        return Text("none yet")
     sure = "decided" if verdict.decided else "not decided: the data do not tell who foretells best"
-    probability = f", probability {number(chosen.nominal_probability, 2)}"
-    return Text.assemble((chosen.name, "bold"), f"  {sure}{probability}")
+    return Text(f"{leader_words(verdict)}; {sure}")
 
 
 def _event_line(event: Event, period: float) -> RenderableType:

@@ -80,7 +80,8 @@ def _draw_signals(
 
 def _title(shown: Shown, nominal: CandidateScore | None) -> str:
     """The twin that is drawn, and who is nominal."""
-    centre = f"nominal: {nominal.name}, order {nominal.chosen_order}" if nominal else "nominal: nobody"
+    order = f", order {nominal.chosen_order}" if nominal and nominal.chosen_order else ""
+    centre = f"nominal: {nominal.name}{order}" if nominal else "nominal: nobody"
     return f"Leader: {shown.name}; {centre}"
 
 
