@@ -160,6 +160,18 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
         assert interval is None or cells["interval"][1] == interval
 
 
+def test_the_parts_of_a_long_name_have_lines_of_their_own(judged: Judgement) -> None:
+    verdict = judged.verdicts[-1]
+    named = [replace(c, name=f"sink with mass, {c.name}") for c in verdict.candidates]
+    state = DashboardState()
+    state.push_verdict(replace(verdict, candidates=tuple(named), nominal=named[0].name))
+    _, document = opened(state)
+    chart, sums = document.get_model_by_name("matrix"), source(document, "matrix", 2).data
+    assert chart.x_range.factors == [f"sink with mass,\n{c.name}" for c in verdict.candidates]
+    assert chart.xaxis.major_label_orientation == "vertical"
+    assert sums["style"][0] == "bold"
+
+
 def forecast(sample: int) -> Forecast:
     time = np.array([1.0, 10.0, 60.0, 75.0, 90.0, 300.0])
     level = 40.0 + time / 100

@@ -18,6 +18,10 @@ from twinmatch.views.style import TEXT
 __all__ = ["Matrix"]
 
 SUM = "Σ"
+_SHORT = 8
+"""Letters of a name that has room above its column."""
+_HEIGHT, _ROOM = 300, 80
+"""Of the chart, and for longer names, in pixels."""
 _NAMES = ("column", "row", "gap", "shown", "interval", "ink")
 
 
@@ -34,13 +38,17 @@ class Matrix:
     def update(self, verdict: Verdict | None) -> None:
         """Draw the matrix of a verdict; none, or one without candidates, leaves it empty."""
         candidates = verdict.candidates if verdict is not None else ()
-        names = [c.name for c in candidates]
+        # A structure's name has parts; each has a line of its own beside and above the matrix.
+        names = [c.name.replace(", ", ",\n") for c in candidates]
         gaps = np.array(verdict.nu_gap if verdict is not None else (), dtype=np.float64)
         if gaps.shape != (len(names), len(names)):
             gaps = np.zeros((len(names), len(names)))
         most = max(float(gaps.max()), 1e-12) if gaps.size else 1.0
         self.figure.x_range.factors = names
         self.figure.y_range.factors = [SUM, *reversed(names)]
+        long = any(len(name) > _SHORT for name in names)
+        self.figure.xaxis.major_label_orientation = "vertical" if long else "horizontal"
+        self.figure.height = _HEIGHT + (_ROOM if long else 0)
         self._colours.high = most
         places = list(np.ndindex(*gaps.shape))
         self._cells.data = {
@@ -59,13 +67,13 @@ class Matrix:
             "shown": [number(c.nu_gap_sum, 2) for c in candidates],
             "interval": [""] * len(names),
             "ink": [TEXT] * len(names),
-            "style": ["bold" if name == nominal else "normal" for name in names],
+            "style": ["bold" if c.name == nominal else "normal" for c in candidates],
         }
 
     def _draw(self) -> Any:
         chart = figure(
             name="matrix",
-            height=300,
+            height=_HEIGHT,
             sizing_mode="stretch_width",
             x_range=FactorRange(),
             y_range=FactorRange(),
