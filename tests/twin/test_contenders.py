@@ -81,6 +81,18 @@ def test_a_quiet_plant_is_fitted_again_when_the_fit_is_old() -> None:
     assert held.held[0].last == 950
 
 
+def test_a_plant_that_has_changed_is_fitted_to_what_came_since() -> None:
+    held, heavy = contenders(), RIG.replace(heat_capacity=45.0)
+    held.push(recorded(RIG, 6), excited=True)
+    held.renew(1000)
+    held.push(recorded(heavy, 7, first=1000), excited=True)
+    fit = next(c.fit for c in held.held if c.fit.model is RIG.model)
+    of = held.held[0].candidate.window
+    assert of is not None
+    assert of.first == 1000
+    assert plant_gap(fit.parameters, heavy, POINTS, TERMS) < plant_gap(fit.parameters, RIG, POINTS, TERMS)
+
+
 def test_who_was_fitted_to_a_fault_has_to_go() -> None:
     held, window = contenders(), recorded(RIG, 6)
     held.push(window.part(0, 500), excited=True)

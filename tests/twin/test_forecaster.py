@@ -12,7 +12,8 @@ from twinmatch.forecasting import ForecastError
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings
-from twinmatch.twin.forecaster import Entrant, Forecaster, ForecastSettings
+from twinmatch.twin.entrant import Entrant, ForecastSettings
+from twinmatch.twin.forecaster import Forecaster
 
 RICH = "sink with mass, free ambient, switched drive"
 TRUTH = rig(

@@ -31,7 +31,7 @@ def test_it_is_the_gap_between_the_candidates_plants(judged: list[Verdict]) -> N
 
 def test_the_points_are_those_of_the_family_and_the_ends_of_what_was_asked_for(judged: list[Verdict]) -> None:
     for verdict in judged:
-        points = {c.operating_point for c in verdict.candidates}
+        points = {c.operating_point for c in verdict.modelled}
         assert points <= set(verdict.nu_gap_points) <= set(SET_POINTS)
         assert list(verdict.nu_gap_points) == sorted(verdict.nu_gap_points)
     assert judged[-1].nu_gap_points[0] == min(SET_POINTS)
@@ -43,16 +43,18 @@ def test_the_gap_between_identified_models_stands_beside_it(judged: list[Verdict
     last = judged[-1]
     identified = np.array(last.identified_gap)
     np.testing.assert_array_equal(identified, identified.T)
-    np.testing.assert_allclose([c.identified_gap_sum for c in last.candidates], identified.sum(axis=0))
-    assert all(0 < c.identified_gap_to_plant <= 1 for c in last.candidates if c.identified_gap_to_plant)
-    assert not np.allclose(identified, last.nu_gap)
+    np.testing.assert_allclose([c.identified_gap_sum for c in last.modelled], identified.sum(axis=0))
+    assert all(0 < c.identified_gap_to_plant <= 1 for c in last.modelled if c.identified_gap_to_plant)
+    count = len(last.modelled)
+    assert not np.allclose(identified, np.array(last.nu_gap)[:count, :count])
 
 
 def test_what_matches_leave_open_makes_the_intervals(judged: list[Verdict]) -> None:
     for verdict in judged:
-        gaps = np.array(verdict.nu_gap)
-        low = np.array([c.nu_gap_low for c in verdict.candidates])
-        high = np.array([c.nu_gap_high for c in verdict.candidates])
+        count = len(verdict.modelled)
+        gaps = np.array(verdict.nu_gap)[:count, :count]
+        low = np.array([c.nu_gap_low for c in verdict.modelled])
+        high = np.array([c.nu_gap_high for c in verdict.modelled])
         assert np.all((low <= gaps) & (gaps <= high))
         off = ~np.eye(len(gaps), dtype=bool)
         assert np.all((high - low)[off] > 0)

@@ -16,7 +16,8 @@ from typing import NamedTuple
 from twinmatch.discrimination import Candidate, Verdict
 from twinmatch.signals import Sample
 from twinmatch.twin.discriminator import Discriminator, Step
-from twinmatch.twin.forecaster import Forecaster, ForecastSettings
+from twinmatch.twin.entrant import ForecastSettings
+from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest, answer
 from twinmatch.twin.mirror import Mirror, MirrorState
 from twinmatch.twin.residuals import Residuals, closed_loop_fit, nrmse, residuals

@@ -37,12 +37,6 @@ class Contender:
     last: int
     """Index of the newest sample of that fit."""
 
-    @property
-    def fit_first(self) -> int:
-        """Index of its first sample."""
-        window = self.candidate.window
-        return window.first if window is not None else self.last + 1
-
     def states_at(self, sample: int) -> FloatArray | None:
         """Of the twin at a sample of the fit; None outside."""
         states = self.fit.states[-1]
@@ -83,6 +77,10 @@ class Contenders:
         found = {c.candidate.name: c for c in fresh if c is not None}
         self._held.update(found)
         return bool(found)
+
+    def renew(self, first: int) -> None:
+        """Forget the samples before `first`; fits stand until there are new ones."""
+        self._history.cut(first)
 
     def expel(self, first: int, last: int) -> tuple[str, ...]:
         """Forget fits and samples that touch `first` to `last`; return the names of those who go."""

@@ -11,28 +11,22 @@ import numpy as np
 
 from twinmatch.discrimination import (
     ADMITTED,
-    DECIDED_FROM,
     REFUSED,
     Candidate,
-    SimoModel,
     TrustLevel,
     Verdict,
 )
-from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import SLOW, Alarm, Health, Monitor, State
 from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
-from twinmatch.twin.contenders import Contenders
-from twinmatch.twin.forecaster import Entrant, Forecaster
+from twinmatch.twin.bench import Bench
+from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest
-from twinmatch.twin.members import Judged, Members, plant_model
-from twinmatch.twin.present import Present
 from twinmatch.twin.promises import Promise, Promises
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinSettings
-from twinmatch.twin.structure_watch import StructureSettings, StructureWatch, watched
 from twinmatch.twin.threads import one_thread
 
 __all__ = ["Discriminator", "Step", "trust_level"]
@@ -53,15 +47,6 @@ class _Fate(NamedTuple):
     word: str
     """`ADMITTED` or `REFUSED`."""
     reason: str
-
-
-class _Looked(NamedTuple):
-    """The newest window that was judged, and the plant's model of it."""
-
-    window: Window
-    plant: SimoModel
-    now: Parameters | None
-    """The plant as the newest samples show it."""
 
 
 class Discriminator:
@@ -88,34 +73,20 @@ class Discriminator:
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = Schedule(self.settings.schedule, self.settings.period)
-        self._members = Members(self.settings)
-        self._structure = StructureWatch(
-            StructureSettings(
-                models=watched(self.settings.plant),
-                noise=self.settings.noise,
-                gains=self.settings.gains,
-                decimals=self.settings.decimals,
-            )
-        )
-        matched = self.settings.start.model
-        self._contenders = Contenders(
-            tuple(model for model in watched(self.settings.plant) if model is not matched),
-            self.settings.noise,
-            self.settings.gains,
-        )
-        self.forecaster = Forecaster(self.settings.gains, self.settings.forecasts, self._spoilt)
-        """Of all candidates, at the newest sample of which everything is said."""
-        self._present = Present(watched(self.settings.plant), self.settings.noise, self.settings.gains)
+        self._bench = Bench(self.settings, self._spoilt)
         self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
-        self._successors: dict[str, str] = {}
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
         self._request: MatchRequest | None = None
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
-        self._looked: _Looked | None = None
         self._standing: Verdict | None = None
+
+    @property
+    def forecaster(self) -> Forecaster:
+        """Of all candidates, at the newest sample of which everything is said."""
+        return self._bench.forecaster
 
     @property
     def request(self) -> MatchRequest | None:
@@ -132,7 +103,7 @@ class Discriminator:
         """The nominal candidate as it stands."""
         if self._standing is None or self._standing.nominal is None:
             return None
-        return self._members.candidate(self._standing.nominal)
+        return self._bench.members.candidate(self._standing.nominal)
 
     def push_sample(self, sample: Sample) -> Step:
         """Take one sample; return the verdicts that became due, and the match to ask for."""
@@ -164,7 +135,7 @@ class Discriminator:
                 self.forecaster.push(item)
                 self.forecaster.notes = self._notes()
                 self._followed(item)
-                verdicts += [self._forecast(verdict) for verdict in told]
+                verdicts += [self._bench.with_forecasts(verdict) for verdict in told]
             elif not item.excited:
                 verdicts.append(self._judged(item, None))
             elif (alarm := self.monitor.fault_between(item.window.first, item.window.last)) is not None:
@@ -181,7 +152,7 @@ class Discriminator:
         with one_thread():
             while self._given:
                 self._take_in(self._given.pop(0), trigger.window)
-        rival = self._members.standing_at(trigger.operating_point)
+        rival = self._bench.members.standing_at(trigger.operating_point)
         incumbent = rival.parameters if rival else None
         return MatchRequest(
             sample=trigger.sample,
@@ -212,63 +183,17 @@ class Discriminator:
 
     def _let_go(self, alarm: Alarm) -> tuple[str, ...]:
         """Dismiss the candidates that were matched while the fault was already there; return their names."""
-        if alarm.fault in SLOW:
+        if alarm.fault in SLOW:  # the plant is another one since then, and obeys
+            self._bench.renew(alarm.first)
             return ()
-        gone = self._members.expel(alarm.first, alarm.flagged)
-        gone += self._contenders.expel(alarm.first, alarm.flagged)
-        self._present.forget()
-        self._enter()
-        if not gone or self._standing is None or self._looked is None:
-            return gone
-        if not len(self._members):
-            nobody = Judged((), None, None, (), (), (), certainty="")
-            self._standing = replace(self._standing, **nobody._asdict())
-            return gone
-        order = self._members.order
-        plant = plant_model(self._looked.window, order)
-        self._standing = self._scored(self._standing, self._looked._replace(plant=plant))
+        self._standing, gone = self._bench.expel(self._standing, alarm.first, alarm.flagged)
         return gone
 
     def _judged(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None = None) -> Verdict:
         """The verdict on a window and what became of its match; None: none was to be made."""
         with one_thread():
             verdict = self._judge(trigger, fate, report)
-        return self._forecast(replace(verdict, match=fate.word if fate else ""))
-
-    def _enter(self) -> None:
-        """Let all candidates foretell: the structures, then the matches, the newest first."""
-        entrants = [
-            Entrant(
-                c.candidate.name,
-                c.candidate.parameters,
-                (c.fit_first, c.last),
-                c.candidate.free,
-                c.candidate.covariance,
-                c.states_at,
-            )
-            for c in self._contenders.held
-        ]
-        for candidate in reversed(self._members.newest):
-            held = candidate.window
-            samples = (held.first, held.last) if held is not None else (0, -1)
-            known = candidate.covariance if len(candidate.covariance) else None
-            entrants.append(Entrant(candidate.name, candidate.parameters, samples, candidate.free, known))
-        self.forecaster.enter(entrants, self._successors)
-        self._successors = {}
-
-    def _forecast(self, verdict: Verdict) -> Verdict:
-        """The verdict with what the candidates' forecasts are worth."""
-        forecaster = self.forecaster
-        leader, confidence = forecaster.leader, forecaster.confidence
-        return replace(
-            verdict,
-            leader=leader,
-            leader_confidence=float("nan") if leader is None else confidence,
-            decided=leader is not None and confidence >= DECIDED_FROM,
-            certainty="; ".join(part for part in (forecaster.sentence, verdict.certainty) if part),
-            horizons=forecaster.settings.horizons,
-            forecasts=forecaster.scores,
-        )
+        return self._bench.with_forecasts(replace(verdict, match=fate.word if fate else ""))
 
     def _notes(self) -> tuple[str, ...]:
         """What no forecast can promise at this sample."""
@@ -286,58 +211,33 @@ class Discriminator:
 
     def _judge(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None) -> Verdict:
         sample, window = trigger.sample, trigger.window
-        self._watch_structure(window, excited=trigger.excited)
-        self._enter()
+        if self.monitor.fault_between(window.first, window.last) is None:
+            self._bench.watch(window, excited=trigger.excited)
+        self._bench.enter()
         if fate is None:
             return self._stand(sample, window, "the set-point did not move")
-        if not len(self._members):
+        if not len(self._bench.members):
             return self._stand(sample, window, fate.reason)
+        fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
         try:
-            plant = plant_model(window, self._members.order)
+            scored = self._bench.score(fresh, window)
         except TwinmatchError as error:
             return self._stand(sample, window, f"nothing could be identified: {error}")
-        self._looked = _Looked(window, plant, self._present.look(self._structure.history))
-        fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
-        self._standing = self._scored(fresh, self._looked)
         doubtful = report is not None and report.match.status is Status.NOT_EXPLAINED
-        self._standing = self._at(self._standing, sample, window, doubtful=doubtful)
+        self._standing = self._at(scored, sample, window, doubtful=doubtful)
         return self._standing
-
-    def _watch_structure(self, window: Window, *, excited: bool) -> None:
-        """Ask now and then, of samples without a fault, which plant structure they pay for."""
-        alarm = self.monitor.alarms[-1] if self.monitor.alarms else None
-        if alarm is not None and alarm.overlaps(window.first, window.last):
-            return
-        self._structure.push(window)
-        self._contenders.push(window, excited=excited)
-
-    def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
-        return replace(verdict, **self._members.judge(*looked, self._beside())._asdict())
-
-    def _beside(self) -> list[Candidate]:
-        """The structure that stands beside the matches: of all the one that foretells best."""
-        held = {contender.candidate.name: contender.candidate for contender in self._contenders.held}
-        best = self.forecaster.best_of(held)
-        return [] if best is None else [held[best]]
-
-    def _let_lead(self) -> None:
-        """Score again if another structure has come to lead, so that it stands in the family."""
-        if self._standing is None or self._looked is None:
-            return
-        names = {candidate.name for candidate in self._standing.candidates}
-        if names and self.forecaster.leader not in names:
-            with one_thread():
-                self._standing = self._scored(self._standing, self._looked)
 
     def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
         """The verdict before, marked as standing; only health, residuals and level are new."""
-        self._let_lead()
+        if self._standing is not None:
+            with one_thread():
+                self._standing = self._bench.let_lead(self._standing)
         base = replace(self._standing or self._nothing(), stands=True, reason=reason)
         return self._at(base, sample, window)
 
     def _at(self, verdict: Verdict, sample: int, window: Window, *, doubtful: bool = False) -> Verdict:
         """The verdict with what holds at this sample: window, residuals of the nominal, fault, level."""
-        found, choice = self._residuals(verdict.nominal, window), self._structure.choice
+        found, choice = self._residuals(verdict.nominal, window), self._bench.choice
         promise, held = self._promised(window), self._promises.held or (float("nan"), float("nan"))
         level, fault, since = trust_level(promise, self.settings.limits), "", None
         if doubtful and level is TrustLevel.TRUSTED:
@@ -403,11 +303,8 @@ class Discriminator:
             return self._take_in(candidate, window)
 
     def _take_in(self, candidate: Candidate, window: Window) -> _Fate:
-        before = self._members.standing_at(candidate.operating_point)
-        if before is not None:
-            self._successors[candidate.name] = before.name
         try:
-            return _Fate(ADMITTED, self._members.admit(candidate, window))
+            return _Fate(ADMITTED, self._bench.take_in(candidate, window))
         except TwinmatchError as error:
             return _Fate(REFUSED, f"no models of candidate {candidate.name}: {error}")
 
@@ -420,7 +317,7 @@ class Discriminator:
             window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
         )
         newest = window.part(min(first, window.last), window.last)
-        return residuals(self._members.candidate(nominal).parameters, newest, self.settings.gains)
+        return residuals(self._bench.members.candidate(nominal).parameters, newest, self.settings.gains)
 
 
 def trust_level(promise: Promise, limits: TrustLimits) -> TrustLevel:

@@ -5,27 +5,26 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from twinmatch.discrimination import ForecastScore
-from twinmatch.dynamics import Parameters, Pid, PidGains
+from twinmatch.dynamics import Pid, PidGains
 from twinmatch.forecasting import (
-    HORIZONS,
     PERSISTENCE,
     Calibration,
     Follower,
-    ForecastError,
     Ledger,
     Outlook,
     leads_of,
 )
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import Sample
+from twinmatch.twin.entrant import Entrant, ForecastSettings
 from twinmatch.twin.promises import Promise, promise_of
 from twinmatch.twin.snapshot import Snapshot, candidate_called
 
-__all__ = ["Entrant", "ForecastSettings", "Forecaster"]
+__all__ = ["Forecaster"]
 
 _NEAR: Final = 1.03
 """A leader whose error is no larger than this times the least in hindsight counts as right."""
@@ -34,41 +33,6 @@ _RUN_IN_S: Final = (60.0, 300.0)
 hidden ones have to be found."""
 _SELDOM: Final = 3
 """Only every third time do bands of those who do not lead learn."""
-
-
-@dataclass(frozen=True)
-class ForecastSettings:
-    """How far and how often the candidates are held to their forecasts.
-
-    Raises:
-        ForecastError: a value is not positive.
-    """
-
-    horizons: tuple[float, ...] = HORIZONS
-    """s"""
-    every: float = 30.0
-    """s between two samples from which all candidates foretell."""
-    memory: float = 1800.0
-    """s after which a forecast counts for a share of 1/e."""
-
-    def __post_init__(self) -> None:
-        for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):
-            if not value > 0:
-                raise ForecastError(f"forecasts: {name} is {value} s; it must be positive")
-
-
-class Entrant(NamedTuple):
-    """A candidate as the forecaster takes it."""
-
-    name: str
-    parameters: Parameters
-    samples: tuple[int, int]
-    """First and last sample it was fitted to."""
-    free: tuple[str, ...] = ()
-    covariance: FloatArray | None = None
-    """Of the free parameters."""
-    states_at: Callable[[int], FloatArray | None] = lambda _: None
-    """Its states at a sample, where they are known."""
 
 
 @dataclass

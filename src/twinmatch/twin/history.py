@@ -30,6 +30,12 @@ class History:
         self.window = held.part(max(held.first, held.last - self.longest + 1), held.last)
         return self.window
 
+    def cut(self, first: int) -> None:
+        """Forget the samples before `first`."""
+        held = self.window
+        if held is not None and held.first < first:
+            self.window = held.part(first, held.last) if first <= held.last else None
+
 
 def _continued(window: Window, newer: Window) -> Window:
     return Window(

@@ -10,7 +10,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
 from twinmatch.plants import Peltier
-from twinmatch.twin.forecaster import ForecastSettings
+from twinmatch.twin.entrant import ForecastSettings
 from twinmatch.twin.schedule import ScheduleSettings
 
 __all__ = ["TrustLimits", "TwinError", "TwinSettings"]
