@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from twinmatch.discrimination import Held, plant_gap, spans_of
-from twinmatch.dynamics import Parameters, begin, gains_of, simulate_closed_loop
+from tests.support.rich_rig import RIG, apart, recorded
+from tests.support.rig import GAINS
 from twinmatch.matching import Noise
 from twinmatch.plants import Peltier
-from twinmatch.signals import Window
 from twinmatch.twin import watched
 from twinmatch.twin.contenders import Contenders
-
-GAINS = gains_of(Peltier, 1.0)
-TERMS = Held(GAINS, spans_of(Peltier))
-POINTS = (30.0, 50.0, 70.0)
-RIG = Peltier.model("sink with mass, free ambient, switched drive").parameters(
-    seebeck=0.06,
-    conductance=0.7,
-    heat_capacity=30.0,
-    ambient=296.0,
-    sink_heat_capacity=350.0,
-    sink_convection=4.0,
-)
 
 
 def contenders() -> Contenders:
     return Contenders(watched(Peltier)[1:], Noise.of(Peltier), GAINS)
-
-
-def recorded(rig: Parameters, seed: int, first: int = 0) -> Window:
-    reference = np.repeat([30.0, 50.0, 70.0, 40.0, 60.0], 200)
-    sensor = Peltier.sensor.realise(reference.size, 1.0, seed)
-    run = simulate_closed_loop(rig, reference, states=begin(rig, 25.0), sensor=sensor, gains=GAINS)
-    return Window(reference, run.output, run.input, first=first)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -43,8 +22,8 @@ def test_its_plant_is_near_the_one_that_was_recorded(seed: int) -> None:
     held, other = contenders(), RIG.replace(heat_capacity=40.0)
     held.push(recorded(RIG, seed), excited=True)
     fitted = next(c.fit for c in held.held if c.fit.model is RIG.model)
-    found = plant_gap(fitted.parameters, RIG, POINTS, TERMS)
-    assert found < 0.5 * plant_gap(other, RIG, POINTS, TERMS)
+    found = apart(fitted.parameters, RIG)
+    assert found < 0.5 * apart(other, RIG)
 
 
 def test_all_that_are_watched_compete_and_the_fit_that_is_worth_most_goes_first() -> None:
@@ -90,7 +69,7 @@ def test_a_plant_that_has_changed_is_fitted_to_what_came_since() -> None:
     of = held.held[0].candidate.window
     assert of is not None
     assert of.first == 1000
-    assert plant_gap(fit.parameters, heavy, POINTS, TERMS) < plant_gap(fit.parameters, RIG, POINTS, TERMS)
+    assert apart(fit.parameters, heavy) < apart(fit.parameters, RIG)
 
 
 def test_who_was_fitted_to_a_fault_has_to_go() -> None:

@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from twinmatch.discrimination import Held, plant_gap, spans_of
-from twinmatch.dynamics import Parameters, begin, gains_of, simulate_closed_loop
+from tests.support.rich_rig import RIG, apart, recorded
+from tests.support.rig import GAINS
 from twinmatch.matching import Noise
 from twinmatch.plants import Peltier
-from twinmatch.signals import Window
 from twinmatch.twin import watched
 from twinmatch.twin.present import Present
-
-GAINS = gains_of(Peltier, 1.0)
-TERMS = Held(GAINS, spans_of(Peltier))
-POINTS = (30.0, 50.0, 70.0)
-RIG = Peltier.model("sink with mass, free ambient, switched drive").parameters(
-    seebeck=0.06,
-    conductance=0.7,
-    heat_capacity=30.0,
-    ambient=296.0,
-    sink_heat_capacity=350.0,
-    sink_convection=4.0,
-)
 
 
 def present() -> Present:
     return Present(watched(Peltier), Noise.of(Peltier), GAINS)
-
-
-def recorded(rig: Parameters, seed: int) -> Window:
-    reference = np.repeat([30.0, 50.0, 70.0, 40.0, 60.0], 200)
-    sensor = Peltier.sensor.realise(reference.size, 1.0, seed)
-    run = simulate_closed_loop(rig, reference, states=begin(rig, 25.0), sensor=sensor, gains=GAINS)
-    return Window(reference, run.output, run.input)
 
 
 def test_it_is_the_richest_structure_that_is_watched() -> None:
@@ -49,7 +28,7 @@ def test_its_plant_is_near_the_one_that_was_recorded(seed: int) -> None:
     found = present().look(recorded(RIG, seed))
     assert found is not None
     other = RIG.replace(heat_capacity=40.0)
-    assert plant_gap(found, RIG, POINTS, TERMS) < 0.5 * plant_gap(other, RIG, POINTS, TERMS)
+    assert apart(found, RIG) < 0.5 * apart(other, RIG)
 
 
 def test_it_follows_a_plant_that_changes() -> None:
@@ -59,8 +38,8 @@ def test_it_follows_a_plant_that_changes() -> None:
     second = now.look(recorded(heavy, 5))
     assert first is not None
     assert second is not None
-    assert plant_gap(first, RIG, POINTS, TERMS) < plant_gap(first, heavy, POINTS, TERMS)
-    assert plant_gap(second, heavy, POINTS, TERMS) < plant_gap(second, RIG, POINTS, TERMS)
+    assert apart(first, RIG) < apart(first, heavy)
+    assert apart(second, heavy) < apart(second, RIG)
 
 
 def test_too_few_samples_tell_nothing() -> None:
