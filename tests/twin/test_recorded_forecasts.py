@@ -1,7 +1,7 @@
 """What the whole twin foretells on recorded healthy hours, against what came.
 
-The limits are promises, not records: bands that promise 90 % hold 87 to 94 % over all hours and 78 % in each,
-the leader is worse than the best in hindsight by 4 % at most in the mean, and the ν-gap of two candidates goes
+The limits are promises, not records: bands that promise 90 % hold 87 to 94 % over all hours and 78 % in each;
+the leader is worse than the best in hindsight by 4 % at most in the mean; the ν-gap of two candidates goes
 with how differently they behave.
 """
 
