@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twinmatch.discrimination import TrustLevel
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.twin.promises import Promise, Promises, promise_of
+from twinmatch.twin.promises import Promise, Promises, promise_of, trust_level
 
 KEPT = Promise(0.6, 0.9, 0.6, 0.9)
 BROKEN = Promise(0.6, 0.9, 3.0, 0.1)
@@ -79,3 +80,9 @@ def test_since_when_and_between_which_levels() -> None:
     assert promises.held == (80.0, 82.0), "what lies between was not seen to hold"
     promises.push(KEPT, 300, np.array([49.0, 80.5]))
     assert promises.held == (30.0, 82.0)
+
+
+def test_the_level_says_whether_the_promise_was_kept() -> None:
+    assert trust_level(KEPT, 2.0) is TrustLevel.TRUSTED
+    assert trust_level(BROKEN, 2.0) is TrustLevel.DOUBTFUL
+    assert trust_level(Promise(*[float("nan")] * 4), 2.0) is TrustLevel.UNKNOWN

@@ -23,13 +23,13 @@ from twinmatch.signals import Sample, Window
 from twinmatch.twin.bench import Bench
 from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest
-from twinmatch.twin.promises import Promise, Promises
+from twinmatch.twin.promises import Promise, Promises, trust_level
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
-from twinmatch.twin.settings import TrustLimits, TwinSettings
+from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.threads import one_thread
 
-__all__ = ["Discriminator", "Step", "trust_level"]
+__all__ = ["Discriminator", "Step"]
 
 
 class Step(NamedTuple):
@@ -239,7 +239,7 @@ class Discriminator:
         """The verdict with what holds at this sample: window, residuals of the nominal, fault, level."""
         found, choice = self._residuals(verdict.nominal, window), self._bench.choice
         promise, held = self._promised(window), self._promises.held or (float("nan"), float("nan"))
-        level, fault, since = trust_level(promise, self.settings.limits), "", None
+        level, fault, since = trust_level(promise, self.settings.limits.doubtful), "", None
         if doubtful and level is TrustLevel.TRUSTED:
             level = TrustLevel.DOUBTFUL
         health = self._health
@@ -318,10 +318,3 @@ class Discriminator:
         )
         newest = window.part(min(first, window.last), window.last)
         return residuals(self._bench.members.candidate(nominal).parameters, newest, self.settings.gains)
-
-
-def trust_level(promise: Promise, limits: TrustLimits) -> TrustLevel:
-    """How far the leader is to be trusted whose promise was kept so."""
-    if np.isnan(promise.miss):
-        return TrustLevel.UNKNOWN
-    return TrustLevel.DOUBTFUL if promise.miss >= limits.doubtful else TrustLevel.TRUSTED

@@ -21,35 +21,17 @@ from twinmatch.forecasting import (
 )
 from twinmatch.signals import Sample
 from twinmatch.twin.entrant import Entrant, ForecastSettings
+from twinmatch.twin.hindsight import Hindsight
 from twinmatch.twin.promises import Promise, promise_of
 from twinmatch.twin.snapshot import Snapshot, candidate_called
 
 __all__ = ["Forecaster"]
 
-_NEAR: Final = 1.03
-"""A leader whose error is no larger than this times the least in hindsight counts as right."""
 _RUN_IN_S: Final = (60.0, 300.0)
 """Newest stretch on which a new candidate follows the plant, s: where its states are known, and where the
 hidden ones have to be found."""
 _SELDOM: Final = 3
 """Only every third time do bands of those who do not lead learn."""
-
-
-@dataclass
-class _Trust:
-    """How often the leader was right, discounted."""
-
-    hits: float = 0.5
-    misses: float = 0.5
-    kept: float = 1.0
-
-    def add(self, hit: bool) -> None:
-        self.hits = self.kept * self.hits + hit
-        self.misses = self.kept * self.misses + (not hit)
-
-    @property
-    def share(self) -> float:
-        return self.hits / (self.hits + self.misses)
 
 
 @dataclass
@@ -94,7 +76,7 @@ class Forecaster:
         self._twins: dict[str, _Twin] = {}
         self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
-        self._trust = _Trust(kept=self._kept)
+        self._hindsight = Hindsight(self._kept)
         self._departures: dict[int, Snapshot] = {}
         self._run_in = tuple(round(stretch / period) for stretch in _RUN_IN_S)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest, *self._run_in) + 1)
@@ -122,7 +104,7 @@ class Forecaster:
     @property
     def confidence(self) -> float:
         """How probable it is that the leader is within 3 % of the best in hindsight, as it was before."""
-        return self._trust.share
+        return self._hindsight.share
 
     @property
     def scores(self) -> tuple[ForecastScore, ...]:
@@ -312,4 +294,4 @@ class Forecaster:
             paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))
         ledger.add(errors, place)
         if ahead == self._longest and departure.leader in paths:
-            self._trust.add(paths[departure.leader] <= _NEAR * min(paths.values()))
+            self._hindsight.add(paths[departure.leader], min(paths.values()))

@@ -6,10 +6,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.discrimination import TrustLevel
 from twinmatch.forecasting import Forecast
 from twinmatch.signals import FloatArray
 
-__all__ = ["Promise", "Promises", "promise_of"]
+__all__ = ["Promise", "Promises", "promise_of", "trust_level"]
 
 _NEIGHBOURS: Final = 10.0
 """Spans of output closer than this, in units of its noise, hang together: a sample of a fast step is that far
@@ -86,3 +87,11 @@ def _merged(spans: list[tuple[float, float]], near: float) -> list[tuple[float, 
         else:
             merged.append((low, high))
     return merged
+
+
+def trust_level(promise: Promise, doubtful: float) -> TrustLevel:
+    """How far the leader is to be trusted whose promise was kept so; `doubtful` is the miss from which it is
+    not."""
+    if np.isnan(promise.miss):
+        return TrustLevel.UNKNOWN
+    return TrustLevel.DOUBTFUL if promise.miss >= doubtful else TrustLevel.TRUSTED
