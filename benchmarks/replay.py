@@ -84,7 +84,7 @@ def _full_verdict(quick: bool) -> list[Row]:
 
     timings = measure_side_by_side({"twinmatch": judge}, 1 if quick else 5, patience=120.0)
     verdict = timings["twinmatch"].result[-1]
-    case = f"{len(verdict.candidates)} candidates × {len(verdict.candidates[0].orders)} orders × 2 outputs"
+    case = f"{len(verdict.modelled)} candidates × {len(verdict.modelled[0].orders)} orders × 2 outputs"
     note = f"on {verdict.last - verdict.first + 1} samples"
     return rows_of("replay", case, timings, targets={"twinmatch": VERDICT_TARGET}, notes={"twinmatch": note})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -161,3 +162,16 @@ def test_an_installation_that_cannot_be_written(tmp_path: Path, home: str) -> No
         (where / "cache").write_text("")
     assert run(sources, where) == "7.0 compiled"
     assert run(sources, where) == ("7.0 kept" if home == "writable" else "7.0 compiled")
+
+
+def test_two_processes_never_give_one_name_to_what_they_compile(tmp_path: Path) -> None:
+    """Else a kernel that is kept by both, once inside another, may take the other's data for its own."""
+    write(tmp_path)
+    named = "\nprint(*(kept.fndesc.mangled_name for kept in entry.overloads.values()))\n"
+    (tmp_path / "entry.py").write_text((tmp_path / "entry.py").read_text() + named)
+    names = set()
+    for home in ("one", "other"):
+        (tmp_path / home).mkdir()
+        names.add(run(tmp_path, tmp_path / home).splitlines()[-1])
+        shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
+    assert len(names) == 2, names

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import pickle
+import secrets
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,11 +23,17 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, overload
 
 import numba
+from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
 
 __all__ = ["compiled"]
+
+# numba names what it compiles by a number that it counts from one in every process. Kernels kept by two of
+# them may then bear one name; where such a kernel comes in twice, by itself and inside another, one takes the
+# other's data for its own and fails ("'descr' is NULL"). So every process counts from a number of its own.
+FunctionIdentity._unique_ids = itertools.count(secrets.randbits(48))
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

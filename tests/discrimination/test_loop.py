@@ -44,6 +44,7 @@ UNITS = Scales(1.0, 1.0)
 class Lagging(Peltier, name="lagging-peltier"):
     """A held sink seen through a lag, which no structure of the rig is."""
 
+    followed = ""
     structures = {  # noqa: RUF012
         "sensor lag": Structure(free=("seebeck",), parts=frozenset({"sensor lag"}))
     }
