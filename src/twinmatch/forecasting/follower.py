@@ -17,7 +17,8 @@ DRIFT: Final = 2e-4
 UNKNOWN: Final = 0.03
 """How uncertain a state is at the start, in units of its span: 4.5 K."""
 LIMIT: Final = 4.0
-"""Standard deviations beyond which a reading counts no more: a sensor correcting itself is not the plant."""
+"""Standard deviations of surprise at which a reading moves the states no further: a sensor that corrects
+itself is not the plant."""
 
 
 class Follower:

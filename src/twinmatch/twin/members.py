@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from twinmatch.discrimination import (
@@ -152,18 +152,15 @@ class Members:
         to_now = [None if now is None else plant_gap(t.parameters, now, points, terms) for t in twins]
         distances = gaps.matrix[:, :count].sum(axis=1)
         decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
+        bare = [_bare_score(*of) for of in zip(everyone, distances.tolist(), to_now, strict=True)]
         scores = tuple(
-            CandidateScore(
-                name=member.candidate.name,
-                operating_point=member.candidate.operating_point,
-                parameters=member.candidate.parameters,
+            replace(
+                bare[k],
                 first=member.window.first,
                 last=member.window.last if member.candidate.window else member.window.first - 1,
                 orders=member.orders,
                 chosen_order=member.chosen,
-                nu_gap_sum=float(distances[k]),
                 newest=score(model, newest, decimals, absolute=absolute).total,
-                nu_gap_to_plant=to_now[k],
                 identified_gap_sum=float(identified[k].sum()),
                 identified_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
             )
@@ -173,21 +170,7 @@ class Members:
         known = judge_uncertainty(
             scores, twins[:count], gaps.of(count), nominal, terms, plant=now, seed=self._settings.seed
         )
-        others = tuple(
-            CandidateScore(
-                name=candidate.name,
-                operating_point=candidate.operating_point,
-                parameters=candidate.parameters,
-                first=candidate.window.first if candidate.window else 0,
-                last=candidate.window.last if candidate.window else -1,
-                orders=(),
-                chosen_order="",
-                nu_gap_sum=float(distances[count + k]),
-                newest=None,
-                nu_gap_to_plant=to_now[count + k],
-            )
-            for k, candidate in enumerate(structures)
-        )
+        others = tuple(bare[count:])
         if nominal is not None:
             centre = next(c for c in known.candidates if c.name == nominal)
             others = with_margins((centre, *others), 0, self._settings.gains)[1:]
@@ -207,6 +190,23 @@ class Members:
         seen = [float(newest.reference.min()), float(newest.reference.max()), *(self._reached or ())]
         self._reached = min(seen), max(seen)
         return tuple(sorted({*self._reached, *(c.operating_point for c in self._family.candidates)}))
+
+
+def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> CandidateScore:
+    """What can be said of a candidate of any structure, without models of its twin."""
+    window = candidate.window
+    return CandidateScore(
+        name=candidate.name,
+        operating_point=candidate.operating_point,
+        parameters=candidate.parameters,
+        first=window.first if window is not None else 0,
+        last=window.last if window is not None else -1,
+        orders=(),
+        chosen_order="",
+        nu_gap_sum=distance,
+        newest=None,
+        nu_gap_to_plant=to_now,
+    )
 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
