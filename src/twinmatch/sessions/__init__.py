@@ -4,13 +4,14 @@ A session is a rosbag2 folder with MCAP files, so every tool of ROS 2 reads it; 
 reads it without ROS. `SessionWriter` writes serialised messages of any topics, and a live `Recording`
 stops it before the disk is full; `write_session` writes samples, complete or not at all. `read_session`
 reads both, for as far as a torn file goes. `read_recording` imports MATLAB and CSV files of the rig, and
-`open_any` opens either.
+`open_any` opens either. `resample` puts rows that come at irregular times on one clock.
 """
 
 from twinmatch.sessions.errors import RecordingError, SessionError
 from twinmatch.sessions.importers import read_recording
 from twinmatch.sessions.reader import Session, read_session
 from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
+from twinmatch.sessions.resampling import Resampled, resample
 from twinmatch.sessions.sources import open_any
 from twinmatch.sessions.store import EPOCH, samples_of, write_session
 from twinmatch.sessions.topics import Message, Qos, Topic, plant_messages
@@ -24,6 +25,7 @@ __all__ = [
     "Recording",
     "RecordingError",
     "RecordingLimits",
+    "Resampled",
     "Session",
     "SessionError",
     "SessionWriter",
@@ -32,6 +34,7 @@ __all__ = [
     "plant_messages",
     "read_recording",
     "read_session",
+    "resample",
     "samples_of",
     "write_session",
 ]

@@ -1,0 +1,104 @@
+"""Irregular rows on one clock: what each kind of column becomes, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.sessions import RecordingError, resample
+
+
+def test_rows_on_a_clock_stay_as_they_are_to_the_last_bit():
+    rng = np.random.default_rng(0)
+    y, u = rng.normal(size=50), rng.normal(size=50)
+    time = 1608572942.72 + 3.0 * np.arange(50) + rng.uniform(-1e-4, 1e-4, 50)
+    found = resample(time, {"y": y, "u": u}, {"y": "reading", "u": "held"})
+    assert found.period == 3.0
+    assert not found.moved
+    assert np.array_equal(found.columns["y"], y)
+    assert np.array_equal(found.columns["u"], u)
+    assert found.sentence == "50 rows, one every 3 s"
+
+
+def test_each_kind_by_hand():
+    """Rows at 0, 1.2, 1.8, 3 s; ticks at 0, 1, 2, 3 s."""
+    columns = {"y": [0.0, 12.0, 18.0, 30.0], "u": [1.0, 0.0, 1.0, 5.0], "r": [7.0, 8.0, 9.0, 10.0]}
+    kinds = {"y": "reading", "u": "held", "r": "set"}
+    found = resample([0.0, 1.2, 1.8, 3.0], columns, kinds, period=1.0)
+    assert found.time == pytest.approx([0.0, 1.0, 2.0, 3.0])
+    assert found.columns["y"] == pytest.approx([0.0, 10.0, 20.0, 30.0])
+    assert found.columns["u"] == pytest.approx([1.0, 0.2 + 0.2, 1.0, 5.0])  # 1 until 1.2 s, 0 until 1.8 s
+    assert found.columns["r"].tolist() == [7.0, 8.0, 9.0, 10.0]
+    assert found.jitter == pytest.approx(0.2 / np.sqrt(2))
+
+
+def test_the_period_is_the_mean_of_steps_that_lost_no_row():
+    time = np.delete(np.cumsum(np.tile([2.96, 3.04], 40)), [11, 30])
+    found = resample(time, {"y": time}, {"y": "reading"})
+    assert found.period == 3.0
+    assert len(found.bridged) == 2
+    assert found.columns["y"] == pytest.approx(found.time)
+    assert "rows are missing in 2 places" in found.sentence
+
+
+def test_a_slow_clock_is_kept_and_a_shaky_one_rounded():
+    regular, shaky = 1.0015 * np.arange(60), 1.0015 * np.arange(60) + np.tile([0.0, 0.01], 30)
+    assert resample(regular, {}, {}).period == 1.0015
+    assert resample(shaky, {}, {}).period == 1.0
+
+
+@given(
+    steps=st.lists(st.floats(2.4, 3.6), min_size=5, max_size=60),
+    values=st.lists(st.floats(-255, 255), min_size=61, max_size=61),
+)
+def test_a_held_input_gives_the_plant_as_much_as_the_rows_did(steps, values):
+    """Until the last tick the integral over the ticks is that over the rows."""
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    u = np.array(values[: time.size])
+    found = resample(time, {"u": u}, {"u": "held"}, period=3.0)
+    end = found.time[-1]
+    lasting = np.clip(np.append(time[1:], max(time[-1], end) + 3.0), None, end) - np.clip(time, None, end)
+    assert 3.0 * found.columns["u"][:-1].sum() == pytest.approx(float(u @ lasting), abs=1e-6)
+    assert u.min() <= found.columns["u"].min() <= found.columns["u"].max() <= u.max()
+
+
+@given(steps=st.lists(st.floats(0.5, 1.4), min_size=3, max_size=60), slope=st.floats(-5, 5))
+def test_a_straight_reading_stays_straight_within_the_rows(steps, slope):
+    time = 100.0 + np.concatenate([[0.0], np.cumsum(steps)])
+    found = resample(time, {"y": slope * time}, {"y": "reading"}, period=1.0)
+    inside = found.time <= time[-1]
+    assert found.columns["y"][inside] == pytest.approx(slope * found.time[inside], abs=1e-9)
+    assert np.diff(found.time) == pytest.approx(1.0)
+    assert found.time[-1] <= time[-1] + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("time", "y", "kinds", "period", "words"),
+    [
+        ([0, 3, 6, 18, 21], 1.0, {"y": "reading"}, None, "a gap of 12 s after row 3; split the file there"),
+        ([0, 3, 3, 6], 1.0, {"y": "reading"}, None, "does not advance from 3 s in row 2 to 3 s in row 3"),
+        ([0, 3, 6, 9], np.nan, {"y": "reading"}, None, "y in row 1 is nan; give a finite number"),
+        ([0], 1.0, {"y": "reading"}, None, "has 1 rows; at least two"),
+        ([0, 3, 6], 1.0, {}, None, "say for column y which it is of: reading, held, set"),
+        ([0, 3, 6], 1.0, {"y": "reading"}, 0.5, "a period of 0.5 s is asked for; its rows are 3 s apart"),
+        ([0, 3, 6], 1.0, {"y": "reading"}, np.nan, "a period of nan s is asked for"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_put_on_a_clock_is_refused_in_words(time, y, kinds, period, words):
+    with pytest.raises(RecordingError, match=words) as error:
+        resample(time, {"y": np.full(len(time), y)}, kinds, period, place="recording a.csv")
+    assert str(error.value).startswith("recording a.csv: ")
+    assert "\n" not in str(error.value)
+
+
+def test_a_gap_that_its_owner_allows_is_bridged():
+    found = resample([0, 3, 6, 18, 21], {"y": [0, 3, 6, 18, 21]}, {"y": "reading"}, longest=12.0)
+    assert found.columns["y"] == pytest.approx(np.arange(0, 22, 3))
+    assert found.bridged == (2,)
+
+
+def test_columns_of_other_lengths_are_refused():
+    with pytest.raises(RecordingError, match=r"y has the shape \(2,\), time \(3,\)"):
+        resample([0, 1, 2], {"y": [1, 2]}, {"y": "reading"})
