@@ -230,10 +230,10 @@ def test_paths_that_are_no_recording_are_refused(tmp_path):
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path, monkeypatch):
-    def refuse(*_args: object) -> str:
+    def refuse(*_args: object, **_more: object) -> int:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "read_text", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     (tmp_path / "run.csv").write_bytes(b"x")
     with pytest.raises(RecordingError, match=r"run\.csv: cannot be read \(Permission denied\)"):
         read_recording(tmp_path / "run.csv")

@@ -28,7 +28,7 @@ def find_sessions(named: Iterable[Path | str]) -> list[Path]:
     found: dict[Path, Path] = {}
     for name in named:
         for path in _behind(Path(name)):
-            found.setdefault(path.resolve(), path)
+            found.setdefault(Path(os.path.realpath(path)), path)  # `resolve` does not take links in a circle
     return list(found.values())
 
 

@@ -70,6 +70,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # the reader has gone; Python would complain about the flush at exit
         return 0
+    except OSError as error:
+        if error.filename is None:
+            raise
+        # Whichever option named it: the file system does not take the name, or a folder may not be entered.
+        print(f"twinmatch: {error.filename}: cannot be used ({error.strerror})", file=sys.stderr)
+        return EXIT_USER_ERROR
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -23,10 +23,13 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: the recording cannot be used, or the session cannot be written.
     """
+    from twinmatch.judging.progress import Progress  # noqa: PLC0415
     from twinmatch.sessions import read_recording, samples_of, write_session  # noqa: PLC0415 — keeps --help fast
 
-    window = read_recording(options.recording)
-    write_session(options.output, samples_of(window), overwrite=options.overwrite)
+    with Progress("reading") as progress:
+        window = read_recording(options.recording, progress.advance)
+    with Progress("writing") as progress:
+        write_session(options.output, samples_of(window), overwrite=options.overwrite, told=progress.advance)
     print(
         f"{options.output}: {len(window)} samples, {len(window) * window.period:.0f} s, "
         f"from {options.recording.name}"

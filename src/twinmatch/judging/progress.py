@@ -13,18 +13,19 @@ __all__ = ["Progress"]
 
 
 class Progress:
-    """A bar on standard error while it is entered; silent where that is no terminal, or a dumb one."""
+    """A bar on standard error while it is entered, from the first word on.
 
-    _bar: progress.Progress | None = None
+    Silent where that is no terminal, or a dumb one.
+    """
+
+    def __init__(self, doing: str = "judging") -> None:
+        """Say in a word what is done."""
+        self._doing = doing
+        self._bar: progress.Progress | None = None
+        self._shown = False
 
     def __enter__(self) -> Progress:
-        if sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}:
-            from rich.console import Console  # noqa: PLC0415 — only who watches needs it
-            from rich.progress import Progress as Bar  # noqa: PLC0415
-
-            self._bar = Bar(console=Console(stderr=True), transient=True, redirect_stdout=False)
-            self._task = self._bar.add_task("judging", total=None)
-            self._bar.start()
+        self._shown = sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -33,5 +34,15 @@ class Progress:
 
     def advance(self, done: int, total: int) -> None:
         """So many of so many are done."""
+        if self._bar is None and self._shown:
+            self._begin()
         if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total)
+
+    def _begin(self) -> None:
+        from rich.console import Console  # noqa: PLC0415 — only who watches needs it
+        from rich.progress import Progress as Bar  # noqa: PLC0415
+
+        self._bar = Bar(console=Console(stderr=True), transient=True, redirect_stdout=False)
+        self._task = self._bar.add_task(self._doing, total=None)
+        self._bar.start()

@@ -19,20 +19,25 @@ from __future__ import annotations
 
 import csv
 import re
+from array import array
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.files import Told, lines_of
+from twinmatch.sessions.matlab import MAT_BEGINNING, read_matrix
 from twinmatch.sessions.recordings import Columns, gather
 from twinmatch.signals import Window
 
 __all__ = ["MAT_BEGINNING", "RECORDING_SUFFIXES", "read_recording"]
 
 RECORDING_SUFFIXES = (".mat", ".csv")
-MAT_BEGINNING = b"MATLAB 5.0 MAT-file"
 MATRIX = "simout"
+MOST_ROWS = 10_000_000
+"""Samples of one recording, a day at 100 Hz: as objects in memory they take 2.5 GB."""
 
 _NAMES = {
     "time": ("time", "t", "seconds"),
@@ -44,85 +49,63 @@ _UNITS = {"time": ("s",), "reference": ("°c", "degc", "c"), "temperature": ("°
 _NAME = re.compile(r"^\s*(?P<name>[^(\[]*?)\s*(?:[(\[]\s*(?P<unit>[^)\]]*?)\s*[)\]])?\s*$")
 
 
-def read_recording(path: Path | str) -> Window:
+def read_recording(path: Path | str, told: Told | None = None) -> Window:
     """Read a recording as one window; its samples are counted from 0.
 
     Args:
         path: a `.mat` or `.csv` file as this module describes them.
+        told: called now and then with how much of how much has been read.
 
     Raises:
         RecordingError: no such file, no recording, missing columns, values or times that cannot be used.
     """
     path = Path(path)
-    if not path.exists():
-        msg = f"recording {path}: does not exist"
-        raise RecordingError(msg)
-    if path.is_dir():
-        msg = f"recording {path}: is a folder; name the file in it"
-        raise RecordingError(msg)
-    suffix = path.suffix.lower()
-    if suffix not in RECORDING_SUFFIXES:
-        endings = " or ".join(RECORDING_SUFFIXES)
-        msg = f"recording {path}: a recording's name ends in {endings}, not in {suffix!r}"
-        raise RecordingError(msg)
     try:
-        return _read_mat(path) if suffix == ".mat" else _read_csv(path)
+        if path.is_dir():
+            msg = f"recording {path}: is a folder; name the file in it"
+            raise RecordingError(msg)
+        path.stat()
+        suffix = path.suffix.lower()
+        if suffix not in RECORDING_SUFFIXES:
+            endings = " or ".join(RECORDING_SUFFIXES)
+            msg = f"recording {path}: a recording's name ends in {endings}, not in {suffix!r}"
+            raise RecordingError(msg)
+        return _read_mat(path) if suffix == ".mat" else _read_csv(path, told)
+    except FileNotFoundError:
+        msg = f"recording {path}: does not exist"
+        raise RecordingError(msg) from None
     except OSError as error:
         msg = f"recording {path}: cannot be read ({error.strerror or error})"
         raise RecordingError(msg) from error
 
 
 def _read_mat(path: Path) -> Window:
-    from scipy.io import loadmat, whosmat  # noqa: PLC0415 - a quarter of a second that sessions can do without
-
-    with path.open("rb") as file:
-        beginning = file.read(len(MAT_BEGINNING))
-    if beginning.startswith(b"MATLAB 7.3"):
-        msg = f"recording {path}: is a MATLAB 7.3 file; save it again with the option -v7"
-        raise RecordingError(msg)
-    if beginning != MAT_BEGINNING:
-        msg = f"recording {path}: is no MATLAB file of version 5"
-        raise RecordingError(msg)
-    try:
-        held = [name for name, _, _ in whosmat(path)]
-        matrix = loadmat(path, variable_names=[MATRIX]).get(MATRIX)
-    except Exception as error:  # what the library meets in damaged bytes has many names
-        msg = f"recording {path}: is truncated or damaged; copy it again ({error})"
-        raise RecordingError(msg) from error
-    if matrix is None:
-        msg = f"recording {path}: has no matrix {MATRIX}; it has {', '.join(held) or 'nothing'}"
-        raise RecordingError(msg)
+    matrix = read_matrix(path, MATRIX, len(Columns._fields), MOST_ROWS)
     if not (isinstance(matrix, np.ndarray) and matrix.dtype.kind in "fiu"):
         msg = f"recording {path}: {MATRIX} is no matrix of real numbers; log it as an array"
-        raise RecordingError(msg)
-    if matrix.ndim != 2 or matrix.shape[1] != 4:
-        msg = (
-            f"recording {path}: {MATRIX} has the shape {matrix.shape}; it needs 4 columns: PWM, temperature, "
-            "time, set-point"
-        )
         raise RecordingError(msg)
     pwm, temperature, time, reference = np.asarray(matrix, dtype=np.float64).T
     return gather(Columns(time, reference, temperature, pwm), path.name, lambda i: f"row {i + 1}")
 
 
-def _read_csv(path: Path) -> Window:
+def _read_csv(path: Path, told: Told | None) -> Window:
+    lines = lines_of(path, told)
     try:
-        lines = path.read_text("utf-8-sig").splitlines()
+        first = next(lines, None)
+        if first is None:
+            msg = f"recording {path}: is empty"
+            raise RecordingError(msg)
+        divider = max(",;\t", key=first.count)
+        rows = csv.reader(chain([first], lines), delimiter=divider)
+        places = _places(next(rows), path)
+        numbers, values = _values(rows, places, path)
     except UnicodeDecodeError:
         msg = f"recording {path}: is no text in UTF-8"
         raise RecordingError(msg) from None
-    if not lines:
-        msg = f"recording {path}: is empty"
-        raise RecordingError(msg)
-    divider = max(",;\t", key=lines[0].count)
-    rows = csv.reader(lines, delimiter=divider)
-    try:
-        places = _places(next(rows), path)
-        numbers, values = _values(rows, places, path)
     except csv.Error as error:
         msg = f"recording {path}: is no table ({error})"
         raise RecordingError(msg) from None
-    table = np.array(values, dtype=np.float64).reshape(-1, len(places))
+    table = np.frombuffer(values, dtype=np.float64).reshape(-1, len(places))
     return gather(Columns(*table.T), path.name, lambda i: f"line {numbers[i]}")
 
 
@@ -152,19 +135,20 @@ def _places(header: list[str], path: Path) -> list[int]:
     return [found[column] for column in Columns._fields]
 
 
-def _values(rows: Iterator[list[str]], places: list[int], path: Path) -> tuple[list[int], list[list[float]]]:
-    """Line numbers and values of the rows that are not blank."""
-    numbers: list[int] = []
-    values: list[list[float]] = []
+def _values(rows: Iterator[list[str]], places: list[int], path: Path) -> tuple[array[int], array[float]]:
+    """Line numbers of the rows that are not blank, and their values, row by row."""
+    numbers, values = array("q"), array("d")
     for number, row in enumerate(rows, start=2):
         if not "".join(row).strip():
             continue
+        if len(numbers) == MOST_ROWS:
+            msg = f"recording {path}: has more than {MOST_ROWS} rows; cut it into parts"
+            raise RecordingError(msg)
         numbers.append(number)
-        values.append([])
         for column, place in zip(Columns._fields, places, strict=True):
             text = row[place] if place < len(row) else ""
             try:
-                values[-1].append(float(text))
+                values.append(float(text))
             except ValueError:
                 msg = f"recording {path}: {column} in line {number} is {text[:40]!r}, which is not a number"
                 raise RecordingError(msg) from None

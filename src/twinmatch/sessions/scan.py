@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
 
 from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.files import open_regular
 from twinmatch.sessions.metadata import parse_qos
 from twinmatch.sessions.topics import Message, Topic
 
@@ -76,7 +77,7 @@ class Scan:
             SessionError: the file cannot be opened, is empty, or is no MCAP file.
         """
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 self._check_beginning(file)
                 try:
                     yield from self._messages(file)

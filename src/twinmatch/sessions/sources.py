@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.files import Told, open_regular
 from twinmatch.sessions.importers import MAT_BEGINNING, RECORDING_SUFFIXES, read_recording
 from twinmatch.sessions.reader import Session, read_session
 from twinmatch.sessions.scan import MAGIC
@@ -14,7 +16,7 @@ from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, plant_messages
 __all__ = ["open_any"]
 
 
-def open_any(path: Path | str, topic: str | None = None) -> Session:
+def open_any(path: Path | str, topic: str | None = None, told: Told | None = None) -> Session:
     """Open a session (folder or `.mcap` file) or a recording (`.mat`, `.csv`) as a session.
 
     What a file is, its first bytes say before its name does.
@@ -22,27 +24,31 @@ def open_any(path: Path | str, topic: str | None = None) -> Session:
     Args:
         path: what to open.
         topic: the topic with the samples, if a session has several.
+        told: called now and then with how much of how much of a recording has been read.
 
     Raises:
         SessionError: neither a session nor a recording, or one that cannot be used.
     """
     path = Path(path)
-    if path.is_dir():
-        return read_session(path, topic)
     beginning = _beginning(path)
+    if beginning is None:
+        return read_session(path, topic)
     if beginning.startswith(MAGIC) or path.suffix.lower() == ".mcap":
         return read_session(path, topic)
     if path.suffix.lower() in RECORDING_SUFFIXES:
-        return _recording(path)
+        return _recording(path, told)
     hint = "; a MATLAB file needs the ending .mat" if beginning.startswith(MAT_BEGINNING) else ""
     msg = f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}"
     raise SessionError(msg)
 
 
-def _beginning(path: Path) -> bytes:
+def _beginning(path: Path) -> bytes | None:
+    """The first bytes of a file; None: it is a folder."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.read(32)
+    except IsADirectoryError:
+        return None
     except FileNotFoundError:
         msg = f"{path}: does not exist"
         raise SessionError(msg) from None
@@ -51,17 +57,17 @@ def _beginning(path: Path) -> bytes:
         raise SessionError(msg) from error
 
 
-def _recording(path: Path) -> Session:
+def _recording(path: Path, told: Told | None) -> Session:
     """A recording with the messages that an imported session of it would have."""
-    samples = samples_of(read_recording(path))
-    messages = list(plant_messages(samples))
+    samples = samples_of(read_recording(path, told))
+    counts = Counter(message.topic.name for message in plant_messages(samples))
     return Session(
         name=path.stem,
         path=path,
         topic=SAMPLE.name,
         samples=samples,
         topics=list(PLANT_TOPICS),
-        counts={topic.name: sum(m.topic is topic for m in messages) for topic in PLANT_TOPICS},
+        counts={topic.name: counts[topic.name] for topic in PLANT_TOPICS},
         start=samples[0].stamp,
         end=samples[-1].stamp,
         notes=[],

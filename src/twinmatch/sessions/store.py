@@ -9,8 +9,9 @@ from pathlib import Path
 
 from twinmatch.sessions.checks import check_samples, gaps_of
 from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.files import Told
 from twinmatch.sessions.metadata import METADATA
-from twinmatch.sessions.topics import PLANT_TOPICS, plant_messages
+from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, plant_messages
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 from twinmatch.signals import Sample, Window
 
@@ -25,6 +26,10 @@ a clock at zero as "no time yet". So an imported session visibly carries a date 
 """
 
 
+SAMPLES_BETWEEN = 10_000
+"""Samples between two words about how many have been written."""
+
+
 def samples_of(window: Window, start: int = EPOCH) -> list[Sample]:
     """The samples of a window, stamped `start` (ns) + index · period."""
     columns = zip(window.reference.tolist(), window.output.tolist(), window.input.tolist(), strict=True)
@@ -34,7 +39,9 @@ def samples_of(window: Window, start: int = EPOCH) -> list[Sample]:
     ]
 
 
-def write_session(folder: Path | str, samples: Sequence[Sample], *, overwrite: bool = False) -> Path:
+def write_session(
+    folder: Path | str, samples: Sequence[Sample], *, overwrite: bool = False, told: Told | None = None
+) -> Path:
     """Write samples as a session with the topics `plant/sample`, `plant/temperature`, `plant/reference`.
 
     The session is written into a hidden folder beside its place, brought to the disk and then renamed, so
@@ -44,6 +51,7 @@ def write_session(folder: Path | str, samples: Sequence[Sample], *, overwrite: b
         folder: the session's folder; its last part is the session's name.
         samples: at least one; consecutive indices, finite values.
         overwrite: replace a session that is there; anything else than a session is never replaced.
+        told: called now and then with how many samples of how many have been written.
 
     Returns:
         The folder.
@@ -63,7 +71,7 @@ def write_session(folder: Path | str, samples: Sequence[Sample], *, overwrite: b
         msg = f"session {target}: cannot be written ({error.strerror})"
         raise SessionError(msg) from error
     try:
-        _write(workshop / target.name, samples)
+        _write(workshop / target.name, samples, told)
         _move(workshop, target)
     except OSError as error:
         msg = f"session {target}: cannot be put in its place ({error.strerror})"
@@ -79,11 +87,16 @@ def _check_gaps(samples: Sequence[Sample], target: Path) -> None:
         raise SessionError(msg)
 
 
-def _write(folder: Path, samples: Sequence[Sample]) -> None:
+def _write(folder: Path, samples: Sequence[Sample], told: Told | None) -> None:
     with SessionWriter(folder) as writer:
         for topic in PLANT_TOPICS:
             writer.add_topic(topic)
+        written = 0
         for message in plant_messages(samples):
+            if message.topic is SAMPLE:
+                written += 1
+                if told is not None and written % SAMPLES_BETWEEN == 0:
+                    told(written, len(samples))
             writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
 
 
