@@ -120,7 +120,7 @@ def _span(low: float, high: float) -> str:
 
 
 def coefficient_table(member: Member) -> Table:
-    """B, C, D and F of every order, set-point to temperature and to control, as in the paper's table."""
+    """B, C, D and F of every order, set-point to output and to input, as in the paper's table."""
     models = member.models
     rows = []
     for output, title in OUTPUTS[:2]:

@@ -126,7 +126,7 @@ def pictures(
             _picture(
                 "nu_gap",
                 "ν-gap between the plants of the family",
-                f"Heat map of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}.",
+                f"Shaded matrix of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}.",
                 draw_matrix(last),
             ),
         ]

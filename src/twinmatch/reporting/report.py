@@ -34,6 +34,7 @@ from twinmatch.views import sentence
 from twinmatch.views.family import Member, family
 from twinmatch.views.standing import last_verdict
 from twinmatch.views.style import LEVEL_WORDS, LEVELS
+from twinmatch.views.words import words_of
 
 __all__ = ["Report", "build_report", "make_report"]
 
@@ -82,6 +83,7 @@ class Report:
         judged, judgement = self.judged, self.judged.judgement
         last, nominal = last_verdict(judgement.verdicts), self.nominal
         period, level = judgement.settings.period, judgement.summary.level
+        plant, matched = judgement.settings.plant, judgement.settings.start.model.structure_name
         return {
             "name": self.name,
             "sentence": self.sentence,
@@ -91,7 +93,7 @@ class Report:
             "words": [*plain_words(judgement), *sentences(judged.tested)[-1:]],
             "forecasts": forecast_tables(judged.tested),
             "foretold": sentences(judged.tested),
-            "fans": foretold_table(fans_of(judged.tested, judgement), judgement.settings.plant),
+            "fans": foretold_table(fans_of(judged.tested, judgement), plant),
             "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
             "confidence": f"{100 * judged.tested.confidence:.0f}",
             "forecast_notes": [
@@ -119,6 +121,9 @@ class Report:
             "limits": judgement.settings.limits,
             "schedule": judgement.settings.schedule,
             "judged": self.judged,
+            "plant": plant,
+            "called": words_of(plant),
+            "others": ", ".join(n for n in plant.structures if n != matched),
             "provenance": self.provenance,
         }
 

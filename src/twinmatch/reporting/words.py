@@ -89,7 +89,8 @@ def _what(judgement: Judgement) -> str:
     time = duration((samples[-1].index - samples[0].index + 1) * period)
     return (
         f"For {time} a plant ({plant.title}) was held by its controller at {asked}; every {period:g} s its "
-        f"{words.output} and the control ({plant.drive.text}) were recorded, {len(samples)} times in all."
+        f"{words.output} and the control ({plant.drive.text or plant.drive.name}) were recorded, "
+        f"{len(samples)} times in all."
     )
 
 

@@ -176,7 +176,7 @@ class Discriminator:
             return []
         window = Window.from_samples(list(self._recent), self.settings.period)
         if news.last is not None:
-            return [self._stand(sample.index, window, f"{news.fault.value} is over: the plate obeys again")]
+            return [self._stand(sample.index, window, f"{news.fault.value} is over: the plant obeys again")]
         with one_thread():
             gone = self._let_go(news)
         return [replace(self._stand(sample.index, window, news.reason), dismissed=gone)]

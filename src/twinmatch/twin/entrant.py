@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from twinmatch.discrimination import Candidate
 from twinmatch.dynamics import Parameters
 from twinmatch.forecasting import HORIZONS, ForecastError
@@ -56,11 +58,14 @@ class Entrant(NamedTuple):
     def of(cls, candidate: Candidate, states_at: Callable[[int], FloatArray | None] = _unknown) -> Entrant:
         """A candidate of the family; one that was given counts as exact."""
         window = candidate.window
+        # Where a match saw no end of some combination, what it says of the others cannot be told from that.
+        # Then the parameters count as exact, and the bands are as wide as the errors have been.
+        known = len(candidate.covariance) > 0 and bool(np.isfinite(candidate.covariance).all())
         return cls(
             name=candidate.name,
             parameters=candidate.parameters,
             samples=(window.first, window.last) if window is not None else (0, -1),
             free=candidate.free,
-            covariance=candidate.covariance if len(candidate.covariance) else None,
+            covariance=candidate.covariance if known else None,
             states_at=states_at,
         )

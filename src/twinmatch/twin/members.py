@@ -83,7 +83,7 @@ class Members:
         return self._members[name].candidate
 
     def standing_at(self, operating_point: float) -> Candidate | None:
-        """The candidate whose regime holds this set-point (°C), if there is one."""
+        """The candidate whose regime holds this set-point, if there is one."""
         return self._family.standing_at(operating_point)
 
     @property

@@ -49,7 +49,7 @@ class ScheduleSettings:
                 msg = f"schedule: {name} is {getattr(self, name)}; it must be at least 1 sample"
                 raise ScheduleError(msg)
         if not self.min_step > 0:
-            msg = f"schedule: min_step is {self.min_step} °C; it must be positive"
+            msg = f"schedule: min_step is {self.min_step}; it must be positive"
             raise ScheduleError(msg)
         if not self.min_span <= self.span < self.capacity:
             msg = (
