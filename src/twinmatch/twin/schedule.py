@@ -33,7 +33,7 @@ class ScheduleSettings:
     stride: int = 60
     """Samples between two quiet triggers."""
     min_step: float = 2.0
-    """Smallest change of the set-point that starts a new regime, °C."""
+    """Smallest change of the set-point that starts a new regime, in the unit of the output."""
     min_span: int = 60
     """A regime shorter than this is not judged on its own; the next step is taken to belong to it."""
     span: int = 240
@@ -68,7 +68,7 @@ class Trigger(NamedTuple):
     excited: bool
     """True when the window holds a set-point step, so that parameters can be matched on it."""
     operating_point: float
-    """Set-point at the window's end, °C."""
+    """Set-point at the window's end."""
 
 
 class Schedule:
@@ -101,7 +101,7 @@ class Schedule:
         return self.settings.min_step
 
     def _restart(self, index: int) -> None:
-        self._anchor = 0.0  # set-point of the regime, °C
+        self._anchor = 0.0  # set-point of the regime
         self._step: int | None = None  # index of the regime's first sample; None before the first step
         self._previous_step = index
         self._judged = False
