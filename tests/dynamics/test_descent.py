@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares, lsq_linear
 
@@ -84,6 +84,28 @@ def test_an_undamped_step_solves_the_linear_problem_in_its_box(
     assert promised >= -1e-9
     best = 2 * lsq_linear(matrix, target, (lower, upper), method="bvls", tol=1e-12).cost
     assert after == pytest.approx(best, abs=1e-6 * (1 + best))
+
+
+@given(seed=st.integers(0, 10_000))
+@example(seed=1003)
+@example(seed=2782)
+def test_parameters_that_trade_off_do_not_leave_their_box(seed: int) -> None:
+    """Seven parameters of which some combinations hardly show: the step promises about what scipy's does.
+
+    Some may send one another from bound to bound; a step that ended there anyhow could promise a rise, and a
+    search took that for its end. What is promised under more damping instead may be half of what there is.
+    """
+    rng = np.random.default_rng(seed)
+    n = 7
+    matrix = rng.normal(size=(30, n)) @ np.diag(np.logspace(0, -5, n)) @ rng.normal(size=(n, n))
+    residuals = 10.0 * rng.normal(size=30)
+    lower, upper = -rng.uniform(0.0, 2.0, n), rng.uniform(0.5, 50.0, n)
+    step, promised = box_step(matrix.T @ matrix, matrix.T @ residuals, np.zeros(n), lower, upper, 1e-12)
+    theirs = lsq_linear(matrix, -residuals, (lower, upper), method="bvls", tol=1e-14, max_iter=1000)
+    best = residuals @ residuals - 2.0 * theirs.cost
+    assert np.all(step >= lower - 1e-9)
+    assert np.all(step <= upper + 1e-9)
+    assert promised >= 0.4 * best
 
 
 def test_a_direction_that_is_not_seen_is_left_alone() -> None:

@@ -35,6 +35,8 @@ _FIRST_DAMPING = 1e-3
 _NEAR, _ALIKE = 0.5, 0.5
 """Largest rise above a minimum found before, and largest error of its quadratic model, within its valley."""
 LEAST_DAMPING: Final = 1e-12
+_RESTED, _MOST_DAMPING = 1e-9, 1e9
+"""Damping that is tried next where the least finds no step, and that at which every parameter goes alone."""
 
 _DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MOST, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(9)
 
@@ -204,10 +206,37 @@ def box_step(
 ) -> tuple[FloatArray, float]:
     """Step to the minimum of gᵀd + ½dᵀ(H + damping·diag H)d with values + d in the box.
 
+    Where parameters that trade off against each other send one another from bound to bound without end, there
+    is more damping until they come to rest.
+
     Returns the step, shape (n,), and by how much 2gᵀd + dᵀHd, the change of the sum, is negative.
     """
+    step, settled = _held_step(hessian, gradient, values, lower, upper, damping)
+    while not settled and damping < _MOST_DAMPING:
+        damping = max(100.0 * damping, _RESTED)
+        step, settled = _held_step(hessian, gradient, values, lower, upper, damping)
+    promised = 0.0
+    for i in range(values.size):
+        promised -= 2.0 * gradient[i] * step[i]
+        for j in range(values.size):
+            promised -= step[i] * hessian[i, j] * step[j]
+    return step, promised
+
+
+@compiled
+def _held_step(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    values: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    damping: float,
+) -> tuple[FloatArray, bool]:
+    """That step, by holding one parameter after another on the bound it would cross and letting others go;
+    and whether no other was left to be held or let go."""
     n = values.size
     step = np.zeros(n)
+    settled = False
     held = np.zeros(n, dtype=np.bool_)
     for i in range(n):
         outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
@@ -261,14 +290,10 @@ def box_step(
                     if inward > max(pull, 1e-9 * abs(gradient[i]) / np.sqrt(hessian[i, i])):
                         first, pull = i, inward
             if first < 0:
+                settled = True
                 break
             held[first] = False
             continue
         step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
         held[first] = True
-    promised = 0.0
-    for i in range(n):
-        promised -= 2.0 * gradient[i] * step[i]
-        for j in range(n):
-            promised -= step[i] * hessian[i, j] * step[j]
-    return step, promised
+    return step, settled
