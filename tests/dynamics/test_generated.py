@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
+    FILED,
     Experiment,
     Parameters,
     PlantError,
@@ -90,7 +91,7 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
     free = [*base.model.structure.free, base.model.names[-1]]
-    experiment = Experiment(base, free, window, free_starts=starts, closed=closed)
+    experiment = Experiment(base, free, window, free_starts=starts, gains=FILED if closed else None)
     values = experiment.values_of(base)
     exact = experiment.tangents(values)
     # The derivatives share subexpressions with the rates, which rounds them another way.
@@ -149,7 +150,9 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
     weights = (1.0, 0.02)
-    experiment = Experiment(base, base.model.structure.free, window, closed=closed, weights=weights)
+    experiment = Experiment(
+        base, base.model.structure.free, window, gains=gains if closed else None, weights=weights
+    )
     found = experiment.tangents(experiment.values_of(base))
     weighed = found.by * np.array(weights)[:, None, None]
     sums, mean_square = noise_scores(experiment, found, weighed, weights)

@@ -11,7 +11,7 @@ from twinmatch.dynamics import begin, simulate_closed_loop, simulate_driven
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
-from twinmatch.twin import Mirror, closed_loop_fit, nrmse, residuals
+from twinmatch.twin import Mirror, nrmse, residuals, window_fit
 from twinmatch.twin.settings import TwinSettings
 
 HELD = Peltier.model().parameters
@@ -76,7 +76,7 @@ def test_residuals_of_a_window() -> None:
     assert exact.u < 1e-6
     assert residuals(HELD(), window, gains).y > 1.0
     assert np.isnan(residuals(RIG, window.part(0, 2), gains).y)
-    assert closed_loop_fit(RIG, window, gains) == pytest.approx((1.0, 1.0), abs=1e-6)
+    assert window_fit(RIG, window, gains) == pytest.approx((1.0, 1.0), abs=1e-6)
 
 
 def test_nrmse() -> None:

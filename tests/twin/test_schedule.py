@@ -79,7 +79,7 @@ def test_small_changes_are_no_step() -> None:
     ("changes", "message"),
     [
         ({"stride": 0}, "stride is 0"),
-        ({"min_step": 0.0}, "min_step is 0.0;"),
+        ({"min_step": 0.0}, "min_step is 0.0"),
         ({"span": 720}, "must grow"),
         ({"min_span": 500}, "must grow"),
     ],

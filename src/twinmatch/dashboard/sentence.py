@@ -13,11 +13,11 @@ from twinmatch.views import sentence, summarise
 __all__ = ["say"]
 
 
-def say(state: DashboardState, gains: PidGains) -> None:
+def say(state: DashboardState, gains: PidGains | None) -> None:
     """Sum up the samples that are kept, with the newest verdict, into `state.sentence`.
 
     Takes a few milliseconds; call it when there is a new verdict, not for every sample. `gains` are those of
-    the running controller.
+    the running controller, if it is known.
     """
     with state.lock:
         verdict, period = state.verdict, state.period
@@ -26,7 +26,9 @@ def say(state: DashboardState, gains: PidGains) -> None:
     if verdict is not None and (verdict.leader or verdict.nominal):
         samples = _samples(columns)
         if samples:
-            said = sentence(summarise(samples, [verdict], replace(gains, period=period)))
+            said = sentence(
+                summarise(samples, [verdict], gains and replace(gains, period=period), period=period)
+            )
     with state.lock:
         if state.verdict is verdict:
             state.sentence = said

@@ -63,7 +63,7 @@ def judge_uncertainty(
         twins: the same candidates, with what their matches left open.
         gaps: ν-gaps between their plants.
         nominal: name of the candidate that was chosen.
-        terms: on which they are held; the controller of the margins is that of the terms.
+        terms: on which they are held; the controller of the margins is that of the terms, if it is known.
         plant: the plant as it is now, if anything tells; it decides between two.
         seed: of the draws.
     """
@@ -74,18 +74,21 @@ def judge_uncertainty(
     known = family_uncertainty(twins, gaps, terms, plant=plant, seed=seed)
     scored = _with_intervals(with_margins(candidates, chosen, terms.gains), known)
     decided = bool(known.nominal_probability[chosen] >= DECIDED_FROM)
-    said = [_choice(scored, chosen, decided), _reach(scored, chosen)]
+    said = [_choice(scored, chosen, decided)]
+    said += [_reach(scored, chosen)] if terms.gains is not None else []
     said += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
     return Certainty(scored, decided, "; ".join(said))
 
 
 def with_margins(
-    candidates: Sequence[CandidateScore], chosen: int, gains: PidGains
+    candidates: Sequence[CandidateScore], chosen: int, gains: PidGains | None
 ) -> tuple[CandidateScore, ...]:
     """The candidates with the running controller's margins, and the distance of each from the chosen one.
 
-    One that cannot be held at its operating point has none.
+    One that cannot be held at its operating point has none, and nobody has where the controller is not known.
     """
+    if gains is None:
+        return tuple(candidates)
     try:
         controller = loop_controller(gains)
     except TwinmatchError:  # it has no proportional part to scale by

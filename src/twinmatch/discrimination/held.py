@@ -5,7 +5,8 @@ them: where a heat sink has little convection, its temperature goes on falling f
 heated, and the plant as the loop meets it is that of the minutes in which a set-point is held. So the loop
 runs: from a start of which nothing but the output is known, on a constant set-point, as long as a set-point
 regime lasts before it is judged. Where the drive's limits keep the output from the set-point, the plant is
-linearised where it is held instead. Of plants without slow states this is the rest.
+linearised where it is held instead. Of plants without slow states this is the rest. Where the loop is not
+known, nothing holds a twin but a constant input: the plant is linearised where it rests.
 """
 
 from __future__ import annotations
@@ -19,7 +20,15 @@ from numpy.typing import NDArray
 from twinmatch.discrimination.errors import DiscriminationError
 from twinmatch.discrimination.graph_symbol import GraphSymbol
 from twinmatch.discrimination.loop import Scales
-from twinmatch.dynamics import Linear, Parameters, PidGains, begin, linearised_at, simulate_closed_loop
+from twinmatch.dynamics import (
+    Linear,
+    Parameters,
+    PidGains,
+    begin,
+    linearised,
+    linearised_at,
+    simulate_closed_loop,
+)
 from twinmatch.signals import FloatArray
 
 __all__ = ["ANGLES", "HOLD", "Held", "held", "held_slopes", "held_symbol"]
@@ -39,12 +48,14 @@ over a fraction of that, and the search for the point at which it is held is rig
 class Held(NamedTuple):
     """On which terms twins are held; hashable, so that nothing is computed twice."""
 
-    gains: PidGains
-    """Of the controller that holds them."""
+    gains: PidGains | None
+    """Of the controller that holds them; None: it is not known."""
     scales: Scales
     """What counts as 1 of output and input."""
     samples: int = HOLD
     """For how long."""
+    period: float = 1.0
+    """Sample time of a plant whose loop is not known, s; a loop has its controller's."""
 
 
 def held(parameters: Parameters, set_point: float, terms: Held) -> Linear:
@@ -52,8 +63,10 @@ def held(parameters: Parameters, set_point: float, terms: Held) -> Linear:
 
     Raises:
         DiscriminationError: the loop does not hold it: its states grow beyond all bounds.
-        PlantError: the plant is too fast for the period.
+        PlantError: the plant is too fast for the period; without a loop, no input holds it there.
     """
+    if terms.gains is None:
+        return linearised(parameters, float(set_point), terms.period)
     reference = np.full(terms.samples, float(set_point))
     run = simulate_closed_loop(
         parameters, reference, states=begin(parameters, float(set_point)), gains=terms.gains
@@ -71,9 +84,8 @@ def held(parameters: Parameters, set_point: float, terms: Held) -> Linear:
 @lru_cache(maxsize=1024)  # a candidate stays in the family for many verdicts
 def held_symbol(parameters: Parameters, set_point: float, terms: Held) -> GraphSymbol:
     """Graph symbol of the plant from input to output where it is held, scaled; raises as `held`."""
-    a, b, c = held(parameters, set_point, terms)[:3]
-    seen = c * (terms.scales.input / terms.scales.output)
-    return GraphSymbol.of_state_space(a, b, seen, np.zeros((1, 1)), terms.gains.period)
+    a, b, c, period = held(parameters, set_point, terms)[:4]
+    return GraphSymbol.of_state_space(a, b, c * terms.scales.ratio, np.zeros((1, 1)), period)
 
 
 @lru_cache(maxsize=1024)
@@ -100,5 +112,4 @@ def _response(parameters: Parameters, set_point: float, terms: Held) -> NDArray[
     z = np.exp(1j * ANGLES)
     resolvent = z[:, None, None] * np.eye(len(linear.A)) - linear.A
     states = np.linalg.solve(resolvent, np.broadcast_to(linear.B, (z.size, *linear.B.shape)))
-    scale = terms.scales.input / terms.scales.output
-    return np.asarray(scale * (linear.C @ states)[:, 0, 0], dtype=np.complex128)
+    return np.asarray(terms.scales.ratio * (linear.C @ states)[:, 0, 0], dtype=np.complex128)

@@ -39,6 +39,11 @@ class Scales(NamedTuple):
     input: float
     """In the input's."""
 
+    @property
+    def ratio(self) -> float:
+        """What an answer of the output to the input is multiplied by."""
+        return self.input / self.output
+
     @classmethod
     def of(cls, gains: PidGains) -> Scales:
         """Half the controller's range, and the deviation that its proportional part answers with it.

@@ -1,4 +1,5 @@
-"""From a window to its Box–Jenkins models, set-point → output and set-point → input.
+"""From a window to its Box–Jenkins models, set-point → output and set-point → input, or input → output where
+the loop is not known.
 
 Where the paper's text is open, this is where the reading is taken; `docs/method.md` gives the reasons.
 """
@@ -25,40 +26,58 @@ LEAD = 20
 
 
 class Level(NamedTuple):
-    """The steady state a window starts from; models describe deviations from it."""
+    """What models describe deviations from: the steady state that a window starts from, if it does."""
 
     output: float
-    """Of reference and output alike: the integral action makes them equal at rest."""
+    """In closed loop of reference and output alike: the integral action makes them equal at rest."""
     input: float
 
 
 @dataclass(frozen=True, eq=False)
 class SimoModel:
-    """One input, the set-point; two outputs, y and u of the loop."""
+    """One input, the set-point; two outputs, y and u of the loop. Where that is not known, u is the input and
+    y the only output."""
 
     order: str
     y: BoxJenkins
-    """r[k] → y[k]."""
-    u: BoxJenkins
+    """r[k] → y[k], or u[k] → y[k]."""
+    u: BoxJenkins | None
     """r[k+1] → u[k]; see `ahead`."""
+    scale: float = 1.0
+    """Of a plant's graph symbol: what counts as 1 of the input, in units of what does of the output."""
 
     @cached_property
     def symbol(self) -> GraphSymbol:
-        """Graph symbol of [y/r; u/r], for the ν-gap; y and u in their units, as in the paper."""
+        """Graph symbol of [y/r; u/r], for the ν-gap, y and u in their units, as in the paper; or of y/u,
+        scaled."""
+        if self.u is None:
+            return GraphSymbol.of_fractions([(self.scale * self.y.B, self.y.F)], period=self.y.period)
         input_ = self.u.B[1:]  # without the delay that `ahead` put in
         return GraphSymbol.of_fractions([(self.y.B, self.y.F), (input_, self.u.F)], period=self.y.period)
 
 
-def operating_level(window: Window) -> Level:
+def operating_level(window: Window, *, driven: bool = False) -> Level:
     """What to subtract so that the window begins at zero.
 
     The set-point before the first step stands for reference and output; for the input the mean of the last
     samples before that step, when the loop has come to rest even if the window began in a transient.
+
+    Where the loop is not known, no set-point says where a window begins: if its input stood still before it
+    first moved, output and input are those of the last samples before; if not, their means over the window.
     """
+    if driven:
+        return _driven_level(window)
     moved = np.flatnonzero(window.reference != window.reference[0])
     step = int(moved[0]) if moved.size else len(window)
     lead = window.input[max(0, step - LEAD) : step]
     return Level(float(window.reference[0]), float(np.mean(lead)))
+
+
+def _driven_level(window: Window) -> Level:
+    moved = np.flatnonzero(window.input != window.input[0])
+    step = int(moved[0]) if moved.size else len(window)
+    before = slice(step - LEAD, step) if step >= LEAD else slice(None)
+    return Level(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
 
 
 def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -80,8 +99,12 @@ def ahead(reference: FloatArray) -> FloatArray:
     return np.append(reference[1:], reference[-1])
 
 
-def identify(window: Window, orders: Sequence[str] = ORDERS) -> tuple[SimoModel, ...]:
+def identify(
+    window: Window, orders: Sequence[str] = ORDERS, *, scale: float | None = None
+) -> tuple[SimoModel, ...]:
     """Box–Jenkins models of every order from a window's set-point to its output and input.
+
+    Where the loop is not known, from its input to its output: then `scale` is that of the models.
 
     They are the minima next to the start values, not the lowest of all: on windows of the rig the lowest
     differ by a few per cent in the prediction errors, and reach them with a noise model that takes over
@@ -89,8 +112,12 @@ def identify(window: Window, orders: Sequence[str] = ORDERS) -> tuple[SimoModel,
     (docs/decisions/0015). `identification.estimate` searches for the lowest.
 
     Raises:
-        IdentificationError: the set-point does not move, or there are too few samples.
+        IdentificationError: set-point or input does not move, or there are too few samples.
     """
+    if scale is not None:
+        _, y, u = deviations(window, operating_level(window, driven=True))
+        found = estimate_ladder(u, y, orders, hops=0, period=window.period)
+        return tuple(SimoModel(o, found[o], None, scale) for o in orders)
     r, y, u = deviations(window, operating_level(window))
     # Side by side: almost all of the work is compiled, which holds no lock, and neither needs the other.
     with ThreadPoolExecutor(1) as other:
@@ -102,7 +129,8 @@ def identify(window: Window, orders: Sequence[str] = ORDERS) -> tuple[SimoModel,
 def twin_response(
     parameters: Parameters, window: Window, gains: PidGains | None, sensor: Sensor | None, seed: int
 ) -> Window:
-    """The closed-loop twin on a window's reference, seen through the sensor.
+    """The closed-loop twin on a window's reference, or without gains the twin under its input, seen through
+    the sensor.
 
     It starts from the window's third sample: the first two give the controller's state.
     """

@@ -59,7 +59,8 @@ class OrderScore:
 
     order: str
     y: Criteria
-    u: Criteria
+    u: Criteria | None
+    """None where the loop is not known: the input is given then, and nobody foretells it."""
     total: Criteria
     aic_difference: float = math.nan
     """AIC of both outputs together above that of the best order, 0 for the best; NaN where not computed."""
@@ -71,12 +72,17 @@ def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: floa
     """Judge a model on a measured window, whichever data it was identified on.
 
     Args:
-        model: set-point to output and to input.
+        model: set-point to output and to input, or input to output.
         window: measured samples.
         decimals: places the tables of the information gain are written with.
         absolute: added to outputs in these tables (`Output.absolute`): the published lengths show that
             they hold kelvin (paper, table IV).
     """
+    if model.u is None:
+        level = operating_level(window, driven=True)
+        _, y, u = deviations(window, level)
+        on_y = _criteria(model.y, u, y, level.output + absolute, decimals)
+        return OrderScore(model.order, on_y, None, on_y)
     level = operating_level(window)
     r, y, u = deviations(window, level)
     on_y = _criteria(model.y, r, y, level.output + absolute, decimals)

@@ -11,6 +11,7 @@ output and a reading.
 """
 
 from twinmatch.dynamics.ahead import Foretold, foretell
+from twinmatch.dynamics.closing import FILED, Closing, Filed, gains_for, gains_of
 from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Parameter, State, Structure
 from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.equations import Equations
@@ -30,7 +31,6 @@ from twinmatch.dynamics.simulation import (
     Response,
     advance,
     begin,
-    gains_of,
     quantities,
     read,
     simulate_closed_loop,
@@ -39,12 +39,15 @@ from twinmatch.dynamics.simulation import (
 )
 
 __all__ = [
+    "FILED",
     "SKIPPED",
+    "Closing",
     "Descended",
     "Disturbance",
     "Drive",
     "Equations",
     "Experiment",
+    "Filed",
     "Foretold",
     "Known",
     "Linear",
@@ -72,6 +75,7 @@ __all__ = [
     "controller_state",
     "descend",
     "foretell",
+    "gains_for",
     "gains_of",
     "limited",
     "linearised",

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.closing import gains_of
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.noise import around_loop
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.dynamics.pid import PidGains, PidState
 from twinmatch.dynamics.pid_step import Gains
-from twinmatch.dynamics.simulation import NO_GAINS, gains_of
+from twinmatch.dynamics.simulation import NO_GAINS
 from twinmatch.signals import FloatArray
 
 __all__ = ["Foretold", "foretell"]

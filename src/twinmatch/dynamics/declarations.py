@@ -18,6 +18,9 @@ __all__ = ["Declaration", "Disturbance", "Drive", "Output", "Parameter", "State"
 
 _Self = TypeVar("_Self", bound="Declaration")
 
+_STEP = 20.0
+"""Movement that excites a plant, in units of the noise."""
+
 ROLES = ("", "losses", "room")
 """What a parameter can mean to the health of a plant."""
 
@@ -71,6 +74,13 @@ class Drive(Declaration):
     rest: float = 0.0
     """Command at which the drive does nothing."""
 
+    @property
+    def least_step(self) -> float:
+        """Movement that excites the plant: far above the noise, yet no more than a quarter of what the drive
+        can do, so that switching it on counts however noisy it is said to be."""
+        low, high = self.limits
+        return min(_STEP * self.noise, (high - low) / 4)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Output(Declaration):
@@ -88,6 +98,11 @@ class Output(Declaration):
     """What to add to a reading to count it from where its quantity is zero: 273.15 for °C."""
     sensor: str = "sensor"
     """What gives the readings, in a word: where to look if they are wrong."""
+
+    @property
+    def least_step(self) -> float:
+        """Movement of the set-point that excites the plant: far above the noise of a reading."""
+        return _STEP * self.noise
 
 
 @dataclass(frozen=True, kw_only=True)

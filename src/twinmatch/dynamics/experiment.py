@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twinmatch.dynamics.closing import FILED, Closing, gains_for
 from twinmatch.dynamics.descent import Descended, begun, ended
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.parameters import Parameters
-from twinmatch.dynamics.pid import PidGains, PidState, controller_state
+from twinmatch.dynamics.pid import PidState, controller_state
 from twinmatch.dynamics.posed import Posed
-from twinmatch.dynamics.simulation import NO_GAINS, SKIPPED, Response, gains_of
+from twinmatch.dynamics.simulation import NO_GAINS, SKIPPED, Response
 from twinmatch.signals import FloatArray, Window
 
 __all__ = ["Experiment", "Known", "Tangents"]
@@ -67,8 +68,7 @@ class Experiment:
         window: Window,
         *,
         free_starts: Sequence[str] = (),
-        gains: PidGains | None = None,
-        closed: bool | None = None,
+        gains: Closing = FILED,
         weights: tuple[float, float] = (1.0, 1.0),
         robust: bool = False,
         settle: int = 0,
@@ -82,8 +82,8 @@ class Experiment:
             free: names of the unknown parameters, of those the structure has.
             window: recorded samples.
             free_starts: names of the states whose start is unknown.
-            gains: of the running controller; the plant file's at the window's period if not given.
-            closed: run the loop (True) or the driven twin (False); if not given, the loop if it is known.
+            gains: of the running controller, None for the driven twin; if not given, what the plant file
+                says, at the window's period.
             weights: of a residual of output and of input in the normal equations.
             robust: let large residuals count by their size and not by its square.
             settle: samples after the start that count nothing.
@@ -105,8 +105,8 @@ class Experiment:
                 raise PlantError(msg)
         self.model, self.base, self.window = model, base, window
         self.free, self.free_starts = tuple(free), tuple(free_starts)
-        self.closed = model.plant.loop is not None or gains is not None if closed is None else closed
-        self.gains = (gains or gains_of(model.plant, window.period)) if self.closed else NO_GAINS
+        held = gains_for(model.plant, window.period, gains)
+        self.closed, self.gains = held is not None, held or NO_GAINS
         if self.closed and self.gains.period != window.period:
             msg = (
                 f"{model.title}: the controller runs every {self.gains.period} s but the window's samples "

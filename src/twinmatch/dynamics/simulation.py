@@ -6,7 +6,6 @@ the last bit.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twinmatch.dynamics.closing import FILED, Closing, gains_for, gains_of
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.dynamics.pid import PidGains, PidState, controller_state
-from twinmatch.dynamics.plant import Plant
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
 from twinmatch.signals import FloatArray, Window
 
@@ -26,7 +25,6 @@ __all__ = [
     "Response",
     "advance",
     "begin",
-    "gains_of",
     "quantities",
     "read",
     "simulate_closed_loop",
@@ -50,18 +48,6 @@ class Response:
     """States at every sample and one period after the last, shape (N + 1, n)."""
     steps: int
     """Runge–Kutta steps per sample."""
-
-
-def gains_of(plant: type[Plant], period: float) -> PidGains:
-    """The plant's controller at a sample time, s.
-
-    Raises:
-        PlantError: its controller is not known.
-    """
-    if plant.loop is None:
-        msg = f"plant {plant.name}: its controller is not known, so only the driven twin can be run"
-        raise PlantError(msg)
-    return plant.loop if plant.loop.period == period else dataclasses.replace(plant.loop, period=period)
 
 
 def begin(
@@ -186,12 +172,13 @@ def simulate_window(
     parameters: Parameters,
     window: Window,
     *,
-    gains: PidGains | None = None,
+    gains: Closing = FILED,
     sensor: Sensor | None = None,
     seed: int = 0,
     starts: Mapping[str, float] | None = None,
 ) -> Response:
-    """Run the closed loop on a window's reference, from its measured start; shape (N − 2,).
+    """Run a window again from its measured start: the closed loop on its reference, or, without gains, the
+    plant under its input; shape (N − 2,).
 
     It starts at the third sample: the first two give the controller's state. A sensor is realised with
     `seed`.
@@ -203,15 +190,26 @@ def simulate_window(
         msg = f"window: it has {len(window)} samples; the twin starts at the third, give at least three"
         raise PlantError(msg)
     reference, disturbances = window.reference[SKIPPED:], window.disturbances[SKIPPED:]
-    gains = gains or gains_of(parameters.model.plant, window.period)
+    held = gains_for(parameters.model.plant, window.period, gains)
+    states = begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0], starts=starts)
+    seen = None if sensor is None else sensor.realise(reference.size, window.period, seed)
+    if held is None:
+        return simulate_driven(
+            parameters,
+            window.input[SKIPPED:],
+            states=states,
+            period=window.period,
+            disturbances=disturbances,
+            sensor=seen,
+        )
     return simulate_closed_loop(
         parameters,
         reference,
-        states=begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0], starts=starts),
-        controller=controller_state(window, gains),
-        gains=gains,
+        states=states,
+        controller=controller_state(window, held),
+        gains=held,
         disturbances=disturbances,
-        sensor=None if sensor is None else sensor.realise(reference.size, window.period, seed),
+        sensor=seen,
     )
 
 

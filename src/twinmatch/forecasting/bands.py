@@ -36,37 +36,38 @@ def leads_of(period: float, longest: int) -> tuple[int, ...]:
 class Calibration:
     """Quotients |error| / standard deviation of one twin, by lead, and the widths that follow."""
 
-    def __init__(self, leads: tuple[int, ...], kept: float) -> None:
+    def __init__(self, leads: tuple[int, ...], kept: float, signals: int = 2) -> None:
         """Begin with nothing learned.
 
         Args:
             leads: samples ahead at which quotients are learned, shape (L,).
             kept: share of the past that is left after one more forecast.
+            signals: how many are foretold: output and input, or, where inputs are given, the output alone.
         """
-        self.leads, self.kept = leads, kept
+        self.leads, self.kept, self._signals = leads, kept, np.arange(signals)
         levels = (np.arange(_BEFOREHAND) + 0.5) / _BEFOREHAND
-        start = np.repeat(_half_normal(levels)[:, None], 2, axis=1)
+        start = np.repeat(_half_normal(levels)[:, None], signals, axis=1)
         self._quotients = [start] * len(leads)
         self._weights = [np.ones(_BEFOREHAND)] * len(leads)
-        self._widths = np.zeros((2, len(leads)))
+        self._widths = np.zeros((signals, len(leads)))
         self._stale = set(range(len(leads)))
 
     def copy(self) -> Calibration:
         """One that learns on by itself."""
-        twin = Calibration(self.leads, self.kept)
+        twin = Calibration(self.leads, self.kept, self._signals.size)
         twin._quotients, twin._weights = list(self._quotients), list(self._weights)
         twin._widths, twin._stale = self._widths.copy(), set(self._stale)
         return twin
 
     def learn(self, quotients: FloatArray, before: int = 0) -> None:
-        """Learn from one forecast: quotients of output and input at N samples ahead, shape (2, N), those at
+        """Learn from one forecast: quotients of the signals at N samples ahead, shape (signals, N), those at
         leads beyond `before`."""
         for place, lead in enumerate(self.leads):
             if before < lead <= quotients.shape[1]:
                 self.add(place, quotients[:, lead - 1])
 
     def add(self, lead: int, quotients: FloatArray) -> None:
-        """Learn from one forecast at one of the leads, counted from 0: quotients of output and input."""
+        """Learn from one forecast at one of the leads, counted from 0: quotients of the signals."""
         self._quotients[lead] = np.concatenate([self._quotients[lead], quotients[None]])
         self._weights[lead] = np.append(self._weights[lead] * self.kept, 1.0)
         if self._weights[lead][0] < _FORGOTTEN:
@@ -75,7 +76,7 @@ class Calibration:
 
     @property
     def widths(self) -> FloatArray:
-        """Half width of a band in standard deviations, at every lead, shape (2, L)."""
+        """Half width of a band in standard deviations, at every lead, shape (signals, L)."""
         for lead in self._stale:
             self._widths[:, lead] = self._width(lead)
         self._stale.clear()
@@ -87,7 +88,7 @@ class Calibration:
         # The next forecast counts too, as one that may come out anyhow.
         share = np.cumsum(weights[order], axis=0) / (weights.sum() + 1.0)
         at = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
-        return np.asarray(quotients[order[at, [0, 1]], [0, 1]])
+        return np.asarray(quotients[order[at, self._signals], self._signals])
 
 
 def _half_normal(levels: FloatArray) -> FloatArray:

@@ -39,7 +39,7 @@ class Forecast:
     time: FloatArray
     """Seconds after `sample`, shape (N,); the first is one period."""
     reference: FloatArray
-    """Set-points it is made for, shape (N,)."""
+    """Set-points it is made for, shape (N,); NaN where the loop is not known: it is made for `input` then."""
     output: Band
     input: Band
     notes: tuple[str, ...] = ()

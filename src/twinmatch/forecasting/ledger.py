@@ -37,11 +37,11 @@ class _Account:
     """Discounted sums of one candidate."""
 
     lengths: FloatArray
-    """Characters by horizon, output and input together, shape (H,)."""
+    """Characters by horizon, all signals together, shape (H,)."""
     weights: FloatArray
     """Forecasts they are the sums of, shape (H,)."""
     sizes: FloatArray
-    """Mean |error|, shape (2, H)."""
+    """Mean |error| of each signal, shape (signals, H)."""
     counted: FloatArray
     """Forecasts those means are of, shape (H,)."""
 
@@ -61,7 +61,8 @@ class Ledger:
     horizons: int
     """How many horizons H are kept apart."""
     noise: FloatArray
-    """Of output and input, shape (2,)."""
+    """Of the signals that are foretold, shape (signals,): output and input, or, where inputs are given, the
+    output alone."""
     kept: float
     """Share of the past that is left after one more forecast; below 1, it is forgotten slowly."""
     _accounts: dict[str, _Account] = field(default_factory=dict)
@@ -77,10 +78,10 @@ class Ledger:
             self._accounts[name] = self._accounts[predecessor].copy()
 
     def add(self, errors: Mapping[str, FloatArray], horizon: int) -> None:
-        """Enter what came minus what was foretold from one sample, of output and input, shape (2, N).
+        """Enter what came minus what was foretold from one sample, of the signals, shape (signals, N).
 
         The N readings are those up to the horizon and beyond the one before; `horizon` counts from 0. Their
-        errors last, so that together they count as one reading of output and of input, of mean length.
+        errors last, so that together they count as one reading of each signal, of mean length.
         """
         h = horizon
         for name, error in errors.items():
@@ -99,7 +100,7 @@ class Ledger:
         return float(self._accounts[name].weights.sum()) if name in self._accounts else 0.0
 
     def gains(self, names: Sequence[str]) -> FloatArray:
-        """Characters saved for each forecast of output and input, by horizon; shape (len(names), H).
+        """Characters saved for each forecast of the signals, by horizon; shape (len(names), H).
 
         NaN at a horizon of which nothing could be compared with what came.
         """

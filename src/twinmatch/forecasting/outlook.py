@@ -16,6 +16,7 @@ from twinmatch.dynamics import (
     advance,
     foretell,
     simulate_closed_loop,
+    simulate_driven,
 )
 from twinmatch.forecasting.errors import ForecastError
 from twinmatch.forecasting.follower import drift_of
@@ -45,18 +46,35 @@ class Outlook:
     unsure: tuple[str, ...]
     controller: PidState
     """What the controller remembers after that sample."""
-    gains: PidGains
+    gains: PidGains | None
+    """Of the controller; None: the loop is not known, and what comes follows from the inputs ahead."""
+    period: float
+    """Sample time, s."""
     leads: tuple[int, ...]
     """Samples ahead at which the widths are known, shape (L,)."""
     widths: FloatArray
-    """Half widths of the band there, in standard deviations, shape (2, L)."""
+    """Half widths of the band there, in standard deviations, of output and, in closed loop, of input; shape
+    (signals, L)."""
     visited: tuple[float, float]
     """Least and greatest output seen so far."""
     notes: tuple[str, ...] = ()
     """What no band can promise now."""
 
-    def foretold(self, reference: ArrayLike, disturbances: ArrayLike | None = None) -> Foretold:
-        """Mean and variance of the N samples ahead under these set-points, shape (N,)."""
+    @property
+    def closed(self) -> bool:
+        """Whether it foretells under set-points ahead; otherwise under inputs ahead."""
+        return self.gains is not None
+
+    @property
+    def standing(self) -> float:
+        """The newest of what it foretells under: the set-point, or the input."""
+        return self.sample.reference if self.closed else self.sample.input
+
+    def foretold(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Foretold:
+        """Mean and variance of the N samples ahead under these set-points or inputs, shape (N,).
+
+        Disturbances stay as they are, unless they are given from the newest sample on, shape (N + 1, d).
+        """
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
         return foretell(
@@ -66,13 +84,15 @@ class Outlook:
             unsure=self.unsure,
             input=self.sample.input,
             drift=drift_of(self.parameters.model),
-            reference=reference,
+            reference=ahead if self.closed else None,
+            inputs=None if self.closed else ahead,
             controller=self.controller,
             gains=self.gains,
+            period=self.period,
             disturbances=disturbances,
         )
 
-    def mean(self, reference: FloatArray, disturbances: FloatArray | None = None) -> FloatArray:
+    def mean(self, ahead: FloatArray, disturbances: FloatArray | None = None) -> FloatArray:
         """Output and input of `foretold`, to the last bit, at a third of its cost; shape (2, N).
 
         `disturbances` are those from the newest sample on, shape (N + 1, d), if there are any.
@@ -81,17 +101,23 @@ class Outlook:
             self.parameters,
             self.states,
             self.sample.input,
-            self.gains.period,
+            self.period,
             None if disturbances is None else disturbances[0],
         )
-        found = simulate_closed_loop(
-            self.parameters,
-            reference,
-            states=begun,
-            controller=self.controller,
-            gains=self.gains,
-            disturbances=None if disturbances is None else disturbances[1:],
-        )
+        rows = None if disturbances is None else disturbances[1:]
+        if self.gains is None:
+            found = simulate_driven(
+                self.parameters, ahead, states=begun, period=self.period, disturbances=rows
+            )
+        else:
+            found = simulate_closed_loop(
+                self.parameters,
+                ahead,
+                states=begun,
+                controller=self.controller,
+                gains=self.gains,
+                disturbances=rows,
+            )
         return np.stack([found.output, found.input])
 
     def deviations(self, foretold: Foretold) -> FloatArray:
@@ -99,35 +125,39 @@ class Outlook:
         least = (_LEAST * self.parameters.model.plant.drive.noise) ** 2
         return np.sqrt(np.stack([foretold.output_variance, foretold.input_variance + least]))
 
-    def forecast(self, reference: ArrayLike) -> Forecast:
-        """What comes under these set-points, shape (N,), from the next sample on.
+    def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
+        """What comes under these set-points, or inputs where the loop is not known, shape (N,), from the next
+        sample on; disturbances as in `foretold`.
 
         Raises:
             ForecastError: there is none, or one that is not finite.
         """
-        set_points = np.array(reference, dtype=np.float64)
-        if set_points.ndim != 1 or not set_points.size or not np.isfinite(set_points).all():
-            msg = "forecast: the set-points ahead are no list of finite numbers; give one for each sample"
+        values = np.array(ahead, dtype=np.float64)
+        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+            what = "set-points" if self.closed else "inputs"
+            msg = f"forecast: the {what} ahead are no list of finite numbers; give one for each sample"
             raise ForecastError(msg)
-        foretold = self.foretold(set_points)
-        half = self.deviations(foretold) * self._widths(set_points.size)
-        plant = self.parameters.model.plant
-        low, high = max(self.gains.low, plant.drive.limits[0]), min(self.gains.high, plant.drive.limits[1])
+        foretold = self.foretold(values, disturbances)
+        half = self.deviations(foretold)[: len(self.widths)] * self._widths(values.size)
         return Forecast(
             sample=self.sample.index,
             candidate=self.candidate,
             structure=self.parameters.model.structure_name,
             confidence=CONFIDENCE,
-            time=np.arange(1, set_points.size + 1, dtype=np.float64) * self.gains.period,
-            reference=set_points,
+            time=np.arange(1, values.size + 1, dtype=np.float64) * self.period,
+            reference=values if self.closed else np.full(values.size, np.nan),
             output=Band(foretold.output, foretold.output - half[0], foretold.output + half[0]),
-            input=Band(
-                foretold.input,
-                np.clip(foretold.input - half[1], low, high),
-                np.clip(foretold.input + half[1], low, high),
-            ),
+            input=self._input_band(foretold.input, half[1:]),
             notes=self.notes + self._beyond(foretold.output),
         )
+
+    def _input_band(self, mean: FloatArray, half: FloatArray) -> Band:
+        """Of the controller's answers; inputs that were given are what they are."""
+        if self.gains is None:
+            return Band(mean, mean, mean)
+        limits = self.parameters.model.plant.drive.limits
+        low, high = max(self.gains.low, limits[0]), min(self.gains.high, limits[1])
+        return Band(mean, np.clip(mean - half[0], low, high), np.clip(mean + half[0], low, high))
 
     def _widths(self, samples: int) -> FloatArray:
         ahead, knots = np.log(np.arange(1, samples + 1)), np.log(np.array(self.leads, dtype=np.float64))

@@ -64,7 +64,7 @@ def what_if(outlook: Outlook, question: Question) -> Answer:
         ForecastError: set-points the plant does not take or that lie in the past, a horizon that is not
             positive or too long, a level that is not finite, a tolerance that is not positive.
     """
-    output, period = outlook.parameters.model.plant.output, outlook.gains.period
+    output, period = outlook.parameters.model.plant.output, outlook.period
     size = _samples(question.horizon, outlook)
     if question.times or question.levels:
         ahead = SetPoints(
@@ -89,7 +89,7 @@ def what_if(outlook: Outlook, question: Question) -> Answer:
 
 
 def _samples(horizon: float | None, outlook: Outlook) -> int:
-    period = outlook.gains.period
+    period = outlook.period
     if horizon is None:
         return outlook.leads[-1]
     if not (math.isfinite(horizon) and horizon > 0):
@@ -105,4 +105,4 @@ def _beyond(size: int, outlook: Outlook) -> tuple[str, ...]:
     judged = outlook.leads[-1]
     if size <= judged:
         return ()
-    return (f"no forecast was held against what came further than {judged * outlook.gains.period:g} s ahead",)
+    return (f"no forecast was held against what came further than {judged * outlook.period:g} s ahead",)

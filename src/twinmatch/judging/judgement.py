@@ -109,5 +109,5 @@ def judge_samples(
             if watch is not None and done % EVERY == 0:
                 watch(done, len(samples))
             check_interrupt()
-        summary = summarise(samples, verdicts, settings.gains, notes)
+        summary = summarise(samples, verdicts, settings.gains, notes, settings.period)
     return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)

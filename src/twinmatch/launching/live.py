@@ -87,7 +87,7 @@ def run_live(live: Live) -> int:
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {len(live.samples)} samples, {len(live.verdicts)} verdicts")
     if live.samples:
-        live.summary = summarise(live.samples, live.verdicts, settings.gains)
+        live.summary = summarise(live.samples, live.verdicts, settings.gains, period=settings.period)
         for line in closing_lines(live.summary, live.verdicts[-1] if live.verdicts else None):
             view.say(line)
     return code

@@ -73,7 +73,9 @@ def play(replay: Replay) -> int:
         view.say(f"interrupted after {len(replay.verdicts)} verdicts")
         return EXIT_INTERRUPTED
     if code == 0:
-        replay.summary = summarise(session.samples, replay.verdicts, settings.gains, session.notes)
+        replay.summary = summarise(
+            session.samples, replay.verdicts, settings.gains, session.notes, settings.period
+        )
         for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
             view.say(line)
     return code

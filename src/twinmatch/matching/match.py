@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, PidGains
+from twinmatch.dynamics import FILED, Closing, Parameters
 from twinmatch.matching.bounds import Bounds, checked_free, unknown_parameters
 from twinmatch.matching.estimation import Uncertainty, on_bounds, solve, starts_for
 from twinmatch.matching.gate import (
@@ -28,9 +27,6 @@ from twinmatch.signals import FloatArray, Window
 
 __all__ = ["match"]
 
-_LEAST_MOVEMENT: Final = 20.0
-"""Movement that excites the plant, in units of the noise, where nothing else is said."""
-
 
 def match(
     window: Window,
@@ -40,7 +36,7 @@ def match(
     incumbent: Parameters | None = None,
     bounds: Bounds | None = None,
     noise: Noise | None = None,
-    gains: PidGains | None = None,
+    gains: Closing = FILED,
     min_step: float | None = None,
     limits: Limits | None = None,
 ) -> Match:
@@ -60,9 +56,10 @@ def match(
         incumbent: parameters that stand for this regime so far, of any structure of the plant.
         bounds: replace some of the plant's, by name of a parameter or of a state that starts unknown.
         noise: standard deviations by which the residuals are weighed; the plant's if not given.
-        gains: the plant's controller; the plant file's at the window's period if not given.
+        gains: the plant's controller, None if it is not known; if not given, what the plant file says, at the
+            window's period.
         min_step: least movement of the set-point (in the driven twin, of the input) that excites the plant,
-            in its unit; twenty times the noise if not given.
+            in its unit; as its declaration says (`least_step`) if not given.
         limits: where the gate closes.
 
     Raises:
@@ -83,10 +80,10 @@ def match(
 def _split(problem: Problem, min_step: float | None, limits: Limits) -> tuple[int, str]:
     """How many samples the test fit sees, or what is missing for one."""
     window, plant = problem.window, problem.base.model.plant
-    what, signal, unit, noise = "set-point", window.reference, plant.output.unit, plant.output.noise
+    what, signal, unit, usual = "set-point", window.reference, plant.output.unit, plant.output.least_step
     if problem.gains is None:
-        what, signal, unit, noise = "input", window.input, plant.drive.unit, plant.drive.noise
-    least = _LEAST_MOVEMENT * noise if min_step is None else min_step
+        what, signal, unit, usual = "input", window.input, plant.drive.unit, plant.drive.least_step
+    least = usual if min_step is None else min_step
     excited = first_excited(signal, least)
     if excited is None:
         return 0, f"the {what} did not move by {least:g} {unit} within the window's {len(window)} samples"

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from twinmatch.dynamics import (
+    FILED,
+    Closing,
     Descended,
     Experiment,
     Model,
@@ -16,7 +18,7 @@ from twinmatch.dynamics import (
     PidGains,
     Response,
     Tangents,
-    gains_of,
+    gains_for,
     noise_scores,
 )
 from twinmatch.matching.bounds import Bounds, MatchingError, Unknown, unknown_parameters, unknown_starts
@@ -26,21 +28,20 @@ from twinmatch.signals import FloatArray, Window
 __all__ = ["Evaluation", "Problem", "checked_gains"]
 
 
-def checked_gains(model: Model, window: Window, gains: PidGains | None) -> PidGains | None:
-    """The controller with which the twin is closed into its loop; None for a plant whose loop is not known.
+def checked_gains(model: Model, window: Window, gains: Closing = FILED) -> PidGains | None:
+    """The controller with which the twin is closed into its loop; None for one whose loop is not known.
 
     Raises:
         MatchingError: the controller has another period than the window.
     """
-    if gains is None:
-        return None if model.plant.loop is None else gains_of(model.plant, window.period)
-    if gains.period != window.period:
+    held = gains_for(model.plant, window.period, gains)
+    if held is not None and held.period != window.period:
         msg = (
-            f"matching: the controller runs every {gains.period} s but the window's samples come every "
+            f"matching: the controller runs every {held.period} s but the window's samples come every "
             f"{window.period} s; give both the same period"
         )
         raise MatchingError(msg)
-    return gains
+    return held
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,6 @@ class Problem:
             self.window,
             free_starts=self.base.model.structure.free_starts,
             gains=self.gains,
-            closed=self.gains is not None,
             weights=(1.0 / self.noise.output, 1.0 / self.noise.input),
         )
 

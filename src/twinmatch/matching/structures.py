@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.dynamics import Descended, Experiment, Known, Model, Parameters, PidGains, descend
+from twinmatch.dynamics import FILED, Closing, Descended, Experiment, Known, Model, Parameters, descend
 from twinmatch.matching.bounds import MatchingError, unknown_parameters, unknown_starts
 from twinmatch.matching.noise import Noise
 from twinmatch.matching.problem import checked_gains
@@ -90,7 +90,7 @@ def fit_structure(
     *,
     start: StructureFit | None = None,
     noise: Noise | None = None,
-    gains: PidGains | None = None,
+    gains: Closing = FILED,
     thorough: bool = True,
     informed: bool = False,
 ) -> StructureFit:
@@ -101,7 +101,8 @@ def fit_structure(
         model: the plant in the structure that it is taken to have.
         start: an earlier fit of the same structure; without it the search has several starts.
         noise: what the residuals are measured in; the plant's if not given.
-        gains: of the running controller; the plant file's if not given, at the windows' period.
+        gains: of the running controller, None for a loop that is not known; if not given, what the plant file
+            says, at the windows' period.
         thorough: search from several starts and to the end; otherwise from the best one, and no further than
             the cost falls by a part in ten thousand or so, in a fifth of the time.
         informed: let what the plant file calls typical count as well, as one independent residual for each
@@ -143,7 +144,7 @@ def _runs(
     windows: Sequence[Window],
     model: Model,
     noise: Noise,
-    gains: PidGains | None,
+    gains: Closing,
     known: Mapping[str, Known],
 ) -> list[Experiment]:
     if not windows:
@@ -164,7 +165,6 @@ def _runs(
                 window,
                 free_starts=model.structure.free_starts,
                 gains=own,
-                closed=own is not None,
                 weights=(1.0 / noise.output, 1.0 / noise.input),
                 robust=True,
                 settle=SETTLE,

@@ -49,9 +49,9 @@ class Foreteller:
             self._leaders.publish(leader_message(score))
             self._leader = outlook
         if not self._ahead:
-            self._ahead = shown_samples(outlook.gains.period, discriminator.forecaster.horizons)
+            self._ahead = shown_samples(outlook.period, discriminator.forecaster.horizons)
         sample = outlook.sample
-        forecast = outlook.forecast(np.full(max(self._ahead), sample.reference))
+        forecast = outlook.forecast(np.full(max(self._ahead), outlook.standing))
         self._forecasts.publish(forecast_message(forecast, sample.stamp, self._ahead))
         self._health.set("leader", name)
         self._health.set("forecast from sample", sample.index)

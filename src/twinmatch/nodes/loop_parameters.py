@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
-from twinmatch.dynamics import Drive, PidGains, Plant
+from twinmatch.dynamics import FILED, Closing, Drive, Filed, PidGains, Plant, gains_for
 from twinmatch.nodes.parameters import Parameter
 
-__all__ = ["loop_parameters", "pid_gains", "unit_of"]
+__all__ = ["UNKNOWN", "closing_of", "loop_parameters", "pid_gains", "unit_of"]
+
+UNKNOWN: Final = "unknown"
+"""What `loop` says of a twin that is driven by the recorded input."""
 
 _MOST = 1e4
 """A gain beyond this is a mistake of the unit."""
@@ -19,10 +22,16 @@ def unit_of(drive: Drive) -> str:
     return drive.unit or drive.name
 
 
-def loop_parameters(plant: type[Plant]) -> tuple[Parameter, ...]:
+def closing_of(values: Mapping[str, Any]) -> Closing:
+    """What parameter `loop` says among given values; without it the plant file decides."""
+    return None if values.get("loop", Filed.LOOP.value) == UNKNOWN else FILED
+
+
+def loop_parameters(plant: type[Plant], closing: Closing = FILED) -> tuple[Parameter, ...]:
     """The sample time, and the gains of the plant's controller if that is known."""
-    has = plant.loop
-    period = Parameter("period", has.period if has else 1.0, "Sample time of the loop.", "s", 0.01, 60.0)
+    usual = plant.loop.period if plant.loop else 1.0
+    has = gains_for(plant, usual, closing)
+    period = Parameter("period", usual, "Sample time of the loop.", "s", 0.01, 60.0)
     if has is None:
         return (period,)
     u, y = unit_of(plant.drive), plant.output.unit
@@ -46,7 +55,7 @@ def loop_parameters(plant: type[Plant]) -> tuple[Parameter, ...]:
 
 
 def pid_gains(values: Mapping[str, Any]) -> PidGains:
-    """The controller from checked parameter values.
+    """The controller from checked parameter values, among which there are gains.
 
     Raises:
         PlantError: values no controller has.

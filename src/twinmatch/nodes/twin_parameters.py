@@ -14,14 +14,14 @@ from typing import Any
 
 import yaml
 
-from twinmatch.dynamics import Model, Plant, PlantError, Sensor
+from twinmatch.dynamics import FILED, Closing, Filed, Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Noise
-from twinmatch.nodes.loop_parameters import loop_parameters, pid_gains, unit_of
+from twinmatch.nodes.loop_parameters import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
 from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
 from twinmatch.plants import PLANTS, Peltier, find_plant
-from twinmatch.twin import ScheduleSettings, TrustLimits, TwinError, TwinSettings
+from twinmatch.twin import TrustLimits, TwinError, TwinSettings
 
 __all__ = [
     "at_period",
@@ -35,17 +35,24 @@ __all__ = [
 ]
 
 
-def twin_table(plant: type[Plant] = Peltier, structure: str | None = None) -> tuple[Parameter, ...]:
+def twin_table(
+    plant: type[Plant] = Peltier, structure: str | None = None, closing: Closing = FILED
+) -> tuple[Parameter, ...]:
     """Name, default, meaning, unit and range of everything in `TwinSettings`, and two that single nodes need.
 
     Raises:
-        PlantError: the plant has no such structure, its equations cannot be used, or its controller is not
-            known.
+        PlantError: the plant has no such structure, or its equations cannot be used.
     """
-    has = TwinSettings.of(plant, structure)
+    has = TwinSettings.of(plant, structure, gains=closing)
     return (
         *_plant(has.start.model),
-        *loop_parameters(plant),
+        Parameter(
+            "loop",
+            Filed.LOOP.value if closing is FILED else UNKNOWN,
+            "Whether the twin is closed into the plant file's loop; unknown: it is driven by the input.",
+            choices=(Filed.LOOP.value, UNKNOWN),
+        ),
+        *loop_parameters(plant, closing),
         *_schedule(has),
         *_sensor(has),
         *_family(has),
@@ -68,7 +75,7 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Parameter, .
         plant = find_plant(str(given.get("plant", Peltier.name)))
         named = given.get("structure")
         model = plant.model(None if named is None else str(named))
-        table = twin_table(plant, model.structure_name)
+        table = twin_table(plant, model.structure_name, closing_of(given))
     except PlantError as error:
         msg = f"{place}: {error}"
         raise ParameterError(msg) from error
@@ -105,16 +112,16 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         return {n.removeprefix(prefix): v for n, v in values.items() if n.startswith(prefix)}
 
     plant, period = find_plant(values["plant"]), values["period"]
-    usual = TwinSettings.of(plant, values["structure"], period)
+    usual = TwinSettings.of(plant, values["structure"], period, closing_of(values))
     sensor = group("sensor.")
     sensor["pause_period"] = sensor["pause_period"] or None
     return replace(
         usual,
-        schedule=ScheduleSettings(**group("schedule.")),
+        schedule=replace(usual.schedule, **group("schedule.")),
         free=tuple(values["free"]),
         start=usual.start.replace(**group("start.")),
         noise=Noise(**group("noise.")),
-        gains=pid_gains(values),
+        gains=None if usual.gains is None else pid_gains(values),
         sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],
@@ -132,9 +139,10 @@ def values_of(settings: TwinSettings) -> Values:
         "plant": model.plant.name,
         "structure": model.structure_name,
         "free": list(settings.free),
+        "loop": Filed.LOOP.value if settings.gains is not None else UNKNOWN,
     }
     groups: dict[str, Any] = {"pid": settings.gains}
-    for parameter in twin_table(model.plant, model.structure_name):
+    for parameter in twin_table(model.plant, model.structure_name, closing_of(values)):
         group, _, name = parameter.name.partition(".")
         if group == "start":
             values[parameter.name] = settings.start[name]
@@ -197,7 +205,8 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     if config is not None:
         msg = f"{config}: the period is {settings.period:g} s, but the samples come every {period:g} s"
         raise TwinError(msg)
-    return replace(settings, period=period, gains=replace(settings.gains, period=period))
+    gains = settings.gains
+    return replace(settings, period=period, gains=gains and replace(gains, period=period))
 
 
 def _plant(model: Model) -> tuple[Parameter, ...]:
@@ -233,12 +242,14 @@ def _plant(model: Model) -> tuple[Parameter, ...]:
 
 
 def _schedule(has: TwinSettings) -> tuple[Parameter, ...]:
-    unit = has.plant.output.unit
+    step = ("min_step", "Smallest set-point change that starts a regime.", has.plant.output.unit)
+    if has.gains is None:
+        step = ("min_input_step", "Smallest input change that starts a regime.", unit_of(has.plant.drive))
     return tuple(
         Parameter(f"schedule.{name}", getattr(has.schedule, name), text, unit, low, high)
         for name, text, unit, low, high in (
             ("stride", "Samples between two looks while nothing moves.", "samples", 4, 10000),
-            ("min_step", "Smallest set-point change that starts a regime.", unit, 1e-6, 1e6),
+            (*step, 1e-6, 1e6),
             ("min_span", "A shorter regime joins the next one.", "samples", 10, 10000),
             ("span", "A regime is judged this long after its step.", "samples", 20, 10000),
             ("lead", "Samples kept before the previous regime's step.", "samples", 1, 1000),

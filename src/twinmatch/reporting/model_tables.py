@@ -9,7 +9,7 @@ from twinmatch.discrimination import CandidateScore, SimoModel, Verdict
 from twinmatch.identification import BoxJenkins
 from twinmatch.reporting.table import Cell, Table, head, words
 from twinmatch.signals import FloatArray
-from twinmatch.views.criteria import OUTPUTS, Criterion, computed, criterion_rows
+from twinmatch.views.criteria import Criterion, computed, criterion_rows, outputs_of
 from twinmatch.views.family import Member
 from twinmatch.views.quantities import number
 
@@ -39,7 +39,7 @@ def _criterion_caption(candidate: CandidateScore, verdict: Verdict) -> str:
 
 
 def _criterion_body(candidate: CandidateScore, shown: Sequence[Criterion]) -> tuple[tuple[Cell, ...], ...]:
-    titles = dict(OUTPUTS)
+    titles = dict(outputs_of(candidate.orders))
     count = len(candidate.orders)
     rows = []
     for k, row in enumerate(criterion_rows(candidate, shown)):
@@ -120,13 +120,15 @@ def _span(low: float, high: float) -> str:
 
 
 def coefficient_table(member: Member) -> Table:
-    """B, C, D and F of every order, set-point to output and to input, as in the paper's table."""
+    """B, C, D and F of every order, set-point to output and to input, as in the paper's table; or input to
+    output."""
     models = member.models
     rows = []
-    for output, title in OUTPUTS[:2]:
+    for output, title in outputs_of(member.score.orders)[:2]:
         for k, polynomial in enumerate(("B", "C", "D", "F")):
             first = (head(title, 4),) if k == 0 else ()
-            cells = (words(coefficients(getattr(_model(m, output), polynomial)), mark="poly") for m in models)
+            held = (_model(m, output) for m in models)
+            cells = (words(coefficients(getattr(m, polynomial)), mark="poly") for m in held if m is not None)
             rows.append((*first, head(polynomial), *cells))
     columns = ("output", "", *(f"order {m.order}" for m in models))
     mark = ", nominal" if member.nominal else ""
@@ -138,5 +140,5 @@ def coefficients(values: FloatArray) -> str:
     return "  ".join(f"{v:.6g}".replace("-", "−") for v in values.tolist())
 
 
-def _model(model: SimoModel, output: str) -> BoxJenkins:
+def _model(model: SimoModel, output: str) -> BoxJenkins | None:
     return model.y if output == "y" else model.u

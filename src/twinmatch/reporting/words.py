@@ -9,7 +9,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.judging.judgement import Judgement
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
-from twinmatch.views.comparison import compare, root_mean_square
+from twinmatch.views.comparison import Comparison, compare, root_mean_square
 from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.quantities import number
 from twinmatch.views.standing import Shown, last_verdict, nominal_score, shown_twin
@@ -47,7 +47,10 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
             f"{number(min(given), 0)} to {number(max(given), 0)} {y.input_unit} "
             f"(limits {number(u.limits[0], 0)} to {number(u.limits[1], 0)})",
         ),
-        ("set-point steps", f"{_steps(samples, judgement.settings)}"),
+        (
+            "control steps" if judgement.settings.gains is None else "set-point steps",
+            _steps(samples, judgement.settings),
+        ),
         ("matches", _matches(judgement)),
         ("verdicts", f"{len(judgement.verdicts)}, of which {judgement.summary.identified} identified models"),
     ]
@@ -150,9 +153,28 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
     )
 
 
-def _fit(judgement: Judgement, shown: Shown) -> str:
+def _compared(judgement: Judgement, shown: Shown) -> tuple[Comparison, ...]:
+    settings = judgement.settings
+    return compare(judgement.samples, shown.parameters, settings.gains, settings.period)
+
+
+def _driven_fit(judgement: Judgement, shown: Shown) -> str:
     s, words = judgement.summary, _words(judgement)
-    parts = compare(judgement.samples, shown.parameters, judgement.settings.gains)
+    y = root_mean_square([p.driven_residual_y for p in _compared(judgement, shown)])
+    faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
+    return (
+        f"Given the recorded control, {shown.name} follows the measured {words.output} over the whole "
+        f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
+        f"{number(y)} {words.output_unit} RMS)"
+        f"{'; the time in which the plant was faulty is part of that' if faulty else ''}."
+    )
+
+
+def _fit(judgement: Judgement, shown: Shown) -> str:
+    if judgement.settings.gains is None:
+        return _driven_fit(judgement, shown)
+    s, words = judgement.summary, _words(judgement)
+    parts = _compared(judgement, shown)
     y = root_mean_square([p.closed_residual_y for p in parts])
     u = root_mean_square([p.closed_residual_u for p in parts])
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
@@ -197,11 +219,15 @@ def _health(judgement: Judgement) -> str:
 
 
 def _fit_facts(judgement: Judgement, shown: Shown) -> list[tuple[str, str]]:
-    parts = compare(judgement.samples, shown.parameters, judgement.settings.gains)
+    parts = _compared(judgement, shown)
     s, words = judgement.summary, _words(judgement)
+    driven = root_mean_square([p.driven_residual_y for p in parts])
+    range_ = ("trusted between", str(s.range) if s.range else "–")
+    if judgement.settings.gains is None:
+        of_driven = f"fit {number(100 * s.fit_y, 1)} %, {number(driven, 3)} {words.output_unit} RMS"
+        return [(f"driven twin of {shown.name}, {words.output}", of_driven), range_]
     y = root_mean_square([p.closed_residual_y for p in parts])
     u = root_mean_square([p.closed_residual_u for p in parts])
-    driven = root_mean_square([p.driven_residual_y for p in parts])
     return [
         (
             f"closed-loop twin of {shown.name}, {words.output}",
@@ -212,7 +238,7 @@ def _fit_facts(judgement: Judgement, shown: Shown) -> list[tuple[str, str]]:
             f"fit {number(100 * s.fit_u, 1)} %, {number(u, 1)} {words.input_unit} RMS",
         ),
         (f"driven twin of {shown.name}, {words.output}", f"{number(driven, 2)} {words.output_unit} RMS"),
-        ("trusted between", str(s.range) if s.range else "–"),
+        range_,
     ]
 
 
@@ -223,12 +249,14 @@ def _matches(judgement: Judgement) -> str:
 
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
-    least = settings.schedule.min_step
-    count, anchor = 0, samples[0].reference
-    for sample in samples:
-        if abs(sample.reference - anchor) >= least:
-            count, anchor = count + 1, sample.reference
-    return f"{count} of {least:g} {settings.plant.output.unit} or more"
+    least = settings.least_movement
+    moving = [s.input if settings.gains is None else s.reference for s in samples]
+    count, anchor = 0, moving[0]
+    for value in moving:
+        if abs(value - anchor) >= least:
+            count, anchor = count + 1, value
+    unit = settings.plant.drive.unit if settings.gains is None else settings.plant.output.unit
+    return f"{count} of {least:g} {unit} or more"
 
 
 def _plant(judgement: Judgement) -> type[Plant]:

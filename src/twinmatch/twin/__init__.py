@@ -20,7 +20,7 @@ from twinmatch.twin.entrant import ForecastSettings
 from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest, answer
 from twinmatch.twin.mirror import Mirror, MirrorState
-from twinmatch.twin.residuals import Residuals, closed_loop_fit, nrmse, residuals
+from twinmatch.twin.residuals import Residuals, nrmse, residuals, window_fit
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinError, TwinSettings
 from twinmatch.twin.snapshot import Snapshot
@@ -53,10 +53,10 @@ __all__ = [
     "TwinSettings",
     "answer",
     "choose_structure",
-    "closed_loop_fit",
     "nrmse",
     "residuals",
     "watched",
+    "window_fit",
 ]
 
 

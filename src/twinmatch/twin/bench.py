@@ -12,7 +12,7 @@ from twinmatch.signals import Window
 from twinmatch.twin.contenders import Contenders
 from twinmatch.twin.entrant import Entrant
 from twinmatch.twin.forecaster import Forecaster
-from twinmatch.twin.members import Judged, Members, plant_model
+from twinmatch.twin.members import Judged, Members
 from twinmatch.twin.present import Present
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_watch import StructureSettings, StructureWatch, watched
@@ -35,14 +35,14 @@ class Bench:
 
     def __init__(self, settings: TwinSettings, spoilt: Callable[[int, int], bool]) -> None:
         """Begin with nobody; of stretches that are `spoilt` nothing is learned."""
-        plant, noise, gains = settings.plant, settings.noise, settings.gains
+        plant, noise, gains, period = settings.plant, settings.noise, settings.gains, settings.period
         self.members = Members(settings)
-        self.forecaster = Forecaster(gains, settings.forecasts, spoilt)
+        self.forecaster = Forecaster(gains, settings.forecasts, spoilt, period)
         self._structure = StructureWatch(
             StructureSettings(models=watched(plant), noise=noise, gains=gains, decimals=settings.decimals)
         )
         others = tuple(model for model in watched(plant) if model is not settings.start.model)
-        self._contenders = Contenders(others, noise, gains)
+        self._contenders = Contenders(others, noise, gains, period)
         self._present = Present(watched(plant), noise, gains)
         self._successors: dict[str, str] = {}
         self._looked: _Looked | None = None
@@ -85,7 +85,7 @@ class Bench:
         Raises:
             TwinmatchError: no model can be identified on it.
         """
-        plant = plant_model(window, self.members.order)
+        plant = self.members.model(window)
         self._looked = _Looked(window, plant, self._present.look(self._structure.history))
         return self._scored(verdict, self._looked)
 
@@ -102,7 +102,7 @@ class Bench:
         if not len(self.members):
             nobody = Judged((), None, None, (), (), (), certainty="")
             return replace(verdict, **nobody._asdict()), gone
-        plant = plant_model(self._looked.window, self.members.order)
+        plant = self.members.model(self._looked.window)
         return self._scored(verdict, self._looked._replace(plant=plant)), gone
 
     def let_lead(self, verdict: Verdict) -> Verdict:

@@ -47,17 +47,21 @@ class Contender:
 class Contenders:
     """Keeps the history and the structures' newest fits; all depends on the windows alone."""
 
-    def __init__(self, models: tuple[Model, ...], noise: Noise, gains: PidGains) -> None:
+    def __init__(
+        self, models: tuple[Model, ...], noise: Noise, gains: PidGains | None, period: float = 1.0
+    ) -> None:
         """Begin without samples.
 
         Args:
             models: the plant in each structure that competes.
             noise: what residuals are measured in.
-            gains: of the running controller.
+            gains: of the running controller; None for a loop that is not known.
+            period: sample time of such a plant, s; a loop has its controller's.
         """
         self._models, self._noise, self._gains = models, noise, gains
-        self._history = History(max(round(LONGEST_S / gains.period), 1))
-        self._every = round(EVERY_S / gains.period)
+        period = gains.period if gains is not None else period
+        self._history = History(max(round(LONGEST_S / period), 1))
+        self._every = round(EVERY_S / period)
         self._held: dict[str, Contender] = {}
 
     @property
@@ -110,7 +114,7 @@ class Contenders:
             )
         except TwinmatchError:
             return None  # too few samples yet, or no fit: the one before stands
-        point = float(np.median(history.reference))
+        point = float(np.median(history.output if self._gains is None else history.reference))
         free = model.structure.free
         candidate = Candidate(model.structure_name, point, fit.parameters, history, free, fit.covariance)
         return Contender(candidate, fit, history.last)

@@ -22,6 +22,7 @@ from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.bench import Bench
 from twinmatch.twin.forecaster import Forecaster
+from twinmatch.twin.input_schedule import InputSchedule
 from twinmatch.twin.matcher import MatchReport, MatchRequest
 from twinmatch.twin.promises import Promise, Promises, trust_level
 from twinmatch.twin.residuals import Residuals, residuals
@@ -72,7 +73,7 @@ class Discriminator:
         self._followed = followed
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
-        self._schedule = Schedule(self.settings.schedule, self.settings.period)
+        self._schedule = _schedule(self.settings)
         self._bench = Bench(self.settings, self._spoilt)
         self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
@@ -215,7 +216,7 @@ class Discriminator:
             self._bench.watch(window, excited=trigger.excited)
         self._bench.enter()
         if fate is None:
-            return self._stand(sample, window, "the set-point did not move")
+            return self._stand(sample, window, trigger.reason)
         if not len(self._bench.members):
             return self._stand(sample, window, fate.reason)
         fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
@@ -318,3 +319,10 @@ class Discriminator:
         )
         newest = window.part(min(first, window.last), window.last)
         return residuals(self._bench.members.candidate(nominal).parameters, newest, self.settings.gains)
+
+
+def _schedule(settings: TwinSettings) -> Schedule:
+    """By the set-points of a loop that is known; else by the input."""
+    if settings.gains is None:
+        return InputSchedule(settings.schedule, settings.period, settings.regime_width)
+    return Schedule(settings.schedule, settings.period)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.discrimination import ForecastScore
-from twinmatch.dynamics import Pid, PidGains
+from twinmatch.dynamics import Pid, PidGains, PidState
 from twinmatch.forecasting import (
     PERSISTENCE,
     Calibration,
@@ -19,7 +19,7 @@ from twinmatch.forecasting import (
     Outlook,
     leads_of,
 )
-from twinmatch.signals import Sample
+from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin.entrant import Entrant, ForecastSettings
 from twinmatch.twin.hindsight import Hindsight
 from twinmatch.twin.promises import Promise, promise_of
@@ -48,26 +48,30 @@ class Forecaster:
 
     At every sample each twin's states are corrected by the reading. Every `every` seconds all of them are put
     down as they are; when the longest horizon has come, they foretell from there, under the set-points that
-    came meanwhile, and ledger and bands learn from the errors. All depends on samples and entrants alone.
+    came meanwhile, and ledger and bands learn from the errors; twins whose loop is not known foretell the
+    output under the inputs that came. All depends on samples and entrants alone.
     """
 
     def __init__(
         self,
-        gains: PidGains,
+        gains: PidGains | None,
         settings: ForecastSettings | None = None,
         spoilt: Callable[[int, int], bool] = lambda _first, _last: False,
+        period: float = 1.0,
     ) -> None:
         """Begin without candidates.
 
         Args:
-            gains: of the running controller.
+            gains: of the running controller; None for a loop that is not known.
             settings: horizons and pace.
             spoilt: whether something is known to have been wrong with the plant between two samples; nothing
                 is learned from such a stretch.
+            period: sample time of a plant whose loop is not known, s; a loop has its controller's.
         """
         self.settings = settings or ForecastSettings()
         self._gains, self._spoilt = gains, spoilt
-        period = gains.period
+        self._signals = 1 if gains is None else 2
+        self.period = period = gains.period if gains is not None else period
         self.horizons = tuple(max(round(h / period), 1) for h in self.settings.horizons)
         self._longest = max(self.horizons)
         self._stride = max(round(self.settings.every / period), 1)
@@ -81,7 +85,7 @@ class Forecaster:
         self._run_in = tuple(round(stretch / period) for stretch in _RUN_IN_S)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
-        self._pid = Pid(gains)
+        self._pid = None if gains is None else Pid(gains)
         self.notes: tuple[str, ...] = ()
         """What forecasts cannot promise now, for those who ask."""
 
@@ -151,7 +155,8 @@ class Forecaster:
             self._break()
         self._recent.append(sample)
         self._visited = min(self._visited[0], sample.output), max(self._visited[1], sample.output)
-        self._pid.follow(sample.reference, sample.output, sample.input)
+        if self._pid is not None:
+            self._pid.follow(sample.reference, sample.output, sample.input)
         for twin in self._twins.values():
             twin.follower.push(sample)
         if self._twins and sample.index % self._stride == 0:
@@ -173,7 +178,7 @@ class Forecaster:
         """
         if self._ledger is None and entrants:
             plant = entrants[0].parameters.model.plant
-            noise = np.array([plant.output.noise, plant.drive.noise])
+            noise = np.array([plant.output.noise, plant.drive.noise])[: self._signals]
             self._ledger = Ledger(len(self.horizons), noise, self._kept)
         twins = {}
         for entrant in entrants:
@@ -213,10 +218,11 @@ class Forecaster:
             states=twin.follower.states,
             covariance=twin.follower.joint,
             unsure=twin.follower.free,
-            controller=self._pid.state,
+            controller=PidState() if self._pid is None else self._pid.state,
             gains=self._gains,
+            period=self.period,
             leads=self._leads,
-            widths=twin.calibration.widths if banded else np.full((2, len(self._leads)), np.nan),
+            widths=twin.calibration.widths if banded else np.full((self._signals, len(self._leads)), np.nan),
             visited=self._visited,
             notes=self.notes,
         )
@@ -225,7 +231,7 @@ class Forecaster:
         """How the newest readings lie in the bands that were given before them; None where none was.
 
         The forecast is that of the leader of its time, from the newest sample before these from which all
-        foretold, under the set-points that came.
+        foretold, under the set-points (or inputs) and the disturbances that came.
         """
         if not self._recent:
             return None
@@ -233,24 +239,29 @@ class Forecaster:
         made = [sample for sample in self._departures if sample <= newest - samples]
         if not made:
             return None
-        came = list(self._recent)[made[-1] - newest :]
-        forecast = self._departures[made[-1]].outlook().forecast(np.array([s.reference for s in came]))
+        came = list(self._recent)[made[-1] - newest - 1 :]
+        forecast = self._departures[made[-1]].outlook().forecast(self._asked(came[1:]), _rows(came))
         newest_of = came[-samples:]
-        return promise_of(
-            forecast, np.array([s.output for s in newest_of]), np.array([s.input for s in newest_of])
-        )
+        output, input_ = (np.array([getattr(s, name) for s in newest_of]) for name in ("output", "input"))
+        return promise_of(forecast, output, None if self._gains is None else input_)
+
+    def _asked(self, came: Sequence[Sample]) -> FloatArray:
+        """What a forecast is made under: the set-points that came, or the inputs."""
+        return np.array([s.input if self._gains is None else s.reference for s in came])
 
     def _break(self) -> None:
         """The next sample does not follow: start again from readings; what was learned stays."""
         self._recent.clear()
         self._departures.clear()
-        self._pid = Pid(self._gains)
+        self._pid = None if self._gains is None else Pid(self._gains)
         for twin in self._twins.values():
             twin.follower.restart()
 
     def _begun(self, entrant: Entrant, before: _Twin | None) -> _Twin:
         """A twin that has followed the newest samples, as far back as they were kept."""
-        calibration = before.calibration.copy() if before else Calibration(self._leads, self._kept)
+        calibration = (
+            before.calibration.copy() if before else Calibration(self._leads, self._kept, self._signals)
+        )
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
             states = entrant.states_at(recent[0].index) if recent else None
@@ -258,7 +269,7 @@ class Forecaster:
                 break
         follower = Follower(
             entrant.parameters,
-            self._gains.period,
+            self.period,
             states=states,
             free=entrant.free,
             covariance=entrant.covariance,
@@ -273,25 +284,29 @@ class Forecaster:
         if ledger is None or self._spoilt(sample, sample + ahead):
             return
         past = list(self._recent)[-ahead - 1 :]
-        reference = np.array([s.reference for s in past[1:]])
-        rows = np.array([s.disturbances for s in past]) if past[0].disturbances else None
-        measured = np.array([[s.output for s in past[1:]], [s.input for s in past[1:]]])
+        asked, rows, signals = self._asked(past[1:]), _rows(past), self._signals
+        measured = np.array([[s.output for s in past[1:]], [s.input for s in past[1:]]])[:signals]
         before = max((h for h in self.horizons if h < ahead), default=0)
-        held = np.array([[past[0].output], [past[0].input]])
+        held = np.array([[past[0].output], [past[0].input]])[:signals]
         errors, paths = {PERSISTENCE: (measured - held)[:, before:]}, {}
         seldom = sample // self._stride % _SELDOM
         for name, outlook in departure.outlooks.items():
             if name not in self._twins:
                 continue
             if seldom and name != departure.leader:
-                off = measured - outlook.mean(reference, rows)
+                off = measured - outlook.mean(asked, rows)[:signals]
             else:
-                foretold = outlook.foretold(reference, rows)
-                off = measured - np.stack([foretold.output, foretold.input])
-                quotients = np.abs(off) / outlook.deviations(foretold)
+                foretold = outlook.foretold(asked, rows)
+                off = measured - np.stack([foretold.output, foretold.input])[:signals]
+                quotients = np.abs(off) / outlook.deviations(foretold)[:signals]
                 self._twins[name].calibration.learn(quotients, before)
             errors[name] = off[:, before:]
             paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))
         ledger.add(errors, place)
         if ahead == self._longest and departure.leader in paths:
             self._hindsight.add(paths[departure.leader], min(paths.values()))
+
+
+def _rows(samples: Sequence[Sample]) -> FloatArray | None:
+    """Their disturbances, shape (N, d), if there are any."""
+    return np.array([s.disturbances for s in samples]) if samples[0].disturbances else None

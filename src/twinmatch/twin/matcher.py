@@ -55,7 +55,7 @@ def answer(request: MatchRequest, settings: TwinSettings) -> MatchReport:
                 incumbent=request.incumbent,
                 noise=settings.noise,
                 gains=settings.gains,
-                min_step=settings.schedule.min_step,
+                min_step=settings.least_movement,
             )
     except TwinmatchError as error:
         status, words = Status.DID_NOT_CONVERGE, f"the window could not be matched: {error}"

@@ -34,7 +34,7 @@ from twinmatch.identification import ORDERS
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.settings import TwinSettings
 
-__all__ = ["Judged", "Members", "plant_model"]
+__all__ = ["Judged", "Members"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Members:
         self._family = Family(settings.most_candidates, settings.regime_width)
         self._members: dict[str, _Member] = {}
         self._reached: tuple[float, float] | None = None
-        self._held = Held(settings.gains, spans_of(settings.plant), settings.schedule.span)
+        self._held = Held(settings.gains, spans_of(settings.plant), settings.schedule.span, settings.period)
 
     def __len__(self) -> int:
         return len(self._members)
@@ -96,6 +96,15 @@ class Members:
         """The order most members chose, at which all of them are compared."""
         return common_order([self._members[c.name].chosen for c in self._family.candidates])
 
+    def model(self, window: Window) -> SimoModel:
+        """The measured window's model of the members' order, climbed to from the lower ones as every other
+        was.
+
+        Raises:
+            IdentificationError: set-point or input does not move, or there are too few samples.
+        """
+        return identify(window, ORDERS[: ORDERS.index(self.order) + 1], scale=self._settings.model_scale)[-1]
+
     def admit(self, candidate: Candidate, window: Window) -> str:
         """Identify the candidate's twin on a window and take it in; return a sentence saying so.
 
@@ -106,7 +115,7 @@ class Members:
         response = twin_response(
             candidate.parameters, window, settings.gains, settings.sensor, settings.seed + window.first
         )
-        models = {m.order: m for m in identify(response)}
+        models = {m.order: m for m in identify(response, scale=settings.model_scale)}
         measured = window.part(response.first, response.last)
         absolute = settings.plant.output.absolute
         orders = score_orders(list(models.values()), measured, settings.decimals, absolute=absolute)
@@ -186,8 +195,9 @@ class Members:
 
     def _points(self, newest: Window) -> tuple[float, ...]:
         """Where plants are compared: at the family's operating points, and at the lowest and the highest
-        set-point of all windows that were judged."""
-        seen = [float(newest.reference.min()), float(newest.reference.max()), *(self._reached or ())]
+        set-point of all windows that were judged, or output where nobody knows of a loop."""
+        levels = newest.output if self._settings.gains is None else newest.reference
+        seen = [float(levels.min()), float(levels.max()), *(self._reached or ())]
         self._reached = min(seen), max(seen)
         return tuple(sorted({*self._reached, *(c.operating_point for c in self._family.candidates)}))
 
@@ -211,12 +221,3 @@ def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in matrix.tolist())
-
-
-def plant_model(window: Window, order: str) -> SimoModel:
-    """The measured window's model of one order, climbed to from the lower ones as every other was.
-
-    Raises:
-        IdentificationError: the set-point does not move, or there are too few samples.
-    """
-    return identify(window, ORDERS[: ORDERS.index(order) + 1])[-1]

@@ -18,7 +18,7 @@ class Present:
     Each fit begins where the one before ended, so that what the newest samples leave open stays as it was.
     """
 
-    def __init__(self, models: Sequence[Model], noise: Noise, gains: PidGains) -> None:
+    def __init__(self, models: Sequence[Model], noise: Noise, gains: PidGains | None) -> None:
         """Of these structures of a plant, simpler ones first, the richest is fitted: the last with the most
         parameters."""
         self._model = max(reversed(models), key=lambda model: model.structure.n_parameters())

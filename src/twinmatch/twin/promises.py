@@ -25,25 +25,29 @@ class Promise(NamedTuple):
     inside_y: float
     """Share of the readings within the band; 0.9 is promised."""
     miss_u: float
+    """The same of the input; NaN where it was given."""
     inside_u: float
 
     @property
     def miss(self) -> float:
-        """The greater of both."""
-        return max(self.miss_y, self.miss_u)
+        """The greater of both, or what there is; NaN without any."""
+        return self.miss_y if np.isnan(self.miss_u) else max(self.miss_y, self.miss_u)
 
 
-def promise_of(forecast: Forecast, output: FloatArray, input: FloatArray) -> Promise:
-    """How the last N samples of a forecast came true, shape (N,) each."""
+def promise_of(forecast: Forecast, output: FloatArray, input: FloatArray | None) -> Promise:
+    """How the last N samples of a forecast came true, shape (N,) each; no input where it was given."""
     figures: list[float] = []
-    for values, band in ((output, forecast.output), (input, forecast.input)):
+    foretold = [(output, forecast.output)]
+    if input is not None:
+        foretold.append((input, forecast.input))
+    for values, band in foretold:
         mean, low, high = (part[-values.size :] for part in (band.mean, band.low, band.high))
         half = np.where(values > mean, high - mean, mean - low)
         # On a limit of the controller a band has one side only.
         half = np.maximum(half, 0.5 * (high - low))
         figures.append(float(np.sqrt(np.mean(np.square((values - mean) / half)))))
         figures.append(float(np.mean((low <= values) & (values <= high))))
-    return Promise(*figures)
+    return Promise(*figures, *[float("nan")] * (4 - len(figures)))
 
 
 class Promises:

@@ -9,7 +9,7 @@ import numpy as np
 from twinmatch.dynamics import SKIPPED, Parameters, PidGains, begin, simulate_driven, simulate_window
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Residuals", "closed_loop_fit", "nrmse", "residuals"]
+__all__ = ["Residuals", "nrmse", "residuals", "window_fit"]
 
 
 class Residuals(NamedTuple):
@@ -18,10 +18,10 @@ class Residuals(NamedTuple):
     y: float
     """Output against the driven twin, which is given the measured input."""
     u: float
-    """Input against the closed-loop twin, which is given the set-point."""
+    """Input against the closed-loop twin, which is given the set-point; NaN where the loop is not known."""
 
 
-def residuals(parameters: Parameters, window: Window, gains: PidGains) -> Residuals:
+def residuals(parameters: Parameters, window: Window, gains: PidGains | None) -> Residuals:
     """Run both twins over a window from its measured start (NaN if it has fewer than four samples)."""
     if len(window) < 4:
         return Residuals(float("nan"), float("nan"))
@@ -30,16 +30,21 @@ def residuals(parameters: Parameters, window: Window, gains: PidGains) -> Residu
     driven = simulate_driven(
         parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )
+    off = _rms(window.output[SKIPPED:] - driven.output)
+    if gains is None:
+        return Residuals(off, float("nan"))
     closed = simulate_window(parameters, window, gains=gains)
-    return Residuals(
-        _rms(window.output[SKIPPED:] - driven.output), _rms(window.input[SKIPPED:] - closed.input)
-    )
+    return Residuals(off, _rms(window.input[SKIPPED:] - closed.input))
 
 
-def closed_loop_fit(parameters: Parameters, window: Window, gains: PidGains) -> tuple[float, float]:
-    """NRMSE fit of output and input of the closed-loop twin over a window; 1 is perfect."""
-    closed = simulate_window(parameters, window, gains=gains)
-    return nrmse(window.output[SKIPPED:], closed.output), nrmse(window.input[SKIPPED:], closed.input)
+def window_fit(parameters: Parameters, window: Window, gains: PidGains | None) -> tuple[float, float]:
+    """NRMSE fit of output and input of the closed-loop twin over a window; 1 is perfect.
+
+    Without gains it is that of the driven twin's output, and NaN.
+    """
+    twin = simulate_window(parameters, window, gains=gains)
+    of_output = nrmse(window.output[SKIPPED:], twin.output)
+    return of_output, float("nan") if gains is None else nrmse(window.input[SKIPPED:], twin.input)
 
 
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float:

@@ -8,6 +8,9 @@ replayed session triggers exactly where the live one did. There are two kinds:
   the way between them: what a match needs.
 * **quiet**: nothing moved for `stride` samples. The window holds just those; no parameters can be
   found in it, but the twin's residual can be.
+
+Where the loop is not known the set-point says nothing, and the input says when there is something to see
+(`InputSchedule`).
 """
 
 from __future__ import annotations
@@ -33,7 +36,9 @@ class ScheduleSettings:
     stride: int = 60
     """Samples between two quiet triggers."""
     min_step: float = 2.0
-    """Smallest change of the set-point that starts a new regime, in the unit of the output."""
+    """Smallest change of the set-point that starts a new regime, in the output's unit."""
+    min_input_step: float = 127.5
+    """The same of the input, in its unit, where the loop is not known."""
     min_span: int = 60
     """A regime shorter than this is not judged on its own; the next step is taken to belong to it."""
     span: int = 240
@@ -48,9 +53,10 @@ class ScheduleSettings:
             if getattr(self, name) < 1:
                 msg = f"schedule: {name} is {getattr(self, name)}; it must be at least 1 sample"
                 raise ScheduleError(msg)
-        if not self.min_step > 0:
-            msg = f"schedule: min_step is {self.min_step}; it must be positive"
-            raise ScheduleError(msg)
+        for name in ("min_step", "min_input_step"):
+            if not getattr(self, name) > 0:
+                msg = f"schedule: {name} is {getattr(self, name)}; it must be positive"
+                raise ScheduleError(msg)
         if not self.min_span <= self.span < self.capacity:
             msg = (
                 f"schedule: min_span {self.min_span}, span {self.span} and capacity {self.capacity} samples "
@@ -66,9 +72,11 @@ class Trigger(NamedTuple):
     """Index of the sample that set it off."""
     window: Window
     excited: bool
-    """True when the window holds a set-point step, so that parameters can be matched on it."""
+    """True when the window holds a step, so that parameters can be matched on it."""
     operating_point: float
-    """Set-point at the window's end."""
+    """Set-point at the window's end, or the output where the loop is not known; in the output's unit."""
+    reason: str = ""
+    """Why it is not excited, in a sentence."""
 
 
 class Schedule:
@@ -79,7 +87,6 @@ class Schedule:
         self.settings = settings or ScheduleSettings()
         self.period = period
         self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)
-        self._restart(0)
 
     def push(self, sample: Sample) -> Trigger | None:
         """Take one sample; return the trigger it sets off, if any.
@@ -90,22 +97,27 @@ class Schedule:
         if self._samples and sample.index != self._samples[-1].index + 1:
             self._samples.clear()
         if not self._samples:
-            self._restart(sample.index)
-            self._anchor = sample.reference
-        trigger = self._on_step(sample) if abs(sample.reference - self._anchor) >= self._min_step else None
+            self._restart(sample)
+        far = abs(self._moving(sample) - self._anchor) >= self._least
+        trigger = self._on_step(sample) if far else None
         self._samples.append(sample)
         return trigger or self._on_count(sample)
 
-    @property
-    def _min_step(self) -> float:
-        return self.settings.min_step
-
-    def _restart(self, index: int) -> None:
-        self._anchor = 0.0  # set-point of the regime
+    def _restart(self, sample: Sample) -> None:
+        self._anchor = self._moving(sample)  # its value in this regime
         self._step: int | None = None  # index of the regime's first sample; None before the first step
-        self._previous_step = index
+        self._previous_step = sample.index
         self._judged = False
-        self._looked = index - 1  # last sample of the newest trigger's window
+        self._looked = sample.index - 1  # last sample of the newest trigger's window
+
+    def _moving(self, sample: Sample) -> float:
+        """The signal whose steps begin regimes."""
+        return sample.reference
+
+    @property
+    def _least(self) -> float:
+        """The smallest of these steps."""
+        return self.settings.min_step
 
     def _on_step(self, sample: Sample) -> Trigger | None:
         self._anchor = sample.reference
@@ -125,14 +137,25 @@ class Schedule:
         if sample.index - self._looked >= self.settings.stride:
             window = self._window(self._looked + 1, sample.index)
             self._looked = sample.index
-            return Trigger(sample.index, window, False, float(window.reference[-1]))
+            return Trigger(sample.index, window, False, self._point(window), self._quiet())
         return None
 
+    def _quiet(self) -> str:
+        """Why the newest samples excite nothing."""
+        return "the set-point did not move"
+
+    def _point(self, window: Window) -> float:
+        """The operating point at a window's end."""
+        return float(window.reference[-1])
+
+    def _begin(self, oldest: int) -> int:
+        """Where an excited window begins that reaches no further back than `oldest`."""
+        return max(self._previous_step - self.settings.lead, oldest)
+
     def _excited(self, index: int, last: int) -> Trigger:
-        first = max(self._previous_step - self.settings.lead, last - self.settings.capacity + 1)
-        window = self._window(first, last)
+        window = self._window(self._begin(last - self.settings.capacity + 1), last)
         self._looked = last
-        return Trigger(index, window, True, float(window.reference[-1]))
+        return Trigger(index, window, True, self._point(window))
 
     def _window(self, first: int, last: int) -> Window:
         held = [s for s in self._samples if first <= s.index <= last]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from twinmatch.dynamics import Parameters, PidGains, Plant, Sensor, gains_of
+from twinmatch.discrimination import spans_of
+from twinmatch.dynamics import FILED, Closing, Parameters, PidGains, Plant, Sensor, gains_for, gains_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import HealthSettings
 from twinmatch.matching import Noise
@@ -16,8 +17,7 @@ from twinmatch.twin.schedule import ScheduleSettings
 __all__ = ["TrustLimits", "TwinError", "TwinSettings"]
 
 _REGIME: Final = 100.0
-_STEP: Final = 20.0
-"""Width of a regime and smallest step that begins one, in units of the output's noise."""
+"""Width of a regime, in units of the output's noise."""
 
 
 class TwinError(TwinmatchError):
@@ -63,7 +63,8 @@ class TwinSettings:
     start: Parameters = field(default_factory=_start)
     """Start values, and the values of all that is not free; the structure that is matched is theirs."""
     noise: Noise = Noise.of(Peltier)  # noqa: RUF009 (immutable)
-    gains: PidGains = field(default_factory=_gains)
+    gains: PidGains | None = field(default_factory=_gains)
+    """Of the running controller; None: the loop is not known, and twins are driven by the recorded input."""
     sensor: Sensor = Peltier.sensor
     """The twin is seen through it when its models are identified."""
     seed: int = 2022
@@ -80,26 +81,50 @@ class TwinSettings:
     """How the candidates are held to what they foretell."""
 
     @classmethod
-    def of(cls, plant: type[Plant], structure: str | None = None, period: float = 1.0) -> TwinSettings:
+    def of(
+        cls,
+        plant: type[Plant],
+        structure: str | None = None,
+        period: float = 1.0,
+        gains: Closing = FILED,
+    ) -> TwinSettings:
         """Those for a plant in one of its structures (the first, if none is named).
 
+        Its controller is what the plant file says, unless `gains` says another, or None: that it is not
+        known.
+
         Raises:
-            PlantError: there is no such structure, or the plant's controller is not known.
+            PlantError: there is no such structure.
         """
         model = plant.model(structure)
         noise = plant.output.noise
+        held = gains_for(plant, period, gains)
         return cls(
             plant=plant,
             period=period,
-            schedule=ScheduleSettings(min_step=_STEP * noise),
+            schedule=ScheduleSettings(
+                min_step=plant.output.least_step, min_input_step=plant.drive.least_step
+            ),
             free=model.structure.free,
             start=model.parameters(),
             noise=Noise.of(plant),
-            gains=gains_of(plant, period),
+            gains=held,
             sensor=plant.sensor or Sensor(),
             regime_width=_REGIME * noise,
             health=HealthSettings.of(plant, period),
         )
+
+    @property
+    def least_movement(self) -> float:
+        """Of what excites the plant: the set-point, or the input where the loop is not known; in its unit."""
+        schedule = self.schedule
+        return schedule.min_input_step if self.gains is None else schedule.min_step
+
+    @property
+    def model_scale(self) -> float | None:
+        """In which units `identify` has to compare models from input to output; None: the loop is known, and
+        models start from its set-point."""
+        return None if self.gains is not None else spans_of(self.plant).ratio
 
     def __post_init__(self) -> None:
         for name, of in (("start", self.start), ("health.reference", self.health.reference)):
@@ -112,7 +137,7 @@ class TwinSettings:
         if not self.regime_width > 0:
             msg = f"twin: regime_width is {self.regime_width}; it must be positive"
             raise TwinError(msg)
-        if self.gains.period != self.period:
+        if self.gains is not None and self.gains.period != self.period:
             msg = (
                 f"twin: the controller runs every {self.gains.period} s but samples come every "
                 f"{self.period} s; give both the same period"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twinmatch.dynamics import Model, PidGains, Plant
+from twinmatch.dynamics import FILED, Closing, Model, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Noise
 from twinmatch.signals import Window
@@ -31,7 +31,7 @@ class StructureSettings:
     longest: int = 1200
     """Newest samples that are looked at."""
     noise: Noise | None = None
-    gains: PidGains | None = None
+    gains: Closing = FILED
     decimals: int = 2
 
     def __post_init__(self) -> None:

@@ -26,7 +26,7 @@ from twinmatch.discrimination import information_gain
 from twinmatch.discrimination.code_length import two_part_length
 from twinmatch.discrimination.criteria import bic, mdl, naic
 from twinmatch.discrimination.score import Criteria
-from twinmatch.dynamics import Model, Parameters, PidGains
+from twinmatch.dynamics import FILED, Closing, Model, Parameters
 from twinmatch.matching import MatchingError, Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
 
@@ -128,7 +128,7 @@ def choose_structure(
     *,
     previous: StructureChoice | None = None,
     noise: Noise | None = None,
-    gains: PidGains | None = None,
+    gains: Closing = FILED,
     decimals: int = 2,
     thorough: bool = True,
 ) -> StructureChoice:
@@ -143,7 +143,8 @@ def choose_structure(
             these, its evidence counts too: the plant is then taken to have had one structure all along,
             whatever its parameters did.
         noise: what the residuals of the fits are measured in; the plant's if not given.
-        gains: of the running controller; the plant file's if not given.
+        gains: of the running controller, None for a loop that is not known; what the plant file says if not
+            given.
         decimals: places the tables of the information gain are written with.
         thorough: as in `fit_structure`.
 

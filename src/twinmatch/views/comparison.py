@@ -19,8 +19,9 @@ class Comparison:
     """One unbroken stretch of samples and what the twins make of it; arrays from its third sample on."""
 
     window: Window
-    closed: Response
-    """The closed-loop twin: given the set-point, it answers with output and input."""
+    closed: Response | None
+    """The closed-loop twin: given the set-point, it answers with output and input; None where the loop is not
+    known."""
     driven: FloatArray
     """The driven twin's output: it is given the measured input."""
 
@@ -31,12 +32,16 @@ class Comparison:
 
     @property
     def closed_residual_y(self) -> FloatArray:
-        """Measured minus closed-loop-twin output."""
+        """Measured minus closed-loop-twin output; empty without one."""
+        if self.closed is None:
+            return np.empty(0)
         return np.asarray(self.window.output[SKIPPED:] - self.closed.output)
 
     @property
     def closed_residual_u(self) -> FloatArray:
-        """Measured minus closed-loop-twin input."""
+        """Measured minus closed-loop-twin input; empty without one."""
+        if self.closed is None:
+            return np.empty(0)
         return np.asarray(self.window.input[SKIPPED:] - self.closed.input)
 
     @property
@@ -45,13 +50,18 @@ class Comparison:
         return np.asarray(self.window.output[SKIPPED:] - self.driven)
 
 
-def compare(samples: Sequence[Sample], parameters: Parameters, gains: PidGains) -> tuple[Comparison, ...]:
-    """Run both twins over every unbroken stretch of at least four samples, each from its measured start."""
+def compare(
+    samples: Sequence[Sample], parameters: Parameters, gains: PidGains | None, period: float = 1.0
+) -> tuple[Comparison, ...]:
+    """Run the twins over every unbroken stretch of at least four samples, each from its measured start.
+
+    The period, s, is that of a plant whose loop is not known; a loop has its controller's.
+    """
     found = []
     for stretch in unbroken(samples):
         if len(stretch) < SKIPPED + 2:
             continue
-        window = Window.from_samples(stretch, gains.period)
+        window = Window.from_samples(stretch, period if gains is None else gains.period)
         disturbances = window.disturbances[SKIPPED:]
         driven = simulate_driven(
             parameters,
@@ -60,7 +70,8 @@ def compare(samples: Sequence[Sample], parameters: Parameters, gains: PidGains) 
             period=window.period,
             disturbances=disturbances,
         )
-        found.append(Comparison(window, simulate_window(parameters, window, gains=gains), driven.output))
+        closed = None if gains is None else simulate_window(parameters, window, gains=gains)
+        found.append(Comparison(window, closed, driven.output))
     return tuple(found)
 
 

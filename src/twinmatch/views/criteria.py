@@ -9,7 +9,7 @@ from typing import NamedTuple
 from twinmatch.discrimination import CandidateScore, OrderScore
 from twinmatch.views.quantities import number
 
-__all__ = ["CRITERIA", "OUTPUTS", "Cell", "Criterion", "CriterionRow", "criterion_rows"]
+__all__ = ["CRITERIA", "OUTPUTS", "Cell", "Criterion", "CriterionRow", "criterion_rows", "outputs_of"]
 
 
 class Criterion(NamedTuple):
@@ -48,6 +48,14 @@ OUTPUTS: tuple[tuple[str, str], ...] = (
 )
 """Attribute of `OrderScore` and what it is called."""
 
+_DRIVEN: tuple[tuple[str, str], ...] = (("y", "output y/u"),)
+"""The same where the loop is not known."""
+
+
+def outputs_of(orders: Sequence[OrderScore]) -> tuple[tuple[str, str], ...]:
+    """What the orders of a candidate were scored on: attributes of `OrderScore` and what they are called."""
+    return _DRIVEN if any(order.u is None for order in orders) else OUTPUTS
+
 
 class Cell(NamedTuple):
     """One figure of the table."""
@@ -72,7 +80,8 @@ class CriterionRow(NamedTuple):
 def criterion_rows(
     candidate: CandidateScore, criteria: Sequence[Criterion] = CRITERIA
 ) -> tuple[CriterionRow, ...]:
-    """The table of one candidate: for y, for u and for both together, a row for every order."""
+    """The table of one candidate: for y, for u and for both together, or for y alone, a row for every
+    order."""
     return tuple(
         CriterionRow(
             output=output,
@@ -80,7 +89,7 @@ def criterion_rows(
             chosen=order.order == candidate.chosen_order,
             cells=tuple(_cell(candidate.orders, order, output, criterion) for criterion in criteria),
         )
-        for output, _ in OUTPUTS
+        for output, _ in outputs_of(candidate.orders)
         for order in candidate.orders
     )
 

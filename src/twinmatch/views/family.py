@@ -42,7 +42,7 @@ class Member:
 
     @cached_property
     def response(self) -> Window:
-        """Its twin on the set-point of that window, seen through the sensor."""
+        """Its twin on the set-point of that window, or under its input, seen through the sensor."""
         s = self.settings
         return twin_response(
             self.score.parameters, self.window, s.gains, s.sensor, s.seed + self.window.first
@@ -52,7 +52,7 @@ class Member:
     def models(self) -> tuple[SimoModel, ...]:
         """Box–Jenkins models of that response, one for every order."""
         with one_thread():
-            return identify(self.response)
+            return identify(self.response, scale=self.settings.model_scale)
 
     @property
     def measured(self) -> Window:
@@ -61,19 +61,22 @@ class Member:
 
     @property
     def quiet_twin(self) -> Response:
-        """Its twin on the same set-point without a sensor's noise; from the window's third sample."""
+        """Its twin on the same set-point or under the same input, without a sensor's noise; from the window's
+        third sample."""
         return simulate_window(self.score.parameters, self.window, gains=self.settings.gains)
 
     def simulated(self, order: str) -> Window:
         """What the model of this order says the measured samples should be: B/F alone, as for the gain."""
         model = next(m for m in self.models if m.order == order)
         measured = self.measured
-        level = operating_level(measured)
+        level = operating_level(measured, driven=model.u is None)
         r, y, u = deviations(measured, level)
         return Window(
             measured.reference,
-            model.y.simulate(r, outputs=y[: len(model.y.F)]) + level.output,
-            model.u.simulate(ahead(r), outputs=u[: len(model.u.F)]) + level.input,
+            model.y.simulate(u if model.u is None else r, outputs=y[: len(model.y.F)]) + level.output,
+            measured.input
+            if model.u is None
+            else model.u.simulate(ahead(r), outputs=u[: len(model.u.F)]) + level.input,
             first=measured.first,
             period=measured.period,
         )

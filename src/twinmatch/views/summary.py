@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import closed_loop_fit
+from twinmatch.twin import window_fit
 from twinmatch.views.quantities import number
 from twinmatch.views.standing import Shown, nominal_score, shown_twin
 from twinmatch.views.trust_range import TrustRange, trust_range
@@ -55,10 +55,11 @@ class Summary:
 def summarise(
     samples: Sequence[Sample],
     verdicts: Sequence[Verdict],
-    gains: PidGains,
+    gains: PidGains | None,
     notes: Sequence[str] = (),
+    period: float = 1.0,
 ) -> Summary:
-    """Sum up a session from what came out of it."""
+    """Sum up a session from what came out of it; `period`, s, is that of a plant whose loop is not known."""
     last = verdicts[-1] if verdicts else None
     nominal, shown = nominal_score(last), shown_twin(last)
     fit = (math.nan, math.nan)
@@ -71,7 +72,8 @@ def summarise(
                 f"the fit is that of samples {longest[0].index} to {longest[-1].index}, "
                 f"the longest of {len(stretches)} unbroken stretches"
             )
-        fit = closed_loop_fit(shown.parameters, Window.from_samples(longest, gains.period), gains)
+        period = gains.period if gains is not None else period
+        fit = window_fit(shown.parameters, Window.from_samples(longest, period), gains)
     return Summary(
         nominal=last.nominal if last else None,
         level=last.level if last else TrustLevel.UNKNOWN,

@@ -30,24 +30,30 @@ _SHOWN = 0.99
 
 @styled
 def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings) -> Figure:
-    """Output and control of the plant and of the leader's twins, and the residuals with their 95 % band."""
+    """Output and control of the plant and of the leader's twins, and the residuals with their 95 % band.
+
+    Where the loop is not known there is only the driven twin, whose control is the plant's.
+    """
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = compare(samples, shown.parameters, settings.gains) if shown else ()
-    rows = 4 if parts else 2
+    parts = compare(samples, shown.parameters, settings.gains, settings.period) if shown else ()
+    closed = settings.gains is not None
+    rows = (4 if closed else 3) if parts else 2
     figure = new_figure(10, 1.75 * rows)
     axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])
     for number, stretch in enumerate(unbroken(samples)):
-        _draw_plant(axes[0], axes[1], Window.from_samples(stretch, settings.period), first=number == 0)
+        window = Window.from_samples(stretch, settings.period)
+        _draw_plant(axes[0], axes[1], window, first=number == 0, closed=closed)
     for number, part in enumerate(parts):
         _draw_twins(axes[0], axes[1], part, first=number == 0)
-        _draw_residuals(axes[2], axes[3], part, first=number == 0)
+        _draw_residuals(axes[2:], part, first=number == 0)
     words = words_of(settings.plant)
     axes[0].set_ylabel(words.output_label)
     axes[1].set_ylabel(words.input_label)
     if parts:
         axes[2].set_ylabel(with_unit("plant − twin", words.output_unit))
-        axes[3].set_ylabel(with_unit("plant − twin", words.input_unit))
         _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
+    if parts and closed:
+        axes[3].set_ylabel(with_unit("plant − twin", words.input_unit))
         _limit(axes[3], [p.closed_residual_u for p in parts])
     for each in axes:
         if each.get_legend_handles_labels()[0]:
@@ -72,40 +78,45 @@ def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
     )
 
 
-def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool) -> None:
+def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool, closed: bool) -> None:
     hidden = "_"  # matplotlib leaves such labels out of the legend
-    temperature.plot(
-        window.time,
-        window.reference,
-        color=SET_POINT,
-        lw=1,
-        ls="--",
-        drawstyle="steps-post",
-        label="set-point" if first else hidden,
-    )
+    if closed:
+        temperature.plot(
+            window.time,
+            window.reference,
+            color=SET_POINT,
+            lw=1,
+            ls="--",
+            drawstyle="steps-post",
+            label="set-point" if first else hidden,
+        )
     temperature.plot(window.time, window.output, color=PLANT, label="plant" if first else hidden)
     control.plot(window.time, window.input, color=PLANT, lw=0.8, label="plant" if first else hidden)
 
 
 def _draw_twins(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
     closed, driven = ("closed-loop twin", "driven twin") if first else ("_", "_")
-    temperature.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
+    if part.closed is not None:
+        temperature.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
     temperature.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
-    control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8, label=closed)
+    if part.closed is not None:
+        control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8, label=closed)
 
 
-def _draw_residuals(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
-    band = f"±2 RMS over {BAND} samples"
-    for axes, residual, name in (
-        (temperature, part.closed_residual_y, "closed-loop twin"),
-        (control, part.closed_residual_u, "closed-loop twin"),
-    ):
-        width = 2 * rolling_rms(residual, BAND)
-        axes.fill_between(
-            part.time, -width, width, color=CLOSED, alpha=0.18, lw=0, label=band if first else "_"
-        )
-        axes.plot(part.time, residual, color=CLOSED, lw=0.7, label=name if first else "_")
-        axes.axhline(0, color=SET_POINT, lw=0.6)
-    temperature.plot(
-        part.time, part.driven_residual_y, color=DRIVEN, lw=0.9, ls=":", label="driven twin" if first else "_"
-    )
+def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> None:
+    """Of the output and, in closed loop, of the control, with the band of the twin that is asked."""
+    driven = "driven twin" if first else "_"
+    if part.closed is None:
+        _draw_banded(axes[0], part.time, part.driven_residual_y, DRIVEN, driven if first else "")
+        return
+    for each, residual in zip(axes, (part.closed_residual_y, part.closed_residual_u), strict=True):
+        _draw_banded(each, part.time, residual, CLOSED, "closed-loop twin" if first else "")
+    axes[0].plot(part.time, part.driven_residual_y, color=DRIVEN, lw=0.9, ls=":", label=driven)
+
+
+def _draw_banded(axes: Axes, time: FloatArray, residual: FloatArray, colour: str, name: str) -> None:
+    """A residual and the band that its newest samples had, with a place in the legend if it has a name."""
+    band, width = f"±2 RMS over {BAND} samples" if name else "_", 2 * rolling_rms(residual, BAND)
+    axes.fill_between(time, -width, width, color=colour, alpha=0.18, lw=0, label=band)
+    axes.plot(time, residual, color=colour, lw=0.7, label=name or "_")
+    axes.axhline(0, color=SET_POINT, lw=0.6)
