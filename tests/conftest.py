@@ -19,6 +19,8 @@ from twinmatch.signals import Window
 
 RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "shared" / "rig_recordings"))
 """Hours of the real rig. They have no licence for copying, so they stay outside the project."""
+OTHERS = Path(os.environ.get("TWINMATCH_PLANT_RECORDINGS", RECORDINGS.parent / "plant_recordings"))
+"""Recordings of other people's plants, likewise."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -92,5 +94,25 @@ def recorded_hour(recordings: dict[int, Path]) -> Callable[[int], Window]:
             pytest.skip(f"recording {number} is not in {RECORDINGS}")
         u, y, _, r = np.asarray(scipy.io.loadmat(recordings[number])["simout"], dtype=np.float64).T
         return Window(reference=r, output=y, input=u)
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def kit_recording() -> Callable[[str], Window]:
+    """Read a recording of a Temperature Control Lab, which was driven without a loop."""
+
+    def read(name: str) -> Window:
+        path = OTHERS / "tclab" / name
+        if not path.exists():
+            pytest.skip(
+                f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings"
+            )
+        rows = np.genfromtxt(path, delimiter=",", skip_header=1)
+        pair = rows.shape[1] > 3
+        q1, q2, t1 = (
+            (rows[:, 1], rows[:, 2], rows[:, 3]) if pair else (rows[:, 1], 0 * rows[:, 1], rows[:, 2])
+        )
+        return Window(np.full(t1.size, t1[0]), t1, q1, disturbances=q2[:, None])
 
     return read

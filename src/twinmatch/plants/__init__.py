@@ -6,10 +6,11 @@ from typing import Final
 
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.plants.peltier import Peltier
+from twinmatch.plants.tclab import TCLab
 
-__all__ = ["PLANTS", "Peltier", "find_plant"]
+__all__ = ["PLANTS", "Peltier", "TCLab", "find_plant"]
 
-PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier,)}
+PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier, TCLab)}
 """The plants that come with this package, by name."""
 
 

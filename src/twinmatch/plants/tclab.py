@@ -1,0 +1,175 @@
+"""The Temperature Control Lab: heater 1 warms sensor 1; a second heater stands beside it.
+
+Hedengren's energy balance (apmonitor.com/heat.htm; Park et al., Computers & Chemical Engineering 2020): what
+the heater's transistor draws warms it, and it gives heat to the room by convection and radiation, and to
+its neighbour likewise; the sensor, glued to it, follows with a lag.
+
+    m c_p dT_H/dt = U A (T_∞ − T_H) + ε σ A (T_∞⁴ − T_H⁴) + Q_C12 + Q_R12 + α Q,    τ dT_C/dt = T_H − T_C
+
+Heat capacity, losses and heating power appear as ratios but for the radiation, so nothing in the readings
+tells their size; m c_p is held at the published 4 g of 500 J/(kg K).
+
+The second heater's command Q2 is the measured disturbance, and its temperature a state. That temperature is
+measured too, but it follows heater 1: a forecast that took it as given would have to know it beforehand,
+while Q2 is known as far ahead as somebody has planned it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from twinmatch.dynamics import (
+    Disturbance,
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    PidGains,
+    Plant,
+    Sensor,
+    State,
+    Structure,
+)
+from twinmatch.signals import KELVIN
+
+__all__ = ["TCLab"]
+
+_AREA: Final = 10e-4
+"""Surface of a heater towards the room, m²."""
+_BETWEEN: Final = 2e-4
+"""Surface towards the other heater, m²."""
+_EMISSIVITY: Final = 0.9
+_STEFAN_BOLTZMANN: Final = 5.670374e-8
+"""W/(m² K⁴)."""
+
+RESOLUTION: Final = 0.3223
+"""Step of a reading, °C: 3.3 V in 1024 steps, 10 mV a degree."""
+
+_LAG, _RADIATION, _NEIGHBOUR = "sensor lag", "radiation", "neighbour"
+
+_HEATER: Final = ("losses", "heating", "ambient")
+_LAGGED: Final = (*_HEATER, "sensor_lag")
+_BOTH: Final = (*_LAGGED, "exchange")
+
+
+def _structure(free: tuple[str, ...], *parts: str, watched: bool = True, text: str = "") -> Structure:
+    return Structure(
+        free=free,
+        parts=frozenset(parts),
+        # What radiation takes, convection has to give where there is none.
+        fixed={"losses": 8.0 if _RADIATION in parts else 14.0},
+        free_starts=("neighbour",) if _NEIGHBOUR in parts else (),
+        watched=watched,
+        text=text,
+    )
+
+
+class TCLab(Plant, name="tclab"):
+    """Heater 1 of a Temperature Control Lab, held by a PID, with heater 2 as what disturbs it."""
+
+    title = "Temperature Control Lab"
+    typical = {"losses": 11.0, "heating": 0.0085, "sensor_lag": 18.0}  # noqa: RUF012
+    surroundings = "room, draught and second heater"
+    parts = (_LAG, _RADIATION, _NEIGHBOUR)
+
+    temperature = Output(
+        unit="°C", noise=0.12, span=(-45.0, 130.0), set_points=(25.0, 70.0), safe=(0.0, 75.0),
+        absolute=KELVIN, text="temperature T1", symbol="T₁", sensor="kit",
+    )  # fmt: skip
+    # The sensor is made for −40 to 125 °C, and reads −50 °C when its wire is off. Above 75 °C skin burns.
+    power = Drive(unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 1", symbol="Q₁")
+    second = Disturbance(unit="%", default=0.0, text="heater 2", symbol="Q₂")
+
+    heater = State(unit="K", span=(263.0, 423.0), start_bounds=(263.0, 423.0), text="heater 1", symbol="T_H1")
+    neighbour = State(
+        unit="K", span=(263.0, 423.0), start_bounds=(263.0, 423.0), text="heater 2", symbol="T_H2"
+    )
+    sensor_state = State(unit="K", span=(263.0, 423.0), text="what the sensor has come to", symbol="T_C1")
+
+    losses = Parameter(
+        unit="W/(m² K)", default=6.0, bounds=(1.0, 60.0), scale=5.0, least=0.0, role="losses", symbol="U",
+        text="convection to the room",
+    )  # fmt: skip
+    heating = Parameter(
+        unit="W/%", default=0.01, bounds=(0.001, 0.05), positive=True, symbol="α₁", text="power of heater 1"
+    )
+    ambient = Parameter(
+        unit="K", default=296.0, bounds=(263.0, 323.0), scale=10.0, least=150.0, most=600.0, relative=False,
+        role="room", symbol="T_∞", text="temperature of the room",
+    )  # fmt: skip
+    sensor_lag = Parameter(
+        unit="s", default=15.0, bounds=(1.0, 60.0), positive=True, symbol="τ", text="lag of the sensor"
+    )
+    exchange = Parameter(
+        unit="W/(m² K)", default=10.0, bounds=(0.0, 200.0), scale=10.0, least=0.0, symbol="U_S",
+        text="convection between the heaters",
+    )  # fmt: skip
+    second_heating = Parameter(
+        unit="W/%", default=0.0075, bounds=(0.0005, 0.05), positive=True, symbol="α₂",
+        text="power of heater 2",
+    )  # fmt: skip
+    heat_capacity = Parameter(
+        unit="J/K", default=2.0, bounds=(0.5, 10.0), positive=True, symbol="m c_p", text="of one heater"
+    )
+
+    followed = "sensor lag"
+    structures = {  # noqa: RUF012 (a mapping of what there is, not state)
+        "sensor lag": _structure(_LAGGED, _LAG, text="one heater that loses heat in proportion"),
+        "no lag": _structure(_HEATER, watched=False, text="the same, seen at once"),
+        "radiation": _structure(_HEATER, _RADIATION, watched=False),
+        "sensor lag, radiation": _structure(_LAGGED, _LAG, _RADIATION),
+        "sensor lag, neighbour": _structure(_BOTH, _LAG, _NEIGHBOUR),
+        "sensor lag, radiation, neighbour": _structure(
+            _BOTH, _LAG, _RADIATION, _NEIGHBOUR, text="the published balance"
+        ),
+        "sensor lag, radiation, free neighbour": _structure(
+            (*_BOTH, "second_heating"), _LAG, _RADIATION, _NEIGHBOUR, watched=False
+        ),
+    }
+
+    # Kc = 5 %/K, τ_I = 120 s, τ_D = 2 s, the derivative of the reading; the integral is pulled back with the
+    # time constant √(τ_I τ_D) that Åström and Hägglund advise.
+    loop = PidGains(
+        proportional=5.0,
+        integral=5.0 / 120.0,
+        derivative=10.0,
+        back_calculation=0.0645,
+        low=0.0,
+        high=100.0,
+        on_measurement=True,
+    )
+    sensor = Sensor(noise=0.043, resolution=RESOLUTION)
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """Heat into each heater, W; temperatures in kelvin."""
+        heater, neighbour = self.heater, self.neighbour
+        reading = self.temperature + KELVIN
+
+        def gained(own: Any, other: Any, area: float, convection: Any) -> Any:
+            """From something at another temperature, through a surface."""
+            heat = convection * area * (other - own)
+            if _RADIATION in parts:
+                heat += _EMISSIVITY * _STEFAN_BOLTZMANN * area * (other**4 - own**4)
+            return heat
+
+        lost = -gained(heater, self.ambient, _AREA, self.losses)
+        into = self.heating * self.power - lost
+        rates, start = {}, {heater: reading}
+        if _NEIGHBOUR in parts:
+            crossing = gained(heater, neighbour, _BETWEEN, self.exchange)
+            into += crossing
+            room = gained(neighbour, self.ambient, _AREA, self.losses)
+            rates[neighbour] = (self.second_heating * self.second + room - crossing) / self.heat_capacity
+            start[neighbour] = self.ambient
+        rates[heater] = into / self.heat_capacity
+        seen = heater
+        if _LAG in parts:
+            seen = self.sensor_state
+            rates[seen] = (heater - seen) / self.sensor_lag
+            start[seen] = reading
+        return Equations(
+            rates=rates,
+            output=seen - KELVIN,
+            start=start,
+            quantities={"heat_drawn": self.heating * self.power, "heat_lost": lost},
+        )
