@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["Description", "Quantity"]
+__all__ = ["UNDESCRIBED", "Description", "Quantity"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,3 +43,13 @@ class Description:
     """Inner states of a twin, in the order in which messages carry them."""
     structures: tuple[str, ...] = ()
     """Which parts a model may take the plant to have, by name."""
+
+
+UNDESCRIBED = Description(
+    plant="",
+    title="",
+    reference=Quantity("set-point", "what the output is to be"),
+    output=Quantity("output", "what is measured"),
+    input=Quantity("input", "what is commanded"),
+)
+"""A plant that has not yet said what it is called."""

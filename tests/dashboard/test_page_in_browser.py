@@ -24,15 +24,18 @@ from sensor_msgs.msg import Image, Temperature
 
 from tests.support.processes import Process, Processes
 from twinmatch.discrimination import ADMITTED
+from twinmatch.dynamics import Plant
 from twinmatch.judging.judgement import Judgement
 from twinmatch.nodes.conversions import score_message, state_message
+from twinmatch.nodes.descriptions import description_message
 from twinmatch.nodes.sample_messages import sample_message
-from twinmatch.nodes.samples import RELIABLE
+from twinmatch.nodes.samples import LATCHED, RELIABLE
 from twinmatch.plants import Peltier
+from twinmatch.plants.named import description_of
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, TwinSettings
-from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, TwinState
+from twinmatch_msgs.msg import LoopSample, ModelScore, PlantDescription, PwmApplied, TwinState
 
 pytestmark = pytest.mark.ros
 
@@ -54,6 +57,9 @@ class Graph:
         self._publishers = {
             name: self.node.create_publisher(kind, name, RELIABLE) for name, kind in kinds.items()
         }
+        self._publishers["plant/description"] = self.node.create_publisher(
+            PlantDescription, "plant/description", LATCHED
+        )
         for name, kind in (("thermal/image", Image), ("plant/temperature", Temperature)):
             self._publishers[name] = self.node.create_publisher(kind, name, qos_profile_sensor_data)
 
@@ -73,6 +79,9 @@ class Graph:
                 if verdict.sample == sample.index:
                     self.publish("twin/model_score", score_message(verdict, sample.stamp))
             time.sleep(1 / rate)
+
+    def describe(self, plant: type[Plant]) -> None:
+        self.publish("plant/description", description_message(description_of(plant), 1.0))
 
     def fault(self, text: str) -> None:
         self.publish("plant/pwm_applied", PwmApplied(pwm=0.0, current=0.1, fault=text))
@@ -100,6 +109,9 @@ def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
     browser.open(started.url)
     for name in ("plant/sample", "twin/state", "twin/model_score", "plant/pwm_applied"):
         browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
+    assert "°C" not in browser.text  # nobody has said what plant this is
+    graph.describe(Peltier)
+    browser.wait_for(lambda: "set-point / °C" in browser.text, "the plant's own words")
     return started
 
 
@@ -127,7 +139,7 @@ def test_it_loads_from_this_machine_alone_and_says_that_it_waits(page: Any, brow
     assert "waiting for the first sample" in browser.text
     assert "unknown" in browser.text
     assert browser.elsewhere(page.url) == []
-    assert browser.driver.title == "twinmatch"
+    assert browser.driver.title == "twinmatch: Peltier rig"
 
 
 def test_data_move_as_they_come(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
@@ -255,14 +267,14 @@ def test_a_fault_is_shown_and_goes(page: Any, graph: Graph, browser: Any) -> Non
 
 
 def test_the_thermal_image_is_shown(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
-    assert "No thermal image has come" in browser.text
+    assert "Thermal image" not in browser.text  # most plants have none
     pixels = np.full((60, 80), 25.0)
     pixels[10:20, 30:50] = 71.25
     browser.wait_for(lambda: graph.heard("thermal/image"), "a reader")
 
     def shown() -> bool:
         graph.image(pixels)
-        return "No thermal image has come" not in browser.text
+        return "Thermal image / °C" in browser.text
 
     browser.wait_for(shown, "the image")
     largest = browser.run(

@@ -6,12 +6,27 @@ import base64
 import html
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+
+from bokeh.core.json_encoder import serialize_json
+from bokeh.document import Document
+
+from tests.dashboard.test_page import Nothing
 from tests.words.conftest import Shown
 from twinmatch.cli import main
+from twinmatch.dashboard import DashboardState, TwinRow
+from twinmatch.dashboard.page import Page
+from twinmatch.dashboard.sentence import say
+from twinmatch.judging.judgement import judge
+from twinmatch.judging.terms import terms_from_files
+from twinmatch.plants.named import description_of
+from twinmatch.sessions import read_session
+from twinmatch.twin import Mirror
 
 Capture = pytest.CaptureFixture[str]
 
@@ -55,6 +70,48 @@ def test_a_report_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capt
     drawn = re.findall(r"data:image/svg\+xml;base64,([^\"]*)", out.read_text("utf-8"))
     lettering = re.findall(r"<!-- (.*?) -->", "".join(base64.b64decode(p).decode("utf-8") for p in drawn))
     shown.speaks_of_itself(" ".join(lettering), *shown.words)
+
+
+def lettering(document: Document) -> str:
+    """Every text that a page's document shows."""
+
+    def texts(node: object) -> Iterator[str]:
+        if isinstance(node, dict) and node.get("visible", True):
+            for name, value in node.items():
+                if name not in {"stylesheets", "name", "type", "id"}:
+                    yield from texts(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from texts(value)
+        elif isinstance(node, str):
+            yield node
+
+    return html.unescape(
+        re.sub(r"<[^>]*>", " ", "\n".join(texts(json.loads(serialize_json(document.to_json())))))
+    )
+
+
+def test_a_page_speaks_of_the_plant(shown: Shown) -> None:
+    session = read_session(shown.folder)
+    judged = judge(session, terms_from_files(session, shown.config))
+    state = DashboardState()
+    bare = Document()
+    Page(state, Nothing(), clock=lambda: 0.0).build(bare)
+    shown.speaks_of_itself(lettering(bare), "set-point")
+    state.describe(description_of(shown.plant))
+    page, document = Page(state, Nothing(), clock=lambda: 0.0), Document()
+    page.build(document)
+    mirror = Mirror(judged.settings.start, judged.settings.gains)
+    for sample in judged.samples:
+        state.push_sample(sample, 0.0)
+        twin = mirror.push(sample)
+        state.push_twin(sample.index, TwinRow(**{name: getattr(twin, name) for name in TwinRow._fields}))
+    for verdict in judged.verdicts:
+        state.push_verdict(verdict)
+    say(state, judged.settings.gains)
+    page.update()
+    text = lettering(document) + document.template_variables["title"]
+    shown.speaks_of_itself(text, shown.plant.title, *shown.words, f"plant − twin / {shown.words[1]}")
 
 
 def test_an_archive_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capture) -> None:

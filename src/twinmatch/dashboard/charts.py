@@ -15,6 +15,7 @@ from twinmatch.description import Description
 from twinmatch.signals import FloatArray
 from twinmatch.views.events import Stretch
 from twinmatch.views.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
+from twinmatch.views.words import with_unit
 
 __all__ = ["TimeCharts", "bands"]
 
@@ -130,7 +131,7 @@ class TimeCharts:
         return chart
 
     def _residual(self) -> Any:
-        chart = self._figure("residual", 180, f"plant − twin / {self._said.output.unit}")
+        chart = self._figure("residual", 180, with_unit("plant − twin", self._said.output.unit))
         band = chart.varea(
             "t",
             "driven_rms_y_low",
@@ -154,7 +155,7 @@ class TimeCharts:
         return chart
 
     def _control_residual(self) -> Any:
-        chart = self._figure("control_residual", 180, f"plant − twin / {self._said.input.unit}")
+        chart = self._figure("control_residual", 180, with_unit("plant − twin", self._said.input.unit))
         band = chart.varea(
             "t",
             "closed_rms_u_low",

@@ -82,9 +82,9 @@ THEME = Theme(
 _STYLE = Path(__file__).with_name("panel.css").read_text(encoding="utf-8")
 
 
-def panel(name: str) -> Div:
+def panel(name: str, html: str = "") -> Div:
     """A place for HTML that fills its card; `name` is where the page puts it."""
-    return Div(name=name, text="", margin=0, sizing_mode="stretch_width", stylesheets=[_STYLE])
+    return Div(name=name, text=html, margin=0, sizing_mode="stretch_width", stylesheets=[_STYLE])
 
 
 def text(words: object) -> str:

@@ -19,16 +19,22 @@ from twinmatch.dashboard.requests import Requests
 from twinmatch.dashboard.sentence import say
 from twinmatch.dashboard.server import PageServer
 from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
+from twinmatch.description import UNDESCRIBED
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.conversions import verdict_from
+from twinmatch.nodes.descriptions import description_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.forecast_messages import forecast_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import one_of, sample_from
+from twinmatch.nodes.samples import LATCHED
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.twin_parameters import read_settings
-from twinmatch_msgs.msg import Forecast, LoopSample, ModelScore, PwmApplied, TwinState
+from twinmatch.plants import find_plant
+from twinmatch.plants.named import description_of
+from twinmatch.twin import TwinSettings
+from twinmatch_msgs.msg import Forecast, LoopSample, ModelScore, PlantDescription, PwmApplied, TwinState
 
 __all__ = ["Dashboard"]
 
@@ -71,11 +77,17 @@ class Dashboard(TwinmatchNode):
         Raises:
             DashboardError: the address or port cannot be used.
         """
-        self.state = DashboardState(plant=self._settings.plant)
+        known = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
+        self.state = DashboardState(described=known)
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._requests = Requests(
-            self, self.state, self._asked.put, control=self.values["control"], plant=self._settings.plant
+            self,
+            self.state,
+            self._asked.put,
+            control=self.values["control"],
+            plant=lambda: self._settings.plant,
         )
+        self._hear(PlantDescription, "plant/description", self._on_description, LATCHED)
         self._hear(LoopSample, "plant/sample", self._on_sample, ALL)
         self._hear(TwinState, "twin/state", self._on_twin, ALL)
         self._hear(Forecast, "twin/forecast", self._on_forecast, ALL)
@@ -89,7 +101,7 @@ class Dashboard(TwinmatchNode):
         address = self.values["address"]
         self._server = PageServer(address, self.values["port"], self._fill)
         if not is_loopback(address):
-            able = "and command the rig" if self.values["control"] else "but command nothing"
+            able = "and command the plant" if self.values["control"] else "but command nothing"
             print(
                 f"PAGE OPEN: whoever reaches {address} may read this page {able}; nothing is encrypted",
                 flush=True,
@@ -126,6 +138,11 @@ class Dashboard(TwinmatchNode):
                 self.health.complain(topic, Level.WARN, f"{topic}: {error}")
 
         self.create_subscription(kind, topic, receive, qos)
+
+    def _on_description(self, message: PlantDescription) -> None:
+        self.state.describe(description_from(message))
+        if not self.values["config"] and message.plant != self._settings.plant.name:
+            self._settings = TwinSettings.of(find_plant(message.plant), period=message.period)
 
     def _on_sample(self, message: LoopSample) -> None:
         self.state.push_sample(sample_from(message), time.monotonic())

@@ -49,7 +49,8 @@ class Page:
         self._state, self._clock = state, clock
         self._plant = Feed(state.plant)
         self._twin = Feed(state.twin, bands)
-        self._charts = TimeCharts(self._plant.source, self._twin.source, state.described)
+        self._described = described = state.described
+        self._charts = TimeCharts(self._plant.source, self._twin.source, described)
         self._matrix, self._thermal = Matrix(), Thermal()
         names = (
             "status",
@@ -59,7 +60,6 @@ class Page:
             "family",
             "events",
             "nodes",
-            "thermal_note",
             "matrix_note",
             "chart_note",
             "answer",
@@ -68,8 +68,8 @@ class Page:
         self._every = Toggle(label="all orders", name="every", width=110)
         self._span = SpanButtons()
         self._player = PlayerButtons(actions)
-        self._question = QuestionForm(actions, state.described.reference.label)
-        self._rig = RigButtons(actions, state.described.reference.label) if actions.control else None
+        self._question = QuestionForm(actions, described.reference.label)
+        self._rig = RigButtons(actions, described.reference.label) if actions.control else None
         if self._rig is not None:
             self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}
@@ -79,7 +79,7 @@ class Page:
         roots = [
             *self._charts.figures,
             self._matrix.figure,
-            self._thermal.figure,
+            self._thermal.root,
             *self._texts.values(),
             self._every,
             self._span.root,
@@ -91,11 +91,14 @@ class Page:
         with document.models.freeze():  # else every root has the whole document gone through again
             for root in roots:
                 document.add_root(root)
-        document.title = "twinmatch"
+        title = self._described.title
+        document.title = f"twinmatch: {title}" if title else "twinmatch"
+        self._texts["status"].js_on_change("tags", CustomJS(code="location.reload()"))
         document.theme = THEME
         document.template = _TEMPLATE.read_text(encoding="utf-8")
         document.template_variables.update(
             control=self._rig is not None,
+            title=title,
             font=FONT,
             ink=TEXT,
             good=LEVELS[TrustLevel.TRUSTED],
@@ -131,6 +134,8 @@ class Page:
             if self._changed("image", state.images) and state.image is not None:
                 self._thermal.update(state.image)
             self._player.update(state.roster.player)
+            if self._changed("described", state.described) and state.described != self._described:
+                self._texts["status"].tags = [state.described.plant]  # loads the page again, with these names
 
     def _foretell(self, span: float) -> None:
         """Draw so much of the newest time (s), and what comes after it."""
@@ -151,9 +156,6 @@ class Page:
         self._say("nodes", panels.nodes(state.roster, now))
         self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)
         self._say("chart_note", "" if state.plant.count else panels.NO_SAMPLE)
-        none_yet = state.image is None
-        self._thermal.figure.visible = not none_yet
-        self._say("thermal_note", panels.NO_IMAGE if none_yet else "")
         if self._rig is not None:
             self._say("notice", panels.notice(state))
 

@@ -14,10 +14,10 @@ from twinmatch.views import COLUMNS, row
 from twinmatch.views.criteria import computed, criterion_rows
 from twinmatch.views.quantities import number, quantity
 from twinmatch.views.style import LEVEL_WORDS, LEVELS
+from twinmatch.views.words import with_unit
 
 __all__ = [
     "NO_CANDIDATE",
-    "NO_IMAGE",
     "NO_SAMPLE",
     "alarm",
     "answer",
@@ -43,7 +43,6 @@ CALLED = {"t / s": "judged at / s", "gain": "gain / characters"}
 DASH = "–"
 NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
 NO_SAMPLE = '<p class="quiet">No sample has come yet.</p>'
-NO_IMAGE = '<p class="quiet">No thermal image has come; only a rig with a camera sends them.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
 """Colours of the levels of REP 107."""
 NODE_WORDS = ("well", "warning", "error", "silent")
@@ -82,14 +81,14 @@ def tiles(state: DashboardState) -> str:
     twin = state.twin.newest() or {}
     entries = [
         (said.reference.label, number(now.get("reference"), 1)),
-        (f"plant / {said.output.unit}", number(now.get("output"), 2)),
-        (f"closed-loop twin / {said.output.unit}", number(twin.get("closed_output"), 2)),
-        (f"driven twin / {said.output.unit}", number(twin.get("driven_output"), 2)),
+        (with_unit("plant", said.output.unit), number(now.get("output"), 2)),
+        (with_unit("closed-loop twin", said.output.unit), number(twin.get("closed_output"), 2)),
+        (with_unit("driven twin", said.output.unit), number(twin.get("driven_output"), 2)),
         (f"plant's {said.input.label}", number(now.get("input"), 1)),
         (f"twin's {said.input.label}", number(twin.get("closed_input"), 1)),
     ]
     if state.drive is not None:
-        entries.append(("applied / PWM", number(state.drive.pwm, 0)))
+        entries.append((with_unit("applied", said.input.unit), number(state.drive.pwm, 0)))
         entries.append(("current / A", number(state.drive.current, 2)))
     return _tiles(entries, "tiles now")
 

@@ -40,9 +40,9 @@ class Requests:
         later: Callable[[Callable[[], None]], None],
         *,
         control: bool,
-        plant: type[Plant],
+        plant: Callable[[], type[Plant]],
     ) -> None:
-        """Make clients; `later` has a function called in the node's thread."""
+        """Make clients; `later` has a function called in the node's thread, `plant` is asked each time."""
         self._node, self._state, self._later, self._plant = node, state, later, plant
         self._control = control
         self._pause = node.create_client(SetBool, "player/pause")
@@ -87,7 +87,7 @@ class Requests:
                 self._state.answer(Answered(question, (answer.message,)))
                 return
             forecast = forecast_from(answer.forecast)
-            lines = (*forecast_words(forecast, self._plant), *forecast.notes)
+            lines = (*forecast_words(forecast, self._plant()), *forecast.notes)
             self._state.answer(Answered(question, lines, forecast))
 
         def miss(why: str) -> None:

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from twinmatch.dashboard.events import Event, EventLog, Lane, Mark
 from twinmatch.dashboard.history import History
 from twinmatch.dashboard.roster import Roster
+from twinmatch.description import UNDESCRIBED, Description
 from twinmatch.discrimination import TrustLevel, Verdict
-from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Forecast
-from twinmatch.plants import Peltier
-from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.views.events import Event as Told
 from twinmatch.views.events import EventKind, Stretch, events
@@ -83,9 +81,10 @@ class DashboardState:
     or another recording is played.
     """
 
-    def __init__(self, capacity: int = CAPACITY, plant: type[Plant] = Peltier) -> None:
+    def __init__(self, capacity: int = CAPACITY, described: Description = UNDESCRIBED) -> None:
         """Begin with nothing heard of this plant; `capacity` samples are kept."""
-        self.described = description_of(plant)
+        self.described = described
+        """What the plant and its signals are called."""
         self.lock = threading.RLock()
         self.plant = History(("reference", "output", "input"), capacity)
         self.twin = History(TwinRow._fields, capacity)
@@ -141,6 +140,11 @@ class DashboardState:
         if self.forecast is not None:
             return self.forecast.candidate
         return "" if self.verdict is None else self.verdict.leader or ""
+
+    def describe(self, described: Description) -> None:
+        """Take what the plant says it is called."""
+        with self.lock:
+            self.described = described
 
     def push_sample(self, sample: Sample, now: float) -> None:
         """Take a sample that came at `now` (s)."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper
+from bokeh.models import ColorBar, Column, ColumnDataSource, LinearColorMapper
 from bokeh.palettes import Inferno256
 from bokeh.plotting import figure
 from numpy.typing import NDArray
+
+from twinmatch.dashboard.look import panel
 
 __all__ = ["Thermal"]
 
@@ -24,9 +26,20 @@ class Thermal:
         self._source = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
         self._colours = LinearColorMapper(palette=Inferno256, low=20.0, high=30.0, nan_color="#8C8C8C")
         self.figure = self._draw()
+        heading = panel("thermal_heading", "<h2>Thermal image / °C</h2>")
+        self.root = Column(
+            heading,
+            self.figure,
+            name="thermal_card",
+            css_classes=["card"],
+            visible=False,
+            sizing_mode="stretch_width",
+        )
+        """The whole card: a plant without a camera has none."""
 
     def update(self, image: NDArray[np.float32]) -> None:
         """Show an image in °C, first row on top."""
+        self.root.visible = True
         rows, columns = image.shape
         low, high = float(np.nanmin(image)), float(np.nanmax(image))
         wider = max(0.0, LEAST_SPAN - (high - low)) / 2
