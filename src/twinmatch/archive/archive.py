@@ -14,6 +14,7 @@ from twinmatch.archive.job import Failure, Job, Outcome, Terms
 from twinmatch.archive.processes import cores, judge_in_processes
 from twinmatch.archive.sources import find_sessions
 from twinmatch.archive.store import Store
+from twinmatch.dynamics.store import source_hash
 
 __all__ = ["Archive", "judge_archive"]
 
@@ -42,6 +43,7 @@ def judge_archive(
     *,
     config: Path | None = None,
     candidates: Path | None = None,
+    plant: str | None = None,
     out: Path | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
@@ -54,6 +56,7 @@ def judge_archive(
         named: sessions, recordings, folders of them, patterns; see `find_sessions`.
         config: file of parameters.
         candidates: file of candidates every session begins with.
+        plant: name or file of the plant of every session that does not say it.
         out: folder for one JSON file per session, as `twinmatch.views.document` has it. A session is not
             judged again if its file there is of the same content, parameters and version.
         jobs: processes on this machine; as many as cores if not given.
@@ -66,7 +69,7 @@ def judge_archive(
             kept, or the cluster cannot be used. A session that cannot be used is no error.
     """
     paths = find_sessions(named)
-    run = _Run(_terms(config, candidates), Store(out) if out else None, passed_over)
+    run = _Run(_terms(config, candidates, plant), Store(out) if out else None, passed_over)
     todo = run.look(paths)
     reused = len(run.records)
     report = watch or (lambda _done, _total: None)
@@ -78,11 +81,16 @@ def judge_archive(
     return run.archive(paths, reused)
 
 
-def _terms(config: Path | None, candidates: Path | None) -> Terms:
+def _terms(config: Path | None, candidates: Path | None, plant: str | None) -> Terms:
     from twinmatch.nodes.twin_parameters import read_settings  # noqa: PLC0415 — imports the whole twin
+    from twinmatch.plants import find_plant  # noqa: PLC0415
     from twinmatch.sessions.candidates import read_candidates  # noqa: PLC0415
 
-    return Terms(read_settings(config), tuple(read_candidates(candidates)) if candidates else (), config)
+    if plant:
+        plant = find_plant(plant).name
+    settings = read_settings(config, plant or "")
+    given = tuple(read_candidates(candidates)) if candidates else ()
+    return Terms(settings, given, config, fixed=plant is not None or config is not None)
 
 
 def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[Outcome]:
@@ -113,7 +121,7 @@ class _Run:
         """Take in what was kept of an earlier run; return the sessions left to judge."""
         todo = []
         terms = self._terms
-        words = repr((terms.settings, terms.given, terms.config is not None))
+        words = repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
         for number, path in enumerate(paths):
             try:
                 content = content_of(path)

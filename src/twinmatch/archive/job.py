@@ -33,6 +33,8 @@ class Terms:
     """Candidates to begin with."""
     config: Path | None
     """File the settings are from, for messages; it is not read again."""
+    fixed: bool = False
+    """Whether a user said of which plant the sessions are; if not, each says it itself."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +99,18 @@ def judge(job: Job, place: str = "") -> Outcome:
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as JSON has it, with one row per candidate."""
     from twinmatch.judging.judgement import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
-    from twinmatch.nodes.twin_parameters import at_period  # noqa: PLC0415
-    from twinmatch.sessions import open_any  # noqa: PLC0415
+    from twinmatch.nodes.twin_parameters import at_period, read_settings  # noqa: PLC0415
+    from twinmatch.sessions import SessionError, open_any  # noqa: PLC0415
     from twinmatch.views import document  # noqa: PLC0415
 
     terms, session = job.terms, open_any(job.path)
-    settings = at_period(terms.settings, session.period, terms.config)
+    settings = terms.settings
+    if session.plant not in {"", settings.plant.name}:
+        if terms.fixed:
+            msg = f"{job.path}: is of plant {session.plant}, the others are of {settings.plant.name}"
+            raise SessionError(msg)
+        settings = read_settings(None, session.plant)
+    settings = at_period(settings, session.period, terms.config)
     judgement = judge_samples(session.name, session.samples, settings, given=terms.given, notes=session.notes)
     entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
     return entry | {"candidates": _rows(judgement, entry)}

@@ -52,6 +52,7 @@ def judge(options: argparse.Namespace, watch: Callable[[int, int], None]) -> Arc
     return judge_archive(
         options.sessions,
         config=options.config,
+        plant=options.plant,
         candidates=options.candidates,
         out=options.out,
         jobs=options.jobs,

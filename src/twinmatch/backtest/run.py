@@ -82,6 +82,7 @@ def backtest_session(
     *,
     config: Path | None = None,
     candidates: Path | None = None,
+    plant: str | None = None,
     watch: Watch | None = None,
 ) -> Backtest:
     """Test the twin on a session, an .mcap file or a recording.
@@ -91,12 +92,13 @@ def backtest_session(
         choices: how far ahead, how often, and against whom.
         config: file of parameters; without it the defaults.
         candidates: file of candidates to begin with.
+        plant: name or file of the plant, where the session does not say it or it is in a file.
         watch: called now and then.
 
     Raises:
         TwinmatchError: one of the files cannot be used, or a horizon is too short for the session.
     """
-    session = open_any(path)
+    session = open_any(path, plant=plant)
     return backtest(session, terms_from_files(session, config, candidates), choices, watch=watch)
 
 

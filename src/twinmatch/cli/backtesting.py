@@ -102,6 +102,7 @@ def _one(path: Path, options: argparse.Namespace) -> Backtest:
             choices,
             config=options.config,
             candidates=options.candidates,
+            plant=options.plant,
             watch=progress.advance,
         )
     _print(tested)

@@ -7,14 +7,24 @@ from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["add_terms", "check_writable"]
+__all__ = ["add_plant", "add_terms", "check_writable"]
 
 
 def add_terms(parser: argparse.ArgumentParser) -> None:
     """The files on whose terms a session is judged."""
     parser.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
+    add_plant(parser)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="parameters (.yaml), as the nodes take them"
+    )
+
+
+def add_plant(parser: argparse.ArgumentParser) -> None:
+    """The plant, where a session does not say it."""
+    parser.add_argument(
+        "--plant",
+        metavar="NAME|FILE.py",
+        help="the plant, where the session does not say it or it is in a file of yours, which is run",
     )
 
 

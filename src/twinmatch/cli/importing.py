@@ -3,18 +3,48 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinmatch.errors import TwinmatchError
+
+if TYPE_CHECKING:
+    from twinmatch.sessions.column_map import ColumnMap
 
 __all__ = ["add_arguments", "run"]
+
+
+class ImportOptionError(TwinmatchError):
+    """Options of an import that do not go together."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "recording", type=Path, help=".mat with a matrix 'simout', or .csv with named columns"
+        "recording",
+        type=Path,
+        help=".csv with named columns, or .mat; without --plant a recording of the Peltier rig",
     )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="SESSION", help="folder to write")
+    parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace a session that is already there")
+    other = parser.add_argument_group("a plant of yours, columns of any names")
+    other.add_argument(
+        "--list", action="store_true", help="show the columns and propose a map; writes nothing"
+    )
+    other.add_argument("--plant", metavar="NAME|FILE.py", help="whose recording it is")
+    other.add_argument(
+        "--map",
+        nargs="+",
+        default=[],
+        metavar="SIGNAL=COLUMN",
+        help="time=elapsed output='t2, t3' (their mean) 'input=duty; scale=100' 'room=T1; unit=K'",
+    )
+    other.add_argument("--map-file", type=Path, metavar="FILE", help="the same as YAML; --map goes before it")
+    other.add_argument("--period", type=float, metavar="S", help="sample time, if not that of the rows")
+    other.add_argument(
+        "--bridge", type=float, metavar="S", help="longest gap that may be bridged (default: three rows)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -23,6 +53,12 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: the recording cannot be used, or the session cannot be written.
     """
+    if options.list:
+        return _list(options.recording)
+    if options.output is None:
+        raise ImportOptionError("import: name the session to write with -o SESSION (or look with --list)")
+    if options.map or options.map_file or options.plant or options.period or options.bridge:
+        return _import_mapped(options)
     from twinmatch.judging.progress import Progress  # noqa: PLC0415
     from twinmatch.sessions import read_recording, samples_of, write_session  # noqa: PLC0415 — keeps --help fast
 
@@ -34,4 +70,70 @@ def run(options: argparse.Namespace) -> int:
         f"{options.output}: {len(window)} samples, {len(window) * window.period:.0f} s, "
         f"from {options.recording.name}"
     )
+    return 0
+
+
+def _import_mapped(options: argparse.Namespace) -> int:
+    from twinmatch.plants import find_plant  # noqa: PLC0415 — as above
+    from twinmatch.sessions import write_session  # noqa: PLC0415
+    from twinmatch.sessions.mapped import map_samples, with_plant_names  # noqa: PLC0415
+    from twinmatch.sessions.settings import PLANT  # noqa: PLC0415
+    from twinmatch.sessions.tables import read_table  # noqa: PLC0415
+
+    given = _given(options)
+    if not given.plant:
+        msg = "import: say whose recording it is, with --plant NAME or --plant FILE.py, or plant: in the map"
+        raise ImportOptionError(msg)
+    plant = find_plant(given.plant)
+    table = read_table(options.recording)
+    found = map_samples(table, with_plant_names(table, plant, given), plant, longest=options.bridge)
+    columns = "; ".join(f"{signal} = {source.text}" for signal, source in found.sources.items())
+    record = {
+        "plant": plant.name,
+        "source": options.recording.name,
+        "map": columns,
+        "reference": "recorded" if found.has_reference else "none",
+    }
+    write_session(options.output, found.samples, overwrite=options.overwrite, records={PLANT: record})
+    seconds = len(found.samples) * found.period
+    print(
+        f"{options.output}: {len(found.samples)} samples, one every {found.period:g} s, {seconds:.0f} s of "
+        f"{plant.title}, from {options.recording.name} ({columns})"
+    )
+    for note in found.notes:
+        print(f"Note: {note}")
+    return 0
+
+
+def _given(options: argparse.Namespace) -> ColumnMap:
+    from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415 — as above
+
+    if options.period is not None and not options.period > 0:
+        raise ImportOptionError(f"import: --period {options.period:g} is no sample time; give seconds")
+    written = read_map(options.map_file) if options.map_file else ColumnMap()
+    said = parse_map(options.map)
+    return written.joined(ColumnMap(said.sources, options.plant or "", options.period))
+
+
+def _list(path: Path) -> int:
+    from rich.console import Console  # noqa: PLC0415 — as above
+    from rich.table import Table  # noqa: PLC0415
+
+    from twinmatch.sessions.guesses import look, proposed  # noqa: PLC0415
+    from twinmatch.sessions.tables import read_table  # noqa: PLC0415
+
+    columns = look(read_table(path))
+    shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
+    for column in columns:
+        ends = ("", "") if column.kind == "text" else (f"{column.low:.10g}", f"{column.high:.10g}")
+        shown.add_row(column.title, column.unit, *ends, str(column.different), str(column.empty), column.kind)
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 140
+    console.print(shown)
+    found = proposed(columns)
+    if found:
+        entries = [f"{signal}={source.text}" for signal, source in found.items()]
+        print(f"A guess, to be looked over: --map {shlex.join(entries)}")
+    print("room stands for whatever is measured and acts on your plant; use the names in your plant's file.")
     return 0

@@ -49,7 +49,7 @@ def _replay(path: Path, options: argparse.Namespace) -> Judgement:
 def _judge(path: Path, options: argparse.Namespace) -> Judgement:
     """As `judge_session` does, and tell of every match and verdict when it comes."""
     with Progress("reading") as progress:
-        session = open_any(path, told=progress.advance)
+        session = open_any(path, plant=options.plant, told=progress.advance)
     terms = terms_from_files(session, options.config, options.candidates)
     with _Told(session) as shown:
         judgement = judge(session, terms, told=shown.advance)

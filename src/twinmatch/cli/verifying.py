@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from twinmatch.cli.files import add_plant
 from twinmatch.judging.progress import Progress
 
 __all__ = ["add_arguments", "run"]
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("session", type=Path, help="session folder or .mcap file")
     parser.add_argument("--topic", metavar="TOPIC", help="the samples, if the session has several rigs")
+    add_plant(parser)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="parameters (.yaml) instead of the recorded ones"
     )
@@ -36,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
             topic=options.topic,
             config=options.config,
             candidates=options.candidates,
+            plant=options.plant,
             watch=progress.advance,
         )
     for note in found.notes:

@@ -23,12 +23,17 @@ if TYPE_CHECKING:
     from twinmatch.dynamics.pid import PidGains
     from twinmatch.dynamics.sensor import Sensor
 
-__all__ = ["Plant"]
+__all__ = ["Plant", "PlantType"]
 
 _Declared = TypeVar("_Declared", bound=Declaration)
 
 
-class Plant:
+class PlantType(type):
+    """What plants are classes of: a type of its own, so that a plant may say how it travels to another
+    process."""
+
+
+class Plant(metaclass=PlantType):
     """One kind of plant. A subclass declares its quantities, its structures and its `equations`.
 
     Write the class in a module of its own. Everything that is computed from a plant (step, tangents,

@@ -27,7 +27,7 @@ from twinmatch.dynamics.errors import PlantError
 if TYPE_CHECKING:
     from twinmatch.dynamics.plant import Plant
 
-__all__ = ["cache_folder", "kernels_of"]
+__all__ = ["cache_folder", "kernels_of", "source_hash"]
 
 _HERE = Path(__file__).parent
 _TEMPLATES = ("kernels.py", "runs.py", "observer_step.py", "tracking.py")
@@ -140,6 +140,14 @@ def _fingerprint(plant: type[Plant], parts: frozenset[str], unknown: frozenset[s
         digest.update(file.read_bytes())
     for program in _PROGRAMS:
         digest.update(importlib.metadata.version(program).encode())
+    for file in sorted(_sources(plant)):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def source_hash(plant: type[Plant]) -> str:
+    """A hash of the files that say what the plant is."""
+    digest = hashlib.sha256()
     for file in sorted(_sources(plant)):
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]

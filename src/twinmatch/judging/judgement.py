@@ -36,7 +36,12 @@ class Judgement:
 
 
 def judge_session(
-    path: Path, *, candidates: Path | None = None, config: Path | None = None, watch: Watch | None = None
+    path: Path,
+    *,
+    candidates: Path | None = None,
+    config: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
 ) -> Judgement:
     """Judge a session, an .mcap file or a recording.
 
@@ -44,12 +49,13 @@ def judge_session(
         path: what to judge.
         candidates: file of candidates to begin with.
         config: file of parameters; without it the defaults.
+        plant: name or file of the plant, where the session does not say it or it is in a file.
         watch: called now and then.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    session = open_any(path)
+    session = open_any(path, plant=plant)
     return judge(session, terms_from_files(session, config, candidates), watch=watch)
 
 

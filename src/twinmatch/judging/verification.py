@@ -12,7 +12,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Judgement, Watch, judge
 from twinmatch.judging.terms import prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
-from twinmatch.sessions import Session, Topic, read_session
+from twinmatch.sessions import Session, Topic, open_any
 from twinmatch.twin import MatchReport
 
 __all__ = ["Difference", "Verification", "VerifyError", "compare", "holds_verdicts", "verify_session"]
@@ -76,6 +76,7 @@ def verify_session(
     topic: str | None = None,
     config: Path | None = None,
     candidates: Path | None = None,
+    plant: str | None = None,
     watch: Watch | None = None,
 ) -> Verification:
     """Judge a session again and compare matches and verdicts with the recorded ones.
@@ -85,6 +86,7 @@ def verify_session(
         topic: topic of the samples, if the session has several rigs.
         config: parameters to use instead of the recorded ones.
         candidates: candidates to begin with instead of the recorded ones.
+        plant: name or file of the plant, where the session does not say it or it is in a file.
         watch: called now and then.
 
     Raises:
@@ -92,7 +94,7 @@ def verify_session(
         TermsError: not the parameters they were made with.
         TwinmatchError: one of the files cannot be used.
     """
-    session = read_session(path, topic)
+    session = open_any(path, topic, plant=plant)
     if not holds_verdicts(session):
         msg = (
             f"session {session.name}: holds no verdicts on {prefix_of(session)}{SCORES}; "

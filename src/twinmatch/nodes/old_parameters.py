@@ -79,7 +79,7 @@ def translated(given: Mapping[str, Any]) -> dict[str, Any]:
             kept |= dict.fromkeys(names, given[old])
     if "pid.limit" in given:
         kept["pid.low"] = -given["pid.limit"]
-    if "structure" not in kept:
+    if "structure" not in kept and kept.get("plant", Peltier.name) == Peltier.name:
         starts = {n.removeprefix(_START): v for n, v in kept.items() if n.startswith(_START)}
         kept["structure"] = structure_of(Peltier, starts)
     return kept

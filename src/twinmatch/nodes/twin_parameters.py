@@ -20,7 +20,7 @@ from twinmatch.matching import Noise
 from twinmatch.nodes.loop_parameters import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
 from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
-from twinmatch.plants import PLANTS, Peltier, find_plant
+from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.twin import TrustLimits, TwinError, TwinSettings
 
 __all__ = [
@@ -93,12 +93,20 @@ def twin_values(place: str, given: Mapping[str, Any]) -> Values:
 
 
 def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
-    """All parameters of a node as a session has them; names of earlier versions are understood.
+    """All parameters of a node as a session has them; names of earlier versions are understood. A file
+    that a session names as its plant is not run: the plant has to be known already.
 
     Raises:
         ParameterError: as `twin_values`.
     """
-    return twin_values(place, translated(given))
+    kept = translated(given)
+    if "plant" in kept:
+        try:
+            kept["plant"] = written_name(plant_named(str(kept["plant"])))
+        except PlantError as error:
+            msg = f"{place}: {error}"
+            raise ParameterError(msg) from error
+    return twin_values(place, kept)
 
 
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
@@ -136,7 +144,7 @@ def values_of(settings: TwinSettings) -> Values:
     """The parameter values that make these settings: `settings_from` the other way round."""
     model = settings.start.model
     values: Values = {
-        "plant": model.plant.name,
+        "plant": written_name(model.plant),
         "structure": model.structure_name,
         "free": list(settings.free),
         "loop": Filed.LOOP.value if settings.gains is not None else UNKNOWN,
@@ -154,17 +162,23 @@ def values_of(settings: TwinSettings) -> Values:
     return values
 
 
-def read_settings(path: Path | None) -> TwinSettings:
+def read_settings(path: Path | None, plant: str = "") -> TwinSettings:
     """Settings from the sections of a ROS parameter file that concern the twin's nodes.
 
     Without a file, the defaults. Sections of other nodes are passed over.
 
+    Args:
+        path: the file, if there is one.
+        plant: the plant that is to be judged, by the name that recordings give it; empty: that of the
+            file, or the Peltier rig.
+
     Raises:
-        ParameterError: the file is not there, is no parameter file, or has a parameter that does not
-            exist or is out of range.
+        ParameterError: the file is not there, is no parameter file, has a parameter that does not exist or is
+            out of range, or is for another plant.
     """
+    wanted = {"plant": written_name(plant_named(plant))} if plant else {}
     if path is None:
-        return settings_from(twin_values("twin", {}))
+        return settings_from(twin_values("twin", wanted))
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -186,12 +200,16 @@ def read_settings(path: Path | None) -> TwinSettings:
     if not given:
         msg = f"{path}: has no section /**, matcher or discriminator; see the files in config/"
         raise ParameterError(msg)
-    values = twin_values(str(path), given)
+    values = twin_values(str(path), wanted | given)
     try:
-        return settings_from(values)
+        settings = settings_from(values)
     except TwinmatchError as error:
         msg = f"{path}: {error}"
         raise ParameterError(msg) from error
+    if wanted and settings.plant is not plant_named(plant):
+        msg = f"{path}: is for plant {settings.plant.name}, and what is to be judged is of plant {plant}"
+        raise ParameterError(msg)
+    return settings
 
 
 def at_period(settings: TwinSettings, period: float, config: Path | None) -> TwinSettings:
@@ -225,7 +243,7 @@ def _plant(model: Model) -> tuple[Parameter, ...]:
     )
     y, u = plant.output, plant.drive
     return (
-        Parameter("plant", plant.name, "Which plant.", choices=tuple(PLANTS)),
+        Parameter("plant", written_name(plant), "Which plant: its name, or the file it is in."),
         Parameter(
             "structure",
             model.structure_name,

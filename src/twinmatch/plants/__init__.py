@@ -1,25 +1,69 @@
-"""Plants, each in a file of its own that says nothing but what the plant is."""
+"""Plants, each in a file of its own that says nothing but what the plant is.
+
+`find_plant` finds those that come with this package, those of other installed packages (entry points of the
+group `twinmatch.plants`), and those in a file, by its path.
+"""
 
 from __future__ import annotations
 
 from typing import Final
 
 from twinmatch.dynamics import Plant, PlantError
+from twinmatch.plants.files import is_plant_file, load_plant, loaded, source_of
+from twinmatch.plants.installed import installed_names, installed_plant
 from twinmatch.plants.peltier import Peltier
 from twinmatch.plants.tclab import TCLab
 
-__all__ = ["PLANTS", "Peltier", "TCLab", "find_plant"]
+__all__ = ["PLANTS", "Peltier", "TCLab", "find_plant", "plant_named", "written_name"]
 
 PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier, TCLab)}
 """The plants that come with this package, by name."""
 
 
 def find_plant(name: str) -> type[Plant]:
-    """The plant of this name.
+    """The plant of this name, or the one in this file.
+
+    A file is code that is run. So names that come from a recording or over a wire are not given to this
+    function but to `plant_named`.
+
+    Raises:
+        PlantError: there is none, or its file cannot be used.
+    """
+    if is_plant_file(name):
+        plant = load_plant(name)
+        if plant.name in PLANTS:
+            msg = (
+                f"{name}: its plant is called {plant.name}, as one that comes with twinmatch; give it "
+                f"another name, such as class {plant.__name__}(Plant, name='my_{plant.name}')"
+            )
+            raise PlantError(msg)
+        return plant
+    return plant_named(name)
+
+
+def plant_named(name: str) -> type[Plant]:
+    """The plant of this name, as recordings and messages give it: of those that are there, and of the files
+    that were loaded because a user named them. A file that is named here is never loaded.
 
     Raises:
         PlantError: there is none.
     """
-    if name not in PLANTS:
-        raise PlantError(f"plant {name!r}: not known; there are {', '.join(PLANTS)}")
-    return PLANTS[name]
+    if name in PLANTS:
+        return PLANTS[name]
+    found = loaded(name) or installed_plant(name)
+    if found is not None:
+        return found
+    if is_plant_file(name):
+        msg = f"the plant is in a file, {name}; files are run only if you name them: add --plant {name}"
+        raise PlantError(msg)
+    known = ", ".join(dict.fromkeys([*PLANTS, *installed_names()]))
+    msg = (
+        f"plant {name!r}: not known; there are {known}. One in a file is named by its path: --plant "
+        f"{name}.py, or plant: {name}.py in a configuration"
+    )
+    raise PlantError(msg)
+
+
+def written_name(plant: type[Plant]) -> str:
+    """How a plant is named in settings, so that `find_plant` finds it again: its name, or its file."""
+    return source_of(plant) or plant.name

@@ -31,6 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="parameters (.yaml) instead of the recorded ones"
     )
+    parser.add_argument(
+        "--plant", metavar="NAME|FILE.py", help="the plant, if the session does not say it or it is in a file"
+    )
     parser.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
 
 
@@ -63,6 +66,7 @@ def _make(options: argparse.Namespace) -> Report:
             options.session,
             config=options.config,
             candidates=options.candidates,
+            plant=options.plant,
             watch=progress.advance,
             command=shlex.join(["twinmatch", *sys.argv[1:]]),
         )

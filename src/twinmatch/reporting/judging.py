@@ -34,7 +34,12 @@ class Judged:
 
 
 def judge(
-    path: Path, *, config: Path | None = None, candidates: Path | None = None, watch: Watch | None = None
+    path: Path,
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
 ) -> Judged:
     """Judge a session, an `.mcap` file or a recording for a report.
 
@@ -44,7 +49,7 @@ def judge(
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    session = open_any(path)
+    session = open_any(path, plant=plant)
     terms, unlike = _terms(session, config, candidates)
     choices, (first, second) = Choices(), halves(watch)
     listener = Listener.to(session.samples, terms.settings.period, choices)

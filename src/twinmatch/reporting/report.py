@@ -150,6 +150,7 @@ def make_report(
     *,
     config: Path | None = None,
     candidates: Path | None = None,
+    plant: str | None = None,
     watch: Watch | None = None,
     command: str = "from Python",
 ) -> Report:
@@ -159,10 +160,12 @@ def make_report(
         path: what to judge.
         config: file of parameters; without one those recorded with the session, or the defaults.
         candidates: file of candidates to begin with.
+        plant: name or file of the plant, where the session does not say it or it is in a file.
         watch: called now and then.
         command: what the report says it was made by.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    return build_report(judge(path, config=config, candidates=candidates, watch=watch), path, command=command)
+    judged = judge(path, config=config, candidates=candidates, plant=plant, watch=watch)
+    return build_report(judged, path, command=command)

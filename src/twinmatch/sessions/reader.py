@@ -16,6 +16,7 @@ from twinmatch.sessions.errors import SessionError
 from twinmatch.sessions.metadata import METADATA, files_listed
 from twinmatch.sessions.older import current, current_topic
 from twinmatch.sessions.scan import Scan
+from twinmatch.sessions.settings import plant_of
 from twinmatch.sessions.topics import Message, Topic
 from twinmatch.signals import Sample, Window
 
@@ -49,6 +50,8 @@ class Session:
     """Yields the messages anew at each call."""
     records: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """Metadata records of the recorder by their name; of one that changed the last."""
+    plant: str = ""
+    """Of which plant it is, by name; empty where nothing says so, as in sessions of the Peltier rig."""
 
     @property
     def duration(self) -> float:
@@ -120,6 +123,7 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
     chosen = _plant_topic(topics, topic, place)
     samples = [decode_sample(current(message).data) for message in raw.get(chosen.name, [])]
     check_samples(samples, place)
+    records = {name: values for scan in scans for name, values in scan.records.items()}
     return Session(
         name=name,
         path=path,
@@ -131,7 +135,8 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
         end=end,
         notes=[*notes, *(_extent(fault, samples) for fault in faults), *_gaps(samples), *_clock(samples)],
         source=lambda: map(current, chain.from_iterable(Scan(file) for file in files)),
-        records={name: values for scan in scans for name, values in scan.records.items()},
+        records=records,
+        plant=plant_of(records),
     )
 
 

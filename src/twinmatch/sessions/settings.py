@@ -1,4 +1,4 @@
-"""Names of the metadata records that say with what parameters a session was made."""
+"""Names of the metadata records that say of which plant a session is, and how it was made."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Any
 
 from twinmatch.sessions.errors import SessionError
 
-__all__ = ["CANDIDATES", "parameters_of", "parameters_record"]
+__all__ = ["CANDIDATES", "PLANT", "parameters_of", "parameters_record", "plant_of"]
 
+PLANT = "twinmatch/plant"
+"""Record with the name of the `plant`; an import adds `source`, `map` and whether there is a `reference`."""
 PARAMETERS = "twinmatch/parameters"
 CANDIDATES = "twinmatch/candidates"
 """Record with the `text` of the file of candidates that the discriminator began with; empty: not readable."""
@@ -34,3 +36,16 @@ def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[s
     except ValueError as error:
         msg = f"session: the recorded parameters of {node} cannot be read: {error}"
         raise SessionError(msg) from error
+
+
+def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
+    """The plant that a session says it is of, by its name; empty if it does not say. Where a twin took the
+    plant from a file, this is that file's path."""
+    said = records.get(PLANT, {}).get("plant", "")
+    for name, values in records.items():
+        if not said and name.startswith(PARAMETERS) and "plant" in values:
+            try:
+                said = str(json.loads(values["plant"]))
+            except ValueError:
+                continue
+    return said

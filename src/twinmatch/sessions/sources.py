@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
+from twinmatch.plants import Peltier, find_plant
+from twinmatch.plants.files import is_plant_file
 from twinmatch.sessions.errors import SessionError
 from twinmatch.sessions.files import Told, open_regular
 from twinmatch.sessions.importers import MAT_BEGINNING, RECORDING_SUFFIXES, read_recording
@@ -16,7 +19,9 @@ from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, plant_messages
 __all__ = ["open_any"]
 
 
-def open_any(path: Path | str, topic: str | None = None, told: Told | None = None) -> Session:
+def open_any(
+    path: Path | str, topic: str | None = None, told: Told | None = None, *, plant: str | None = None
+) -> Session:
     """Open a session (folder or `.mcap` file) or a recording (`.mat`, `.csv`) as a session.
 
     What a file is, its first bytes say before its name does.
@@ -25,11 +30,25 @@ def open_any(path: Path | str, topic: str | None = None, told: Told | None = Non
         path: what to open.
         topic: the topic with the samples, if a session has several.
         told: called now and then with how much of how much of a recording has been read.
+        plant: name or file of the plant it is of, as a user gave it; needed where the session does not say
+            it, or where the plant is in a file.
 
     Raises:
-        SessionError: neither a session nor a recording, or one that cannot be used.
+        SessionError: neither a session nor a recording, one that cannot be used, or one of another plant.
+        PlantError: there is no such plant.
     """
-    path = Path(path)
+    session = _open(Path(path), topic, told)
+    if not plant:
+        return session
+    kind = find_plant(plant)
+    said = session.plant
+    if said and said != kind.name and not is_plant_file(said):
+        msg = f"{path}: is of plant {said}, and {kind.name} is asked for; leave --plant out or name {said}"
+        raise SessionError(msg)
+    return replace(session, plant=kind.name)
+
+
+def _open(path: Path, topic: str | None, told: Told | None) -> Session:
     beginning = _beginning(path)
     if beginning is None:
         return read_session(path, topic)
@@ -72,4 +91,5 @@ def _recording(path: Path, told: Told | None) -> Session:
         end=samples[-1].stamp,
         notes=[],
         source=lambda: plant_messages(samples),
+        plant=Peltier.name,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from twinmatch.sessions.checks import check_samples, gaps_of
@@ -40,7 +40,12 @@ def samples_of(window: Window, start: int = EPOCH) -> list[Sample]:
 
 
 def write_session(
-    folder: Path | str, samples: Sequence[Sample], *, overwrite: bool = False, told: Told | None = None
+    folder: Path | str,
+    samples: Sequence[Sample],
+    *,
+    overwrite: bool = False,
+    told: Told | None = None,
+    records: Mapping[str, Mapping[str, str]] | None = None,
 ) -> Path:
     """Write samples as a session with the topics `plant/sample`, `plant/temperature`, `plant/reference`.
 
@@ -52,6 +57,7 @@ def write_session(
         samples: at least one; consecutive indices, finite values.
         overwrite: replace a session that is there; anything else than a session is never replaced.
         told: called now and then with how many samples of how many have been written.
+        records: what is to be noted about the session, by the names of `settings`.
 
     Returns:
         The folder.
@@ -71,7 +77,7 @@ def write_session(
         msg = f"session {target}: cannot be written ({error.strerror})"
         raise SessionError(msg) from error
     try:
-        _write(workshop / target.name, samples, told)
+        _write(workshop / target.name, samples, told, records or {})
         _move(workshop, target)
     except OSError as error:
         msg = f"session {target}: cannot be put in its place ({error.strerror})"
@@ -87,8 +93,12 @@ def _check_gaps(samples: Sequence[Sample], target: Path) -> None:
         raise SessionError(msg)
 
 
-def _write(folder: Path, samples: Sequence[Sample], told: Told | None) -> None:
+def _write(
+    folder: Path, samples: Sequence[Sample], told: Told | None, records: Mapping[str, Mapping[str, str]]
+) -> None:
     with SessionWriter(folder) as writer:
+        for name, values in records.items():
+            writer.add_record(name, values)
         for topic in PLANT_TOPICS:
             writer.add_topic(topic)
         written = 0

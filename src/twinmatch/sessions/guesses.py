@@ -1,0 +1,113 @@
+"""What the columns of somebody's table may be, for who sees the table for the first time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.column_map import Source
+from twinmatch.sessions.tables import Table, split_title
+from twinmatch.sessions.times import read_times
+
+__all__ = ["Column", "look", "proposed"]
+
+_REFERENCE: Final = re.compile(
+    r"set.?-?point|\bsp\b|^sp\d*$|reference|^ref$|^r$|desired|target", re.IGNORECASE
+)
+_OUTPUT: Final = re.compile(
+    r"^t\d*$|temp|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow", re.IGNORECASE
+)
+_INPUT: Final = re.compile(
+    r"heater|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|input|^mv$|drive|actuat|throttle",
+    re.IGNORECASE,
+)
+_AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
+_TIME: Final = re.compile(r"^t$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
+_FEW: Final = 12
+"""Different values of a column up to which it rather looks commanded than measured."""
+
+
+class Column(NamedTuple):
+    """A column at a glance."""
+
+    title: str
+    unit: str
+    """As its title says; empty if it does not."""
+    low: float
+    high: float
+    different: int
+    """How many different values it has."""
+    empty: int
+    """Rows without a value."""
+    kind: str
+    """`time` (it only grows), `numbers`, `on or off`, `constant` or `text`."""
+
+
+def look(table: Table) -> list[Column]:
+    """Every column at a glance."""
+    return [_column(table, title) for title in table.columns]
+
+
+def _column(table: Table, title: str) -> Column:
+    unit = table.unit(title)
+    try:
+        values = table.values(title)
+    except TwinmatchError:
+        try:
+            seconds = read_times(table, title).seconds
+        except TwinmatchError:
+            return Column(title, unit, np.nan, np.nan, len(set(table.columns[title])), 0, "text")
+        return Column(title, "date", 0.0, float(np.nanmax(seconds)), seconds.size, 0, "time")
+    held = values[np.isfinite(values)]
+    if not held.size:
+        return Column(title, unit, np.nan, np.nan, 0, values.size, "text")
+    different = int(np.unique(held).size)
+    grows = held.size > 2 and bool((np.diff(held) > 0).all())
+    if different == 1:
+        kind = "constant"
+    elif grows:
+        kind = "time"
+    else:
+        kind = "on or off" if set(np.unique(held)) <= {0.0, 1.0} else "numbers"
+    return Column(title, unit, float(held.min()), float(held.max()), different, values.size - held.size, kind)
+
+
+def proposed(columns: Sequence[Column]) -> dict[str, Source]:
+    """Which of the columns may be time, output, input, reference and room, to be looked over by a person."""
+    found: dict[str, Source] = {}
+    taken: set[str] = set()
+    for signal, candidates in (
+        ("time", _named(columns, _TIME, ("time",))),
+        ("reference", _named(columns, _REFERENCE, ("numbers",))),
+        ("room", _named(columns, _AROUND, ("numbers", "constant"))),
+        ("input", _named(columns, _INPUT, ("on or off", "numbers"))),
+        ("output", _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))),
+        ("time", _of(columns, "time")),
+        ("input", _of(columns, "on or off")),
+        ("input", (c for c in _of(columns, "numbers") if c.different <= _FEW)),
+        ("output", _liveliest(_of(columns, "numbers"))),
+        ("input", _of(columns, "numbers")),
+    ):
+        choice = next((column.title for column in candidates if column.title not in taken), None)
+        if signal not in found and choice is not None:
+            found[signal] = Source((choice,))
+            taken.add(choice)
+    order = ("time", "output", "input", "reference", "room")
+    return {signal: found[signal] for signal in order if signal in found}
+
+
+def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> Iterator[Column]:
+    return (c for c in columns if c.kind in kinds and words.search(split_title(c.title)[0]))
+
+
+def _of(columns: Sequence[Column], kind: str) -> Iterator[Column]:
+    return (c for c in columns if c.kind == kind)
+
+
+def _liveliest(columns: Iterator[Column]) -> Iterator[Column]:
+    """Those with most different values first: of several readings, a room's changes least."""
+    return iter(sorted(columns, key=lambda column: -column.different))

@@ -1,0 +1,264 @@
+"""Somebody's table as samples of a plant: columns by a map, units brought to the plant's, one clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import Plant
+from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.column_map import ColumnMap, Source
+from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.resampling import Kind, resample
+from twinmatch.sessions.store import EPOCH
+from twinmatch.sessions.tables import Table, split_title
+from twinmatch.sessions.times import Times, read_times
+from twinmatch.signals import FloatArray, Sample
+from twinmatch.units import Conversion, conversion, measure
+
+__all__ = ["Mapped", "map_samples", "with_plant_names"]
+
+TIME, OUTPUT, INPUT, REFERENCE = "time", "output", "input", "reference"
+
+_ODD = 0.01
+"""Share of the readings beyond a sensor's span up to which the sensor is blamed, not the unit."""
+
+
+class Mapped(NamedTuple):
+    """Samples of a plant, and what was done to get them."""
+
+    samples: list[Sample]
+    period: float
+    """Seconds from sample to sample."""
+    sources: Mapping[str, Source]
+    """By signal, with the titles as they stand in the table."""
+    has_reference: bool
+    """Whether the table has set-points; without, every sample has the same reference, which says nothing."""
+    notes: list[str]
+    """What its owner should know, as sentences."""
+
+
+class _Signal(NamedTuple):
+    """What a plant says of one of its signals."""
+
+    kind: Kind
+    unit: str
+    low: float = -math.inf
+    high: float = math.inf
+
+
+def with_plant_names(table: Table, plant: type[Plant], given: ColumnMap) -> ColumnMap:
+    """The map, and columns that are called as the signals they are."""
+    sources = dict(_by_signal(plant, given.sources))
+    for signal, names in _names(plant).items():
+        if signal not in sources:
+            for name in names:
+                found = [title for title in table.columns if split_title(title)[0].lower() == name.lower()]
+                if len(found) == 1:
+                    sources[signal] = Source((found[0],))
+                    break
+    return ColumnMap(sources, given.plant, given.period)
+
+
+def map_samples(
+    table: Table, given: ColumnMap, plant: type[Plant], *, longest: float | None = None
+) -> Mapped:
+    """The samples of a plant that a table holds.
+
+    Args:
+        table: somebody's columns.
+        given: which of them is which signal.
+        plant: whose signals they are.
+        longest: step from row to row that may be bridged, s; three usual ones if not given.
+
+    Raises:
+        RecordingError: a signal or column that is not there, units that do not fit, values that the plant
+            cannot have, gaps.
+    """
+    sources = {signal: _found(table, source) for signal, source in _by_signal(plant, given.sources).items()}
+    signals, notes = _wanted(table, plant, sources)
+    times = _times(table, sources[TIME])
+    values = {signal: _values(table, sources[signal], signal, known) for signal, known in signals.items()}
+    whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in values.values()], axis=0)
+    if whole.sum() < 2:
+        signal = next(s for s in (TIME, *values) if not np.isfinite({TIME: times.seconds, **values}[s]).any())
+        raise RecordingError(f"{table.path}: no row has a value of {signal}; map another column to it")
+    if not whole.all():
+        lost = np.flatnonzero(~whole)
+        where = f"{table.row} {table.lines[int(lost[0])]}"
+        notes.append(f"{lost.size} rows lack a value and are left out, the first in {where}.")
+    kept = np.flatnonzero(whole)
+    for signal, known in signals.items():
+        notes += _check_range(table, signal, known, values[signal], kept)
+    done = resample(
+        times.seconds[kept],
+        {signal: column[kept] for signal, column in values.items()},
+        {signal: known.kind for signal, known in signals.items()},
+        given.period,
+        longest=longest,
+        place=str(table.path),
+        row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
+    )
+    notes.insert(0, done.sentence[0].upper() + done.sentence[1:] + ".")
+    start = EPOCH if times.origin is None else round((times.origin + float(done.time[0])) * 1e9)
+    samples = _samples(plant, done.columns, start, done.period)
+    return Mapped(samples, done.period, sources, REFERENCE in done.columns, notes)
+
+
+def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
+    """The signals of a plant, and how each may be called."""
+    return {
+        TIME: (TIME,),
+        OUTPUT: (OUTPUT, plant.output.name),
+        INPUT: (INPUT, plant.drive.name),
+        REFERENCE: (REFERENCE, "setpoint", "set_point", "set-point"),
+        **{name: (name,) for name in plant.disturbances},
+    }
+
+
+def _by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, Source]:
+    """The sources of a plant's signals, whichever of their names was used."""
+    known = {name: signal for signal, names in _names(plant).items() for name in names}
+    found: dict[str, Source] = {}
+    said: dict[str, str] = {}
+    for name, source in sources.items():
+        if name not in known:
+            signals = ", ".join(
+                f"{s} ({n[1]})" if s in (OUTPUT, INPUT) else s for s, n in _names(plant).items()
+            )
+            msg = f"--map: plant {plant.name} has no signal {name!r}; it has {signals}"
+            raise RecordingError(msg)
+        if known[name] in found:
+            raise RecordingError(f"--map: {said[known[name]]} and {name} are the same signal; name it once")
+        found[known[name]], said[known[name]] = source, name
+    return found
+
+
+def _found(table: Table, source: Source) -> Source:
+    """The source with the titles of the table; a single text with commas may be several columns."""
+    columns = source.columns
+    if len(columns) == 1 and "," in columns[0]:
+        try:
+            columns = (table.find(columns[0]),)
+        except RecordingError:
+            columns = tuple(part for part in columns[0].split(",") if part.strip())
+    return Source(tuple(map(table.find, columns)), source.unit, source.scale, source.offset)
+
+
+def _wanted(
+    table: Table, plant: type[Plant], sources: Mapping[str, Source]
+) -> tuple[dict[str, _Signal], list[str]]:
+    """The signals that the table is to give, and notes on those it does not have."""
+    needed = [TIME, OUTPUT, INPUT] + ([REFERENCE] if plant.loop is not None else [])
+    missing = [signal for signal in needed if signal not in sources]
+    if missing:
+        why = ""
+        if missing == [REFERENCE]:
+            why = (
+                f", since the loop of plant {plant.name} is known (`loop`) and its twin follows the set-point"
+            )
+        msg = (
+            f"{table.path}: no column is mapped to {' and none to '.join(missing)}{why}; "
+            f"write --map {' '.join(f'{signal}=COLUMN' for signal in missing)} (--list shows the columns)"
+        )
+        raise RecordingError(msg)
+    y, u = plant.output, plant.drive
+    signals = {OUTPUT: _Signal("reading", y.unit, *y.span), INPUT: _Signal("held", u.unit, *u.limits)}
+    if REFERENCE in sources:
+        signals[REFERENCE] = _Signal("set", y.unit)
+    notes = []
+    for name, disturbance in plant.disturbances.items():
+        if name in sources:
+            signals[name] = _Signal("reading", disturbance.unit)
+        else:
+            value = f"{disturbance.default:g} {disturbance.unit}".strip()
+            notes.append(f"{name} is not in the table: {value} stands in for it, as the plant says.")
+    if REFERENCE not in sources:
+        notes.append(
+            "The table has no set-point: the loop is taken as not known, the twin is driven by the input."
+        )
+    return signals, notes
+
+
+def _times(table: Table, source: Source) -> Times:
+    if len(source.columns) > 1:
+        raise RecordingError(f"--map time={source.text}: time is one column")
+    return read_times(table, source.columns[0], source.unit, source.scale)
+
+
+def _values(table: Table, source: Source, signal: str, known: _Signal) -> FloatArray:
+    """A signal in the plant's unit, shape (N,)."""
+    total = np.zeros(len(table.lines))
+    for title in source.columns:
+        unit = source.unit or table.unit(title)
+        change = _conversion(table, title, unit, signal, known.unit) if unit else Conversion()
+        total += (source.scale * table.values(title) + source.offset) * change.scale + change.offset
+    return total / len(source.columns)
+
+
+def _conversion(table: Table, title: str, unit: str, signal: str, wanted: str) -> Conversion:
+    try:
+        return conversion(unit, wanted)
+    except TwinmatchError:
+        if not measure(unit).known:  # what stands in the brackets is a remark
+            return Conversion()
+        msg = (
+            f"{table.path}: {title!r} is in {unit}, the plant's {signal} in {wanted or 'plain numbers'}; map "
+            f"another column, or say what it is in: '{signal}={title}; unit={wanted or '1'}; scale=…'"
+        )
+        raise RecordingError(msg) from None
+
+
+def _check_range(
+    table: Table, signal: str, known: _Signal, values: FloatArray, kept: np.ndarray
+) -> list[str]:
+    """Refuses values that the plant cannot have; a few odd readings are those of a sensor that failed, which
+    the twin's health monitor is there to tell."""
+    slack = 1e-9 * max(abs(known.low), abs(known.high)) if math.isfinite(known.high - known.low) else 0.0
+    outside = kept[(values[kept] < known.low - slack) | (values[kept] > known.high + slack)]
+    if not outside.size:
+        return []
+    first = int(outside[0])
+    others = f" (and in {outside.size - 1} more)" if outside.size > 1 else ""
+    what = "limits of its drive" if signal == INPUT else "span of its output"
+    span = f"{known.low:g} to {known.high:g}"
+    found = f"{signal} is {values[first]:g} {known.unit}{others}, beyond the {what}, {span}"
+    if known.kind == "reading" and outside.size <= _ODD * kept.size:
+        return [f"In {table.row} {table.lines[first]}, {found}; kept as readings of a sensor that failed."]
+    raise RecordingError(f"{table.place(first)}: {found}; {_hint(signal, known, values[kept])}")
+
+
+def _hint(signal: str, known: _Signal, values: FloatArray) -> str:
+    """What may be meant by values that the plant cannot have."""
+    for unit in ("K", "degF", "mV", "mA", "mW", "kW", "ms", "min", ""):
+        try:
+            change = conversion(unit, known.unit)
+        except TwinmatchError:
+            continue
+        within = values * change.scale + change.offset
+        if change != Conversion() and ((within >= known.low) & (within <= known.high)).all():
+            return f"if the column is in {unit or 'parts of one'}, write '{signal}=COLUMN; unit={unit or 1}'"
+    for scale in (0.01, 100.0, 1e-3, 1e3, 100 / 255, 1 / 255):
+        within = values * scale
+        if within.max() > 0.2 * known.high and ((within >= known.low) & (within <= known.high)).all():
+            return f"if it is in another unit, write '{signal}=COLUMN; scale={scale:.6g}'"
+    return "map another column, give its unit, or widen the plant's range if it is right"
+
+
+def _samples(
+    plant: type[Plant], columns: Mapping[str, FloatArray], start: int, period: float
+) -> list[Sample]:
+    size = columns[OUTPUT].size
+    # A twin without set-points is driven by the input and asks no reference; the field has to be finite.
+    reference = columns.get(REFERENCE, np.full(size, columns[OUTPUT][0]))
+    rows = [columns.get(name, np.full(size, d.default)) for name, d in plant.disturbances.items()]
+    disturbances = np.array(rows).reshape(len(rows), size).T
+    return [
+        Sample(k, start + round(k * period * 1e9), float(r), float(y), float(u), tuple(map(float, d)))
+        for k, (r, y, u, d) in enumerate(
+            zip(reference, columns[OUTPUT], columns[INPUT], disturbances, strict=True)
+        )
+    ]

@@ -1,0 +1,108 @@
+"""Times as loggers write them, as seconds: numbers of a unit, counts since 1970, dates.
+
+Numbers far beyond any recording's length are counts since 1970, and their size says of what: seconds from 1e8
+(1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates are ISO 8601
+(`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`); without a time zone they are taken as UTC.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.tables import Table, number
+from twinmatch.signals import FloatArray
+from twinmatch.units import conversion
+
+__all__ = ["Times", "is_date", "read_times"]
+
+_COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
+"""From which size on a number counts since 1970, and how many of its unit are a second."""
+
+
+class Times(NamedTuple):
+    """When each row was taken."""
+
+    seconds: FloatArray
+    """Since `origin`, shape (N,); nan where a row has none."""
+    origin: float | None
+    """Seconds since 1970; None where the table does not say when it began."""
+
+
+def is_date(text: str) -> bool:
+    """Whether a cell holds a date and time."""
+    return _date(text) is not None
+
+
+def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> Times:
+    """The times in a column.
+
+    Args:
+        table: where it stands.
+        title: of the column.
+        unit: of the numbers; empty: as the title says, or by their size.
+        scale: what to multiply the numbers with first.
+
+    Raises:
+        RecordingError: a cell that is no time, or a unit that is not one of time.
+    """
+    column = table.columns[title]
+    if not isinstance(column, np.ndarray):
+        first = next((text for text in column if text.strip()), "")
+        if number(first, table.decimal) is None:
+            return _since(_dates(table, title, column))
+    values = table.values(title) * scale
+    unit = unit or table.unit(title)
+    size = float(np.nanmax(np.abs(values), initial=0.0))
+    if unit:
+        try:
+            per_second = 1.0 / conversion(unit, "s").scale
+        except TwinmatchError:
+            msg = f"{table.path}: {title!r} is in {unit}, no unit of time; write time='{title}; unit=s'"
+            raise RecordingError(msg) from None
+    else:
+        per_second = next((count for least, count in _COUNTS if size >= least), 1.0)
+    if size / per_second >= 1e8:
+        return _since(values / per_second)
+    return Times(values / per_second, None)
+
+
+def _since(seconds: FloatArray) -> Times:
+    """Times from the first on, and when that was; less is lost of them so."""
+    origin = float(seconds[np.flatnonzero(np.isfinite(seconds))[:1]].sum())
+    return Times(seconds - origin, origin)
+
+
+def _dates(table: Table, title: str, column: Sequence[str]) -> FloatArray:
+    seconds = np.full(len(column), np.nan)
+    for k, text in enumerate(column):
+        if not text.strip():
+            continue
+        stamp = _date(text)
+        if stamp is None:
+            msg = (
+                f"{table.place(k)}: {title!r} is {text.strip()[:40]!r}, neither a number nor a date such as "
+                "2021-01-22 14:48:58.7"
+            )
+            raise RecordingError(msg)
+        seconds[k] = stamp
+    return seconds
+
+
+def _date(text: str) -> float | None:
+    plain = text.strip().replace("/", "-").replace(",", ".")
+    plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
+    head, dot, tail = plain.partition(".")
+    if dot:  # Python 3.10 takes three or six decimals, loggers write any number of them
+        digits = len(tail) - len(tail.lstrip("0123456789"))
+        plain = f"{head}.{tail[:digits][:6]:0<6}{tail[digits:]}"
+    try:
+        stamp = datetime.fromisoformat(plain)
+    except ValueError:
+        return None
+    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)).timestamp()

@@ -1,0 +1,96 @@
+"""Units as plants, columns and people write them: from one to another, and what a unit measures.
+
+A unit that no table knows (`PWM`, `steps`) is taken for a count of things, which is a plain number.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from twinmatch.errors import TwinmatchError
+
+if TYPE_CHECKING:
+    import pint
+
+__all__ = ["Conversion", "Measure", "UnitError", "conversion", "measure"]
+
+_COLUMN_WORDS = {"C": "degC", "c": "degC", "°c": "degC", "F": "degF", "°f": "degF", "k": "K"}
+"""What stands in brackets behind a temperature's name, where a table of units has coulomb and farad."""
+_FAR = 2.0**20
+"""How far from zero the slope of a conversion is taken: the farther, the less an offset's digits matter."""
+_TEMPERATURE = (("[temperature]", 1.0),)
+
+
+class UnitError(TwinmatchError):
+    """A unit that cannot be read, or two that measure different things."""
+
+
+class Conversion(NamedTuple):
+    """value · scale + offset is the value in the other unit."""
+
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+class Measure(NamedTuple):
+    """What a unit measures."""
+
+    dimension: tuple[tuple[str, float], ...] = ()
+    """Powers of mass, length, time and so on, by name; empty: a plain number."""
+    factor: float = 1.0
+    """How many of the base unit one of it is."""
+    known: bool = True
+    """False if no table knows the unit: it is taken for a count."""
+    offset: bool = False
+    """Whether its zero is not the quantity's (°C, °F)."""
+
+
+@lru_cache(maxsize=256)
+def measure(unit: str) -> Measure:
+    """What a unit measures; `W/(m² K)`, `kg m^2`, `°C` and `%` are understood."""
+    try:
+        parsed: Any = _registry().parse_units(_plain(unit))
+        base = _registry().Quantity(1.0, parsed)
+        powers = tuple(sorted((str(n), float(p)) for n, p in parsed.dimensionality.items()))
+        offset = not base._is_multiplicative
+        factor = 1.0 if offset else float(base.to_base_units().magnitude)
+    except Exception:
+        return Measure(known=False)
+    return Measure(powers, factor, offset=offset)
+
+
+@lru_cache(maxsize=256)
+def conversion(given: str, wanted: str) -> Conversion:
+    """From one unit to another.
+
+    Raises:
+        UnitError: they measure different things.
+    """
+    if _plain(given) == _plain(wanted):
+        return Conversion()
+    target = measure(wanted)
+    if target.dimension == _TEMPERATURE:
+        given = _COLUMN_WORDS.get(given.strip(), given)
+    source = measure(given)
+    if not (source.known and target.known) or source.dimension != target.dimension:
+        msg = f"{given or 'a plain number'} cannot be converted to {wanted or 'a plain number'}"
+        raise UnitError(msg)
+    quantity = _registry().Quantity
+    low, high = (_float(quantity(x, _plain(given)).to(_plain(wanted)).magnitude) for x in (0.0, _FAR))
+    return Conversion((high - low) / _FAR if low else high / _FAR, low)
+
+
+def _float(magnitude: Any) -> float:
+    return float(magnitude)
+
+
+def _plain(unit: str) -> str:
+    return unit.strip().replace("·", " ") or "dimensionless"
+
+
+@lru_cache(maxsize=1)
+def _registry() -> pint.UnitRegistry[Any]:
+    import pint  # noqa: PLC0415 (half a second that only who asks for units pays)
+
+    return pint.UnitRegistry()

@@ -1,0 +1,153 @@
+"""Plants outside this package: in a file that somebody names, or of another installed package."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.plant_files import plant_file
+from twinmatch.dynamics import Plant, PlantError
+from twinmatch.plants import Peltier, find_plant, plant_named, written_name
+from twinmatch.plants.installed import _declared
+
+
+def test_a_plant_is_found_by_its_file_and_then_by_its_name(tmp_path: Path) -> None:
+    path = plant_file(tmp_path, "block_found")
+    plant = find_plant(str(path))
+    assert plant.name == "block_found"
+    assert find_plant("block_found") is plant is find_plant(str(path))
+    assert written_name(plant) == str(path)
+    assert written_name(Peltier) == "peltier"
+
+
+def test_a_file_that_a_recording_names_is_not_run(tmp_path: Path) -> None:
+    path = plant_file(tmp_path, "block_told", ('"""A heated', 'open("ran", "w")\n"""A heated'))
+    with pytest.raises(
+        PlantError, match=r"files are run only if you name them: add --plant .*block_told\.py"
+    ):
+        plant_named(str(path))
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_file_named_by_a_user_is_found_by_its_name_in_a_recording(tmp_path: Path) -> None:
+    plant = find_plant(str(plant_file(tmp_path, "block_recorded")))
+    assert plant_named("/somebody/elses/folder/block_recorded.py") is plant
+    assert plant_named("block_recorded") is plant
+
+
+def _name_in_another_process(plant: type[Plant]) -> tuple[str, int]:
+    return plant.name, len(plant.parameters)
+
+
+def test_a_plant_of_a_file_travels_to_another_process(tmp_path: Path) -> None:
+    plant = find_plant(str(plant_file(tmp_path, "block_travels")))
+    assert pickle.loads(pickle.dumps(plant)) is plant
+    assert pickle.loads(pickle.dumps(Peltier)) is Peltier
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(_name_in_another_process, (plant,)) == ("block_travels", 3)
+
+
+def test_a_plant_may_use_a_file_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "tables_of_block.py").write_text("LIMIT = 80.0\n")
+    path = plant_file(
+        tmp_path, "block_beside", ("limits=(0.0, 100.0)", "limits=(0.0, tables_of_block.LIMIT)"),
+        ('"""A heated', 'import tables_of_block\n"""A heated'),
+    )  # fmt: skip
+    before = list(sys.path)
+    assert find_plant(str(path)).drive.limits == (0.0, 80.0)
+    assert sys.path == before
+
+
+OTHER = """\
+class Other(Plant):
+    y = Output(noise=1.0, span=(0.0, 1.0))
+    u = Drive(limits=(0.0, 1.0), noise=1.0)
+    x = State(span=(0.0, 1.0))
+    structures = {'a': Structure(free=())}
+
+
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("Output(unit", "Output(unti", r"TypeError: Output\(\) got .*unti"),
+        ("unit=\"°C\", noise=0.1, ", "unit=\"°C\", ", r"TypeError: Output\(\) missing 1 required .*noise"),
+        ("bounds=(0.05, 5.0)", "bounds=(5.0, 0.05)", r"plant: bounds \(5.0, 0.05\)"),
+        ("default=0.5, ", "default=0.5 ", r"no Python: "),
+        ("Disturbance(", "Disturbence(", r"NameError: name 'Disturbence' is not defined"),
+        ('free=("gain", "capacity")', 'free=("gian",)', r"plant .*no parameter 'gian'"),
+        ("State, Structure", "State, Structur", r"ImportError: cannot import name 'Structur'"),
+        ("class Heated(Plant, ", "class Heated(object, ", r"TypeError: "),
+        ("class Heated", f"{OTHER}class Heated", r"has 2 plants, Heated, Other; give each"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = plant_file(tmp_path, "block_bad", (old, new))
+    line = 1 + path.read_text().partition("class" if old.startswith("free") else new)[0].count("\n")
+    with pytest.raises(PlantError, match=message) as raised:
+        find_plant(str(path))
+    assert str(raised.value).startswith(f"{path}: " if new.startswith(OTHER) else f"{path}, line {line}: ")
+    assert "\n" not in str(raised.value)
+
+
+def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlantError, match="there is no such file"):
+        find_plant(str(tmp_path / "none.py"))
+    empty = tmp_path / "empty.py"
+    empty.write_text("x = 1\n")
+    with pytest.raises(PlantError, match="has no plant; write a class of it"):
+        find_plant(str(empty))
+    with pytest.raises(PlantError, match="is called peltier, as one that comes with twinmatch"):
+        find_plant(str(plant_file(tmp_path, "peltier")))
+    assert find_plant("peltier") is Peltier
+    find_plant(str(plant_file(tmp_path, "block_twice")))
+    (tmp_path / "copy").mkdir()
+    with pytest.raises(
+        PlantError, match=r"is called block_twice, as that of .*give one of them another name"
+    ):
+        find_plant(str(plant_file(tmp_path / "copy", "block_twice")))
+    with pytest.raises(PlantError, match=r"plant 'nothing': not known; there are peltier.*nothing\.py"):
+        find_plant("nothing")
+
+
+def installed(folder: Path, value: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package as pip leaves it, with one entry point."""
+    info = folder / "block_package-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: block-package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[twinmatch.plants]\nblock_package = {value}\n")
+    monkeypatch.syspath_prepend(folder)
+    _declared.cache_clear()
+
+
+def test_a_plant_of_an_installed_package_is_found_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant_file(tmp_path, "block_package")
+    installed(tmp_path, "block_package:Heated", monkeypatch)
+    try:
+        plant = find_plant("block_package")
+        assert plant.__module__ == "block_package"
+        assert written_name(plant) == "block_package"
+        with pytest.raises(PlantError, match=r"there are peltier.*block_package"):
+            find_plant("another")
+    finally:
+        monkeypatch.undo()
+        _declared.cache_clear()
+
+
+def test_what_a_package_declares_wrongly_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant_file(tmp_path, "block_package")
+    installed(tmp_path, "block_package:Plan", monkeypatch)
+    try:
+        with pytest.raises(PlantError, match="plant 'block_package' of block-package: cannot be imported"):
+            find_plant("block_package")
+    finally:
+        monkeypatch.undo()
+        _declared.cache_clear()

@@ -1,0 +1,278 @@
+"""Tables of any columns become samples of a plant: what is read, and one clear line for what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.plant_files import plant_file
+from tests.support.plants import Motor
+from tests.support.processes import run_twinmatch
+from twinmatch.dynamics import Plant
+from twinmatch.plants import find_plant
+from twinmatch.sessions import RecordingError, read_session
+from twinmatch.sessions.column_map import ColumnMap, Source, parse_map, read_map
+from twinmatch.sessions.guesses import look, proposed
+from twinmatch.sessions.mapped import Mapped, map_samples, with_plant_names
+from twinmatch.sessions.tables import read_table
+from twinmatch.sessions.times import read_times
+
+
+@pytest.fixture(scope="module")
+def heated(tmp_path_factory: pytest.TempPathFactory) -> type[Plant]:
+    return find_plant(str(plant_file(tmp_path_factory.mktemp("plants"), "block_mapped")))
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "log.csv"
+    path.write_text(text, "utf-8")
+    return path
+
+
+CSV = "t,T1,T2,on,room\n0,20,22,False,19.5\n1,21,23,True,19.5\n2,22,24,True,19.6\n3,23,25,False,19.6\n"
+MAP = ["time=t", "output=T1, T2", "heater=on; scale=100", "room=room"]
+
+
+def mapped(folder: Path, plant: type[Plant], text: str = CSV, entries: list[str] | None = None) -> Mapped:
+    return map_samples(read_table(written(folder, text)), parse_map(entries or MAP), plant)
+
+
+def test_means_switches_and_disturbances_are_taken_as_the_map_says(
+    tmp_path: Path, heated: type[Plant]
+) -> None:
+    found = mapped(tmp_path, heated)
+    assert [s.output for s in found.samples] == [21, 22, 23, 24]
+    assert [s.input for s in found.samples] == [0, 100, 100, 0]
+    assert [s.disturbances for s in found.samples] == [(19.5,), (19.5,), (19.6,), (19.6,)]
+    assert [s.index for s in found.samples] == [0, 1, 2, 3]
+    assert found.period == 1.0
+    assert not found.has_reference
+    assert {s.reference for s in found.samples} == {21.0}
+    assert any("no set-point" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        CSV.replace(",", ";").replace("19.5", "19,5").replace("19.6", "19,6"),
+        CSV.replace(",", "\t").replace("False", "off").replace("True", "on"),
+        "# of a logger\n" + CSV.replace("t,T1,T2", " t , T1 (degC), T2 [K] ").replace(
+            ",22,F", ",295.15,F").replace(",23,T", ",296.15,T").replace(",24,T", ",297.15,T").replace(
+            ",25,F", ",298.15,F"),
+        "\ufeff" + CSV.replace("\n", "\r\n"),
+        CSV.replace("\n0,", "\n1611326938000000000,").replace("\n1,", "\n1611326939000000000,").replace(
+            "\n2,", "\n1611326940000000000,").replace("\n3,", "\n1611326941000000000,"),
+        CSV.replace("\n0,", "\n2021-01-22 14:48:58,").replace("\n1,", "\n2021-01-22 14:48:59,").replace(
+            "\n2,", "\n2021-01-22T14:49:00Z,").replace("\n3,", "\n2021-01-22T15:49:01.0000000+01:00,"),
+        CSV.replace("t,", "t (min),").replace("\n1,", "\n0.0166666666667,").replace(
+            "\n2,", "\n0.0333333333333,").replace("\n3,", "\n0.05,"),
+        CSV.replace("\n1,", "\n0.5,,,,\n1,"),
+    ],
+    ids=["comma decimals", "tabs", "units", "windows", "ns since 1970", "dates", "minutes", "empty cells"],
+)  # fmt: skip
+def test_a_table_may_be_written_in_several_ways(tmp_path: Path, heated: type[Plant], text: str) -> None:
+    found = mapped(tmp_path, heated, text)
+    np.testing.assert_allclose([s.output for s in found.samples], [21, 22, 23, 24], atol=1e-9)
+    assert [s.input for s in found.samples] == [0, 100, 100, 0]
+    assert found.period == 1.0
+
+
+def test_a_recording_that_knows_its_date_keeps_it(tmp_path: Path, heated: type[Plant]) -> None:
+    dated = CSV.replace("\n0,", "\n1611326938,").replace("\n1,", "\n1611326939,").replace(
+        "\n2,", "\n1611326940,").replace("\n3,", "\n1611326941,")  # fmt: skip
+    assert mapped(tmp_path, heated, dated).samples[0].stamp == 1_611_326_938 * 10**9
+    assert mapped(tmp_path, heated).samples[0].stamp == 946_684_800 * 10**9
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        (["output=T1", "heater=on"], r"no column is mapped to time; write --map time=COLUMN"),
+        ([*MAP, "reference=set"], r"has no column 'set'; it has 't', 'T1'"),
+        ([*MAP, "rom=room"], r"plant block_mapped has no signal 'rom'; .*output \(temperature\).*room"),
+        ([*MAP, "output=T1"], "output is given twice"),
+        ([*MAP, "input=on"], "heater and input are the same signal"),
+        (["time"], "write SIGNAL=COLUMN"),
+        (["time=t; unit=V", *MAP[1:]], "is in V, no unit of time"),
+        (["time=t", "output=T1; unit=V", *MAP[2:]], "'T1' is in V, the plant's output in °C"),
+        (["time=t", "output=T1; scale=much", *MAP[2:]], "scale is 'much'; give a number"),
+        (["time=t", "output=T1; scale=0", *MAP[2:]], "scale is 0"),
+        (["time=t", "output=T1; per=2", *MAP[2:]], "'per' is not known; there are unit, scale and offset"),
+        (["time=t", "output=T1; offset=273.15", *MAP[2:]], r"line 2: output is 293.15 °C \(and in 3 more\), "
+         r"beyond the span of its output, -10 to 120; if the column is in K, write 'output=COLUMN; unit=K'"),
+        (["time=t", "output=T1", "input=on; scale=255"], r"line 3: input is 255 % .*'input=COLUMN; scale="),
+        (["time=room", *MAP[1:]], "time does not advance"),
+    ],
+)  # fmt: skip
+def test_maps_that_do_not_fit_are_explained(
+    tmp_path: Path, heated: type[Plant], entries: list[str], message: str
+) -> None:
+    with pytest.raises(RecordingError, match=message):
+        mapped(tmp_path, heated, entries=entries)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (CSV.replace(",20,", ",cold,"), "line 2: 'T1' is 'cold', which is not a number"),
+        (CSV.replace("2,22,", "9,22,").replace("3,23", "10,23"), "a gap of 8 s after line 3"),
+        (CSV.replace("t,T1,T2,on,room\n", ""), "the first line has to name the columns"),
+        ("Logger 7\n" + CSV, "line 2: has 5 cells, but line 1 has 1 column names"),
+        ("a,b\n", "has 1 lines"),
+    ],
+)
+def test_tables_that_cannot_be_used_are_explained(
+    tmp_path: Path, heated: type[Plant], text: str, message: str
+) -> None:
+    with pytest.raises(RecordingError, match=message):
+        mapped(tmp_path, heated, text)
+
+
+def test_a_plant_whose_loop_is_known_needs_its_set_points(tmp_path: Path) -> None:
+    text = "time,speed,volts\n0,1,2\n0.05,1,2\n0.1,1,2\n"
+    table = read_table(written(tmp_path, text))
+    with pytest.raises(
+        RecordingError, match="no column is mapped to reference, since the loop of plant motor"
+    ):
+        map_samples(table, with_plant_names(table, Motor, ColumnMap()), Motor)
+
+
+def test_a_few_odd_readings_are_those_of_a_sensor_that_failed(tmp_path: Path, heated: type[Plant]) -> None:
+    rows = [f"{k},{-127 if k == 50 else 30},30,True,20" for k in range(300)]
+    found = mapped(tmp_path, heated, "\n".join(["t,T1,T2,on,room", *rows]), ["time=t", "output=T1", *MAP[2:]])
+    assert found.samples[50].output == -127
+    assert any("line 52, output is -127" in note for note in found.notes)
+
+
+def test_columns_called_as_the_signals_need_no_map(tmp_path: Path, heated: type[Plant]) -> None:
+    table = read_table(written(tmp_path, CSV.replace("t,T1,T2,on", "Time (s),Temperature (degC),x,Heater")))
+    found = map_samples(table, with_plant_names(table, heated, ColumnMap()), heated)
+    assert found.sources["output"].columns == ("Temperature (degC)",)
+    assert found.sources["room"].columns == ("room",)
+
+
+@given(
+    scale=st.floats(0.01, 100).map(lambda x: round(x, 3)),
+    offset=st.floats(-50, 50).map(lambda x: round(x, 2)),
+    values=st.lists(st.floats(0, 100), min_size=3, max_size=30),
+)
+def test_what_was_scaled_by_a_logger_is_scaled_back(
+    tmp_path_factory: pytest.TempPathFactory,
+    heated: type[Plant],
+    scale: float,
+    offset: float,
+    values: list[float],
+) -> None:
+    raw = (np.array(values) - offset) / scale
+    text = "k,raw,duty\n" + "".join(f"{k * 0.5!r},{float(x)!r},0.5\n" for k, x in enumerate(raw))
+    entries = ["time=k", f"output=raw; scale={scale!r}; offset={offset!r}", "input=duty; unit=1"]
+    found = mapped(tmp_path_factory.getbasetemp(), heated, text, entries)
+    np.testing.assert_allclose([s.output for s in found.samples], values, atol=1e-9)
+    assert {s.input for s in found.samples} == {50.0}
+    assert found.period == 0.5
+
+
+def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text(
+        "plant: block\nperiod: 3\ncolumns:\n  time: {column: time, unit: ns}\n  output: [t2, t3]\n"
+        "  input: heater_on\n  room: {column: t1, scale: 0.1, offset: -40}\n"
+    )
+    found = read_map(path)
+    assert (found.plant, found.period) == ("block", 3.0)
+    assert found.sources == {
+        "time": Source(("time",), "ns"),
+        "output": Source(("t2", "t3")),
+        "input": Source(("heater_on",)),
+        "room": Source(("t1",), scale=0.1, offset=-40.0),
+    }
+    said = [f"{signal}={source.text}" for signal, source in found.sources.items() if signal != "output"]
+    assert all(parse_map(said).sources[name] == found.sources[name] for name in ("time", "input", "room"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1", "is no YAML file"),
+        ("output: T", "has no section 'columns'"),
+        ("columns: {output: T}\nplants: x", "plants is not known"),
+        ("columns: {output: 3}", "is 3; name a column"),
+        ("columns: {output: {column: T, scale: x}}", "scale is 'x'"),
+        ("columns: {output: []}", "names no column"),
+        ("period: -1\ncolumns: {output: T}", "period is -1"),
+    ],
+)
+def test_files_that_are_no_map_are_explained(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=message):
+        read_map(path)
+
+
+def test_vectors_and_matrices_of_matlab_are_columns(tmp_path: Path, heated: type[Plant]) -> None:
+    path = tmp_path / "run.mat"
+    t = np.arange(5.0)
+    scipy.io.savemat(path, {"t": t, "X": np.column_stack([t + 20, t * 10]), "note": "x"})
+    found = map_samples(read_table(path), parse_map(["time=t", "output=X[1]", "input=X[2]"]), heated)
+    assert [s.output for s in found.samples] == [20, 21, 22, 23, 24]
+    assert [s.input for s in found.samples] == [0, 10, 20, 30, 40]
+
+
+@pytest.mark.parametrize(
+    ("text", "guess"),
+    [
+        ("time,Q,T\n0,0,22\n1,80,23\n2,80,22.5\n", {"time": "time", "input": "Q", "output": "T"}),
+        (
+            "Time (sec),Heater 1 (%),Temperature 1 (degC),Set Point (degC)\n0,0,20,23\n1,9,20,2\n2,9,21,2\n",
+            {"time": "Time (sec)", "input": "Heater 1 (%)", "output": "Temperature 1 (degC)",
+             "reference": "Set Point (degC)"},
+        ),
+        (
+            "when,t_room,t2,heater_on\n2021-01-22 10:00,20,25,true\n2021-01-22 10:01,20,26,false\n"
+            "2021-01-22 10:02,20.1,27,true\n",
+            {"time": "when", "input": "heater_on", "output": "t2", "room": "t_room"},
+        ),
+        ("a,b,c\n0.1,7,1.5\n0.2,7,1.7\n0.3,9,1.2\n", {"time": "a", "input": "b", "output": "c"}),
+    ],
+)  # fmt: skip
+def test_a_map_is_proposed(tmp_path: Path, text: str, guess: dict[str, str]) -> None:
+    found = proposed(look(read_table(written(tmp_path, text))))
+    assert {signal: source.text for signal, source in found.items()} == guess
+
+
+def test_times_are_told_by_their_size(tmp_path: Path) -> None:
+    table = read_table(written(tmp_path, "a,b\n1611326938720,1\n1611326939720,2\n"))
+    times = read_times(table, "a")
+    assert times.seconds.tolist() == [0.0, 1.0]
+    assert times.origin == pytest.approx(1611326938.72)
+
+
+def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path: Path) -> None:
+    plant = plant_file(tmp_path, "block_command")
+    table = written(tmp_path, CSV)
+    listed = run_twinmatch("import", table, "--list")
+    assert listed.returncode == 0, listed.stderr
+    assert "--map time=t output=T1 input=on" in listed.stdout
+    done = run_twinmatch("import", table, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
+    assert done.returncode == 0, done.stderr
+    assert "4 samples, one every 1 s" in done.stdout
+    session = read_session(tmp_path / "session")
+    assert session.plant == "block_command"
+    assert session.samples[1].disturbances == (19.5,)
+    again = run_twinmatch("replay", tmp_path / "session")
+    assert again.returncode == 2
+    assert "plant 'block_command': not known" in again.stderr
+    assert "--plant block_command.py" in again.stderr
+    assert len(again.stderr.strip().splitlines()) == 1
+
+
+def test_the_command_refuses_a_recording_of_nobodys_plant(tmp_path: Path) -> None:
+    done = run_twinmatch("import", written(tmp_path, CSV), "--map", *MAP, "-o", tmp_path / "session")
+    assert done.returncode == 2
+    assert "say whose recording it is, with --plant" in done.stderr
+    assert not (tmp_path / "session").exists()
