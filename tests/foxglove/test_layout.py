@@ -13,7 +13,10 @@ import pytest
 
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
+from twinmatch.foxglove.layout import APPLIED, IMAGE, layout
 from twinmatch.foxglove.topics import ELSEWHERE, TOPICS
+from twinmatch.plants import Peltier
+from twinmatch.plants.named import description_of
 
 PROJECT = Path(__file__).resolve().parents[2]
 LAYOUT = json.loads((PROJECT / "config" / "foxglove_layout.json").read_text("utf-8"))
@@ -53,6 +56,11 @@ def placed(node: Any) -> Iterator[str]:
         assert node["direction"] in {"row", "column"}
         yield from placed(node["first"])
         yield from placed(node["second"])
+
+
+def test_the_shipped_layout_is_the_one_of_its_plant() -> None:
+    """A change of the layout or of the plant's words has to be written into the file that is shipped."""
+    assert layout(description_of(Peltier), (APPLIED, IMAGE)) == LAYOUT
 
 
 def test_every_panel_has_its_place() -> None:

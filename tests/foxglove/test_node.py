@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -29,9 +30,13 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float64
 
 from tests.support.places import SHIPPED
+from tests.support.plants import Motor
 from tests.support.processes import Process
+from tests.support.waiting import wait_for
+from twinmatch.nodes.descriptions import description_message
+from twinmatch.plants.named import description_of
 from twinmatch.sessions import read_session, write_session
-from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore
+from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore, PlantDescription
 
 pytestmark = pytest.mark.ros
 RELIABLE = QoSProfile(depth=100)
@@ -260,3 +265,22 @@ def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None
     assert done.returncode == 2, done.stderr
     assert line in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_layout_is_written_when_the_plant_says_what_it_is(
+    serve: Callable[..., Any], graph: Callable[..., Graph], tmp_path: Path
+) -> None:
+    out = tmp_path / "motor.json"
+    rig = graph("rig_a")
+    serving = serve("--namespace", "/rig_a", "--layout", str(out))
+    assert not out.exists()
+    describer = rig.node.create_publisher(PlantDescription, "plant/description", LATCHED)
+    describer.publish(description_message(description_of(Motor), 0.05))
+    wait_for(
+        lambda: out.exists() and "Image!thermal" in out.read_text("utf-8"), "a panel for the graph's image"
+    )
+    assert f"layout for DC motor: {out}" in serving.text
+    made = json.loads(out.read_text("utf-8"))["configById"]
+    assert made["Plot!output"]["yAxisLabel"] == "speed / rad/s"
+    assert made["Plot!input"]["paths"][0]["value"] == "/rig_a/plant/sample.input[0]"
+    assert len(made["Plot!input"]["paths"]) == 2  # nobody applies a PWM here

@@ -22,6 +22,7 @@ from twinmatch.cli import main
 from twinmatch.dashboard import DashboardState, TwinRow
 from twinmatch.dashboard.page import Page
 from twinmatch.dashboard.sentence import say
+from twinmatch.foxglove.layout import layout
 from twinmatch.judging.judgement import judge
 from twinmatch.judging.terms import terms_from_files
 from twinmatch.plants.named import description_of
@@ -112,6 +113,16 @@ def test_a_page_speaks_of_the_plant(shown: Shown) -> None:
     page.update()
     text = lettering(document) + document.template_variables["title"]
     shown.speaks_of_itself(text, shown.plant.title, *shown.words, f"plant − twin / {shown.words[1]}")
+
+
+def test_a_viewer_is_given_axes_with_the_plants_words(shown: Shown) -> None:
+    made = layout(description_of(shown.plant), rig="/rig_a")
+    shown.speaks_of_itself(json.dumps(made, ensure_ascii=False).replace("/rig_a/", ""))
+    y, u = shown.plant.output, shown.plant.drive
+    axes = [p["yAxisLabel"] for name, p in made["configById"].items() if name.startswith("Plot!")]
+    assert axes == [f"{q.name} / {q.unit}" for q in (y, u, y, u, y, u)]
+    topics = set(re.findall(r'"(/[a-z_/]+)', json.dumps(made)))
+    assert {topic for topic in topics if not topic.startswith("/rig_a/")} == {"/diagnostics", "/rosout"}
 
 
 def test_an_archive_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capture) -> None:

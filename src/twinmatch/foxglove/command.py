@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from twinmatch.foxglove.errors import FoxgloveError
 from twinmatch.nodes.serving import add_serving_arguments, check_serving, namespace_words
@@ -13,6 +14,12 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_serving_arguments(parser, 8765)
+    parser.add_argument(
+        "--layout",
+        type=Path,
+        metavar="OUT",
+        help="write a layout for the graph's plant to this file (.json) as soon as it says what it is",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -22,9 +29,15 @@ def run(options: argparse.Namespace) -> int:
         FoxgloveError: what it needs is not installed, or an option is no value it can have.
     """
     check_serving("foxglove", options, "foxglove", FoxgloveError)
+    out = options.layout
+    if out is not None and (out.is_dir() or not out.absolute().parent.is_dir()):
+        msg = f"foxglove: {out} cannot be written: name a file in a folder that is there"
+        raise FoxgloveError(msg)
     from twinmatch.foxglove.node import Foxglove  # noqa: PLC0415 — needs ROS and the SDK
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
 
     words = ["foxglove", "--ros-args", "-p", f"address:='{options.address}'", "-p", f"port:={options.port}"]
+    if out is not None:
+        words += ["-p", f"layout:='{out}'"]
     words += namespace_words("foxglove", options.namespace, FoxgloveError)
     return run_nodes([Foxglove], words)

@@ -5,22 +5,29 @@ from __future__ import annotations
 import importlib
 import time
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from twinmatch.description import Description
 from twinmatch.foxglove.clock import StreamTime
+from twinmatch.foxglove.errors import FoxgloveError
+from twinmatch.foxglove.layout import APPLIED, IMAGE, layout, write_layout
 from twinmatch.foxglove.server import GraphServer
 from twinmatch.foxglove.topics import ELSEWHERE, TOPICS
+from twinmatch.nodes.descriptions import description_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.plant_clock import CLOCK
 from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
+from twinmatch.nodes.samples import LATCHED
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.installed import schema_of
+from twinmatch_msgs.msg import PlantDescription
 
 __all__ = ["Foxglove"]
 
@@ -43,6 +50,7 @@ class Foxglove(TwinmatchNode):
             "address", "127.0.0.1", "Address to serve on; any but this machine's own is open to others."
         ),
         Parameter("port", 8765, "TCP port; 0: any that is free.", "", 0, 65535),
+        Parameter("layout", "", "File to write the layout for the graph's plant to; empty: none."),
     )
 
     _serving = False
@@ -66,6 +74,10 @@ class Foxglove(TwinmatchNode):
             self._advertise(name, kind)
         self._clock_there = self._to_repeat = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._said: Description | None = None
+        self._laid_out: tuple[Description, frozenset[str]] | None = None
+        if self.values["layout"]:
+            self.create_subscription(PlantDescription, "plant/description", self._on_description, LATCHED)
         self.create_subscription(ClockMessage, "/clock", self._on_clock, CLOCK)
         self.create_timer(LOOK, self._look, clock=steady)
         self.create_timer(TICK, self._tell_time, clock=steady)
@@ -75,7 +87,7 @@ class Foxglove(TwinmatchNode):
                 "nothing is encrypted",
                 flush=True,
             )
-        print(f"foxglove: {self._server.url} (layout: config/foxglove_layout.json)", flush=True)
+        print(f"foxglove: {self._server.url}", flush=True)
         self.report_on()
 
     def report(self) -> Report:
@@ -96,6 +108,27 @@ class Foxglove(TwinmatchNode):
         for name, _ in self.get_topic_names_and_types():
             if name not in self._unknown and wanted(name, self.get_namespace(), ELSEWHERE, LEFT_OUT):
                 self._subscribe(name)
+        self._lay_out()
+
+    def _on_description(self, message: PlantDescription) -> None:
+        self._said = description_from(message)
+
+    def _lay_out(self) -> None:
+        """Write the layout once it is known what the plant is called, and again if that changes."""
+        if self._said is None:
+            return
+        rig = self.get_namespace().rstrip("/")
+        there = frozenset(topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._readers)
+        if self._laid_out == (self._said, there):
+            return
+        self._laid_out = self._said, there
+        path = Path(self.values["layout"])
+        try:
+            write_layout(path, layout(self._said, there, rig))
+        except FoxgloveError as error:
+            self.health.complain("layout", Level.WARN, str(error))
+            return
+        print(f"layout for {self._said.title}: {path}", flush=True)
 
     def _subscribe(self, name: str) -> None:
         """Subscribe to a topic, or again if its publishers changed and now offer something else."""
