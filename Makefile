@@ -1,10 +1,17 @@
 # make help says what there is. Everything runs in .venv, which make prepares itself.
 
 PYTHON ?= python3
+ROS ?= jazzy
 VENV := .venv
 RUN := $(VENV)/bin/python
 STAMPS := $(VENV)/.stamps
 MESSAGES := src/twinmatch_msgs
+ROS_EXTRA_jazzy := ros
+ROS_EXTRA_kilted := ros-kilted
+ROS_EXTRA := $(ROS_EXTRA_$(ROS))
+ifeq ($(ROS_EXTRA),)
+$(error ROS=$(ROS): there are wheels of jazzy and kilted; make setup ROS=jazzy)
+endif
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 SESSION ?=
 BENCH_ARGS ?=
@@ -26,7 +33,8 @@ PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13)"
+	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13;"
+	@echo "                          ROS=kilted takes that ROS 2 instead of jazzy)"
 	@echo "make test                 setup, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
 	@echo "make check                setup, then only ruff, mypy and import-linter"
 	@echo "make demo                 setup, then run the twin on a sample session (SESSION=path picks another)"
@@ -66,9 +74,16 @@ $(STAMPS)/venv:
 	@$(PIP) --upgrade pip
 	@mkdir -p $(STAMPS) && touch $@
 
-$(STAMPS)/dependencies: pyproject.toml setup.py setup.cfg package.xml $(wildcard config/*) | $(STAMPS)/venv
-	@echo "setup: installing twinmatch with ROS 2 and the test tools (a minute or two)"
-	@$(PIP) --editable '.[ros,test]'
+# Wheels of two releases share names and folders, so the ones leave before the others come.
+$(STAMPS)/ros-$(ROS): | $(STAMPS)/venv
+	@$(RUN) -m pip list --format=freeze 2>/dev/null | sed -n 's/^\(ros-[^=]*\|twinmatch[-_]msgs\)[= ].*/\1/p' | \
+		xargs -r $(RUN) -m pip --quiet uninstall --yes
+	@rm -f $(STAMPS)/ros-*
+	@touch $@
+
+$(STAMPS)/dependencies: pyproject.toml setup.py setup.cfg package.xml $(wildcard config/*) $(STAMPS)/ros-$(ROS) | $(STAMPS)/venv
+	@echo "setup: installing twinmatch with ROS 2 ($(ROS)) and the test tools (a minute or two)"
+	@$(PIP) --editable '.[$(ROS_EXTRA),test]'
 	@touch $@
 
 $(STAMPS)/messages: $(wildcard $(MESSAGES)/msg/*.msg $(MESSAGES)/srv/*.srv) $(addprefix $(MESSAGES)/,setup.py pyproject.toml package.xml) $(STAMPS)/dependencies

@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import sysconfig
+from importlib.metadata import distributions
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -82,6 +83,16 @@ def ros_prefix() -> Path:
     except ImportError:
         raise SystemExit(f"{NAME}: no rosidl generators; run 'make setup' or use colcon") from None
     return Path(rosidl_cli.__file__).resolve().parents[4]
+
+
+def requirements() -> list[str]:
+    """What the built messages need: the wheels of the release with which they were built, and numpy."""
+    installed = {d.metadata["Name"]: d.version for d in distributions()}
+    releases = [r for r in ("jazzy", "kilted") if f"ros-{r}-rclpy" in installed]
+    if not releases:
+        return ["numpy>=1.26"]
+    names = [f"ros-{releases[0]}-std-msgs", f"ros-{releases[0]}-rmw-fastrtps-cpp", "ros-service-msgs"]
+    return ["numpy>=1.26", *(f"{name}~={installed[name]}" for name in names)]
 
 
 def generate(prefix: Path) -> None:
@@ -190,5 +201,6 @@ setup(
         (f"share/{NAME}/msg", [f"msg/{path.name}" for path in MESSAGES]),
         (f"share/{NAME}/srv", [f"srv/{path.name}" for path in SERVICES]),
     ],
+    install_requires=requirements(),
     cmdclass={"build": Build, "build_ext": BuildExtension},
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from twinmatch.nodes.network import (
-    PROFILE,
+    PROFILES,
     Network,
     NetworkError,
     check_sockets,
@@ -25,7 +25,8 @@ def test_loopback_is_the_default() -> None:
         "FASTDDS_DEFAULT_PROFILES_FILE": "/elsewhere.xml",
     }
     assert prepare(environment) is Network.LOOPBACK
-    assert environment["FASTDDS_DEFAULT_PROFILES_FILE"] == str(PROFILE)
+    for name, profile in PROFILES.items():
+        assert environment[name] == str(profile)
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
     assert "ROS_STATIC_PEERS" not in environment
     assert "ROS_DISCOVERY_SERVER" not in environment
@@ -39,9 +40,21 @@ def test_open_leaves_the_variables_and_says_so(capsys: pytest.CaptureFixture[str
     assert "NETWORK OPEN" in capsys.readouterr().err
 
 
-def test_closed_when_the_profile_is_missing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", PROFILES)
+def test_closed_when_a_profile_is_missing(tmp_path: Path, name: str) -> None:
     with pytest.raises(NetworkError, match=r"gone\.xml is missing, the nodes would talk"):
-        prepare({}, tmp_path / "gone.xml")
+        prepare({}, {**PROFILES, name: tmp_path / "gone.xml"})
+
+
+def test_both_profiles_say_the_same() -> None:
+    """But for one name and the sentence that says which is which."""
+    second, third = (path.read_text().splitlines() for path in PROFILES.values())
+    assert len(second) == len(third)
+    changed = [(a, b) for a, b in zip(second, third, strict=True) if a != b]
+    told, heartbeat = changed
+    assert "For Fast DDS 2" in told[0]
+    assert "For Fast DDS 3" in told[1]
+    assert heartbeat[0].replace("heartbeatPeriod", "heartbeat_period") == heartbeat[1]
 
 
 def test_closed_with_another_middleware() -> None:

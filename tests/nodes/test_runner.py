@@ -157,11 +157,12 @@ def test_open_network_has_to_be_written_and_is_loud(
     start_script: Callable[[str], Process], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the range of one machine, so that this test sends nothing to the network either."""
-    from twinmatch.nodes.network import sockets_elsewhere
+    from twinmatch.nodes.network import PROFILES, sockets_elsewhere
 
     monkeypatch.setenv("TWINMATCH_NETWORK", "open")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.delenv("FASTDDS_DEFAULT_PROFILES_FILE", raising=False)
+    for name in PROFILES:
+        monkeypatch.delenv(name, raising=False)
     process = start_script(program())
     process.said("^up$")
     assert "NETWORK OPEN" in process.text
@@ -181,7 +182,7 @@ def shared_memory(process: int) -> set[str]:
     names = set()
     for line in Path(f"/proc/{process}/maps").read_text().splitlines():
         name = line.split()[-1]
-        if name.startswith("/dev/shm/fastdds_") and "_port" not in name:
+        if name.startswith(("/dev/shm/fastdds_", "/dev/shm/fastrtps_")) and "_port" not in name:
             names.add(name)
     return names
 

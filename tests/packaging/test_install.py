@@ -40,7 +40,8 @@ def test_wheel_carries_share_and_profile(sources: Path, tmp_path: Path) -> None:
         names = {name.split(".data/data/")[-1] for name in archive.namelist()}
     assert "share/twinmatch/package.xml" in names
     assert "share/ament_index/resource_index/packages/twinmatch" in names
-    assert "twinmatch/nodes/fastdds_loopback.xml" in names
+    assert "twinmatch/nodes/fastdds2_loopback.xml" in names
+    assert "twinmatch/nodes/fastdds3_loopback.xml" in names
     for path in (PROJECT / "config").iterdir():
         assert f"share/twinmatch/config/{path.name}" in names
 

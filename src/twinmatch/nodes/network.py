@@ -23,7 +23,7 @@ from pathlib import Path
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 __all__ = [
-    "PROFILE",
+    "PROFILES",
     "VARIABLE",
     "Network",
     "NetworkError",
@@ -36,8 +36,12 @@ __all__ = [
 VARIABLE = "TWINMATCH_NETWORK"
 """Environment variable that holds the value of a `Network`."""
 
-PROFILE = Path(__file__).with_name("fastdds_loopback.xml")
-"""Fast DDS settings that bind to 127.0.0.1."""
+PROFILES = {
+    "FASTRTPS_DEFAULT_PROFILES_FILE": Path(__file__).with_name("fastdds2_loopback.xml"),
+    "FASTDDS_DEFAULT_PROFILES_FILE": Path(__file__).with_name("fastdds3_loopback.xml"),
+}
+"""Settings that bind Fast DDS to 127.0.0.1, by the variable that names them: the first is read by version 2
+(Jazzy), the second by version 3 (Kilted and later), and neither reads the other's."""
 
 FAST_DDS = ("", "rmw_fastrtps_cpp")
 """Values of RMW_IMPLEMENTATION that read the profile."""
@@ -56,7 +60,9 @@ class Network(Enum):
     """As the ROS 2 variables of the environment say, which by default is with the whole network."""
 
 
-def prepare(environment: MutableMapping[str, str] = os.environ, profile: Path = PROFILE) -> Network:
+def prepare(
+    environment: MutableMapping[str, str] = os.environ, profiles: Mapping[str, Path] = PROFILES
+) -> Network:
     """Set the variables ROS 2 reads when it starts; call it before `rclpy.init`.
 
     Besides the network this tells ROS 2 where its files are when it comes from wheels, and where it may
@@ -85,13 +91,17 @@ def prepare(environment: MutableMapping[str, str] = os.environ, profile: Path = 
             f"unset it, or write {VARIABLE}=open and restrict it yourself"
         )
         raise NetworkError(msg)
-    if not profile.is_file():
-        msg = f"network: {profile} is missing, the nodes would talk to the whole network; reinstall twinmatch"
-        raise NetworkError(msg)
-    environment["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
+    for name, profile in profiles.items():
+        if not profile.is_file():
+            msg = (
+                f"network: {profile} is missing, the nodes would talk to the whole network; "
+                "reinstall twinmatch"
+            )
+            raise NetworkError(msg)
+        environment[name] = str(profile)
     # Any narrower range makes rmw_fastrtps replace the transports of the profile by its own.
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"):
+    for name in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"):
         environment.pop(name, None)
     return network
 
@@ -114,15 +124,17 @@ def shell_lines(environment: Mapping[str, str] = os.environ) -> list[str]:
 def check_sockets() -> None:
     """Look at the sockets of this process; call it after the nodes were made.
 
-    A profile that Fast DDS cannot read is one line in its log and a node on the network.
+    A profile that Fast DDS cannot read is one line in its log and a node on the network. Its two versions do
+    not read each other's.
 
     Raises:
         NetworkError: a UDP socket is bound to an address that other machines reach.
     """
     elsewhere = [socket for socket in sockets_elsewhere() if socket.startswith("udp")]
     if elsewhere:
+        told = " and ".join(path.name for path in PROFILES.values())
         msg = (
-            f"network: bound to {', '.join(elsewhere)} in spite of {PROFILE}; stopped. "
+            f"network: bound to {', '.join(elsewhere)} in spite of {told}; stopped. "
             f"Reinstall twinmatch, or write {VARIABLE}=open if other machines may talk to these nodes"
         )
         raise NetworkError(msg)

@@ -7,15 +7,15 @@ import time
 
 import rclpy
 
-with rclpy.init():
-    node = rclpy.create_node("graph")
-    print("ready", flush=True)
-    while rclpy.ok():
-        rclpy.spin_once(node, timeout_sec=0.1)
-        topics = {}
-        for name, _ in node.get_topic_names_and_types():
-            for end in node.get_publishers_info_by_topic(name):
-                qos = end.qos_profile
-                topics[name] = [end.topic_type, qos.reliability.name, qos.durability.name]
-        print(json.dumps(topics), flush=True)
-        time.sleep(0.3)
+rclpy.init()
+node = rclpy.create_node("graph")
+print("ready", flush=True)
+while rclpy.ok():
+    rclpy.spin_once(node, timeout_sec=0.1)
+    topics = {}
+    for name, _ in node.get_topic_names_and_types():
+        for end in node.get_publishers_info_by_topic(name):
+            qos = end.qos_profile
+            topics[name] = [end.topic_type, qos.reliability.name, qos.durability.name]
+    print(json.dumps(topics), flush=True)
+    time.sleep(0.3)

@@ -27,7 +27,7 @@ RATE = 80
 SETTLED = 400
 """Sample from which on everybody has found everybody: five seconds after the first; three are needed."""
 KEPT_IN = {
-    "FASTDDS_DEFAULT_PROFILES_FILE": str(network.PROFILE),
+    **{name: str(profile) for name, profile in network.PROFILES.items()},
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
 }
 """The two variables that keep a subscriber of somebody else on this machine, as docs/subscribing.md says."""

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ros
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "subscribing.md"
 KEPT_IN = {
-    "FASTDDS_DEFAULT_PROFILES_FILE": str(network.PROFILE),
+    **{name: str(profile) for name, profile in network.PROFILES.items()},
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
 }
 """The page's other table."""

@@ -77,7 +77,7 @@ def other_python(
             run([bare_python, "-m", "venv", "--without-pip", str(folder)], environment)
             # Compiling what is hardly ever imported would take longer than all the rest.
             pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-compile"]
-            packages = [str(wheel), "ros-kilted-rclpy>=9.1,<10"]
+            packages = [str(wheel), "ros-jazzy-rclpy>=7.1,<8"]
             run([*pip, *OPTIONS, *packages], environment)
             stamp.write_text(key)
     return str(python)
