@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from twinmatch.nodes.middleware import problem
 from twinmatch.nodes.network import (
     PROFILES,
     Network,
@@ -123,3 +127,52 @@ def test_udp_sockets_elsewhere_are_refused() -> None:
 
 def test_no_such_process_has_no_sockets() -> None:
     assert sockets_elsewhere(2**22 + 1) == []
+
+
+@pytest.mark.parametrize("value", ["", "0", "7", "232"])
+def test_every_domain_that_there_is_may_be_named(value: str) -> None:
+    assert prepare({"ROS_DOMAIN_ID": value}) is Network.LOOPBACK
+
+
+@pytest.mark.parametrize("value", ["233", "-1", "abc", "1.5", "9" * 5000, "²", " 7"])
+@pytest.mark.parametrize("network", ["loopback", "open"])
+def test_a_domain_that_there_is_not_is_refused(value: str, network: str) -> None:
+    with pytest.raises(NetworkError, match=r"^network: ROS_DOMAIN_ID is .* whole number from 0 to 232$") as e:
+        prepare({"ROS_DOMAIN_ID": value, "TWINMATCH_NETWORK": network})
+    assert len(str(e.value)) < 200
+
+
+@pytest.mark.parametrize("network", ["loopback", "open"])
+@pytest.mark.parametrize(
+    "start", [["-m", "twinmatch.nodes.matcher"], ["launch_scripts/live.py", "--virtual"]]
+)
+def test_a_middleware_that_is_not_installed_is_named_before_ros_starts(
+    start: list[str], network: str
+) -> None:
+    wrong = {"RMW_IMPLEMENTATION": "rmw_gone_cpp", "TWINMATCH_NETWORK": network}
+    done = subprocess.run(
+        [sys.executable, *start],
+        cwd=Path(__file__).resolve().parents[2],
+        env=os.environ | wrong,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert (
+        "RMW_IMPLEMENTATION is 'rmw_gone_cpp', which is not installed; there is rmw_fastrtps" in done.stderr
+    )
+
+
+def test_a_middleware_is_looked_for_where_ros_is(tmp_path: Path) -> None:
+    index = tmp_path / "share/ament_index/resource_index/rmw_typesupport"
+    index.mkdir(parents=True)
+    (index / "rmw_other_cpp").touch()
+    environment = {"RMW_IMPLEMENTATION": "rmw_other_cpp", "AMENT_PREFIX_PATH": f"/nowhere:{tmp_path}"}
+    assert problem(environment) == ""
+    assert "'rmw_third_cpp', which is not installed" in problem(
+        environment | {"RMW_IMPLEMENTATION": "rmw_third_cpp"}
+    )
+    assert problem({"RMW_IMPLEMENTATION": "rmw_other_cpp"}, own="/nowhere") == ""  # nobody knows

@@ -112,7 +112,7 @@ def test_thread_that_goes_on_does_not_hold_the_end_up(start_script: Callable[[st
         ('["program", "--ros-args", "-p"]', "program: Couldn't parse trailing -p flag"),
         (
             '["program", "--ros-args", "--params-file", "/nowhere.yaml"]',
-            "program: Couldn't parse params file",
+            "program: /nowhere.yaml: cannot be read: No such file or directory",
         ),
     ],
 )

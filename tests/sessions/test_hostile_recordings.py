@@ -8,13 +8,17 @@ import struct
 import zlib
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 import scipy.io
+import zstandard
+from mcap.records import Chunk
 
 from tests.support.limits import within
 from twinmatch.cli import main
 from twinmatch.sessions import RecordingError, SessionError, open_any, read_recording
+from twinmatch.sessions.chunk import ChunkError, unpacked
 from twinmatch.sessions.files import MOST_LINE
 
 CSV = "time,reference,temperature,pwm\n0,30,25.5,-1\n1,30,26,2\n"
@@ -119,21 +123,45 @@ def test_dimensions_that_are_not_true_are_refused(tmp_path, pack, rows, columns,
         read_recording(path)
 
 
-def test_a_small_file_that_unpacks_to_much_is_refused(tmp_path):
+def bomb(name: bytes) -> bytes:
+    """A variable of some kilobytes that unpacks to a quarter of a gigabyte."""
     packer = zlib.compressobj(9)
-    head = matrix(100, 4, b"", stated=2**28)
+    head = struct.pack("<II", 14, 2**28) + beginning(100, 4, name) + struct.pack("<II", 9, 2**28)
     packed = packer.compress(head) + b"".join(packer.compress(bytes(2**20)) for _ in range(256))
     packed += packer.flush()
     assert len(packed) < 5e5
-    bomb = struct.pack("<II", 15, len(packed)) + packed
+    return struct.pack("<II", 15, len(packed)) + packed
+
+
+def test_a_small_file_that_unpacks_to_much_is_refused(tmp_path):
+    path = mat_file(tmp_path / "run.mat", bomb(b"simout"))
     with within(10, 20), pytest.raises(RecordingError, match="does not end where its dimensions say"):
-        read_recording(mat_file(tmp_path / "run.mat", bomb))
-    # Beside the wanted matrix it does no harm: only its beginning is unpacked.
+        read_recording(path)
+
+
+def test_what_stands_beside_the_wanted_matrix_is_not_unpacked(tmp_path):
     columns = np.array([[1.0, 2.0], [25.0, 26.0], [0.0, 1.0], [30.0, 30.0]])
-    other = bomb.replace(packed, zlib.compress(struct.pack("<II", 14, 9) + beginning(1, 1, b"o")))
-    good = mat_file(tmp_path / "good.mat", other[:0], compressed(matrix(2, 4, columns.tobytes())))
+    path = mat_file(tmp_path / "run.mat", bomb(b"other"), compressed(matrix(2, 4, columns.tobytes())))
     with within(10, 20):
-        assert read_recording(good).output.tolist() == [25.0, 26.0]
+        assert read_recording(path).output.tolist() == [25.0, 26.0]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("stated", [1000, 2**20, 2**40])
+def test_a_chunk_that_unpacks_to_much_is_refused(compression, stated):
+    zeros = bytes(2**28)
+    packed = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
+    del zeros
+    chunk = Chunk(
+        compression=compression,
+        data=packed,
+        message_start_time=0,
+        message_end_time=0,
+        uncompressed_crc=0,
+        uncompressed_size=stated,
+    )
+    with within(10, 30), pytest.raises(ChunkError):
+        unpacked(chunk)
 
 
 def test_many_variables_end_soon(tmp_path):

@@ -11,8 +11,15 @@ from typing import Any
 
 from twinmatch.archive.errors import ArchiveError
 from twinmatch.archive.fingerprint import software
+from twinmatch.sessions.documents import parse_json
+from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.files import read_bounded
 
 __all__ = ["Store"]
+
+
+MOST_BYTES = 1 << 28
+"""Longest result: it has every verdict of a session, some kilobytes each."""
 
 
 class Store:
@@ -39,8 +46,9 @@ class Store:
     def find(self, session: Path, key: str) -> dict[str, Any] | None:
         """The result kept for this session if it has this key, that is, if nothing it depends on changed."""
         try:
-            kept = json.loads(self.file_of(session).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            text = read_bounded(self.file_of(session), MOST_BYTES).decode("utf-8")
+            kept = parse_json(text, "a result that was kept")
+        except (OSError, UnicodeDecodeError, DocumentError):
             return None  # none yet, or not ours
         if not isinstance(kept, dict) or kept.get("key") != key:
             return None

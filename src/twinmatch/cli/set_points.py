@@ -10,10 +10,15 @@ from twinmatch.cli.forecasting import RECORDED
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import ForecastError, SetPoints
 from twinmatch.sessions import Session
+from twinmatch.sessions.files import read_bounded
 from twinmatch.signals import FloatArray, Sample, unbroken
 from twinmatch.twin import TwinSettings
 
 __all__ = ["Asked", "asked_of", "planned_rows"]
+
+
+MOST_BYTES = 1 << 20
+"""Longest file of set-points: a day of them, one per second."""
 
 
 class Asked(NamedTuple):
@@ -33,7 +38,7 @@ def planned_rows(path: Path) -> list[str]:
         TwinmatchError: it cannot be read, or is no text.
     """
     try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return read_bounded(path, MOST_BYTES).decode("utf-8-sig").splitlines()
     except FileNotFoundError:
         msg = f"{path}: does not exist; give a .csv with seconds ahead and set-point, or {RECORDED!r}"
         raise TwinmatchError(msg) from None

@@ -43,6 +43,9 @@ PROFILES = {
 """Settings that bind Fast DDS to 127.0.0.1, by the variable that names them: the first is read by version 2
 (Jazzy), the second by version 3 (Kilted and later), and neither reads the other's."""
 
+DOMAIN = "ROS_DOMAIN_ID"
+LAST_DOMAIN = 232
+
 FAST_DDS = ("", "rmw_fastrtps_cpp")
 """Values of RMW_IMPLEMENTATION that read the profile."""
 
@@ -69,11 +72,12 @@ def prepare(
     write its logs when there is no home.
 
     Raises:
-        NetworkError: `TWINMATCH_NETWORK` is neither `loopback` nor `open`, the profile is missing, or
-            the middleware is not Fast DDS and so would not read it.
+        NetworkError: `TWINMATCH_NETWORK` is neither `loopback` nor `open`, the profile is missing, the
+            middleware is not Fast DDS and so would not read it, or there is no such domain.
     """
     _find_wheels(environment)
     _find_log_folder(environment)
+    _check_domain(environment.get(DOMAIN, ""))
     value = environment.get(VARIABLE, Network.LOOPBACK.value)
     try:
         network = Network(value)
@@ -153,6 +157,14 @@ def sockets_elsewhere(process: int | str = "self") -> list[str]:
         for address, port, inode in _bound(process, kind)
         if inode in inodes and not (address.is_loopback or address.is_multicast)
     ]
+
+
+def _check_domain(value: str) -> None:
+    """DDS reckons its ports from the domain, and from 233 on there are none."""
+    # A domain of "" is the domain 0, as ROS reads it.
+    if value and not (value.isascii() and value.isdigit() and int(value[:9]) <= LAST_DOMAIN):
+        msg = f"network: {DOMAIN} is {value[:40]!r}; it must be a whole number from 0 to {LAST_DOMAIN}"
+        raise NetworkError(msg)
 
 
 def _find_wheels(environment: MutableMapping[str, str]) -> None:

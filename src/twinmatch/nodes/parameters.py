@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.documents import shown
 
 __all__ = ["Parameter", "ParameterError", "Value", "Values", "check", "render"]
 
@@ -70,11 +71,11 @@ class Parameter:
         if kind is list and value is not None and not isinstance(value, str | bytes | bool | int | float):
             value = self._accept_list(list(value), node)
         if type(value) is not kind:
-            msg = f"{node}: parameter {self.name} is {value!r}; it must be {KINDS[kind]}"
+            msg = f"{node}: parameter {self.name} is {shown(value)}; it must be {KINDS[kind]}"
             raise ParameterError(msg)
         items = value if isinstance(value, list) else [value]
         if not all(self._allowed(item) for item in items):
-            msg = f"{node}: parameter {self.name} is {value!r}; allowed is {self.limits}"
+            msg = f"{node}: parameter {self.name} is {shown(value)}; allowed is {self.limits}"
             raise ParameterError(msg)
         return value
 
@@ -83,7 +84,7 @@ class Parameter:
         kind: type = type(default[0]) if default else str
         items = [float(i) if kind is float and type(i) is int else i for i in items]
         if not all(type(item) is kind for item in items):
-            msg = f"{node}: parameter {self.name} is {items!r}; every item must be {KINDS[kind]}"
+            msg = f"{node}: parameter {self.name} is {shown(items)}; every item must be {KINDS[kind]}"
             raise ParameterError(msg)
         return items
 
@@ -104,7 +105,7 @@ def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Va
         if name not in known and not name.startswith(BUILT_IN):
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]}?" if near else f"it has: {', '.join(sorted(known)) or 'none'}"
-            msg = f"{node}: there is no parameter {name}; {hint}"
+            msg = f"{node}: there is no parameter {name[:80]}; {hint}"
             raise ParameterError(msg)
     return {
         name: parameter.accept(given[name], node) if name in given else parameter.default

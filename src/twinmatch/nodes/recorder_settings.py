@@ -11,6 +11,8 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+from twinmatch.sessions.documents import read_text
+from twinmatch.sessions.errors import DocumentError
 from twinmatch.sessions.settings import CANDIDATES, parameters_record
 
 __all__ = ["Settings"]
@@ -82,6 +84,6 @@ class Settings:
 
 def _read(path: str) -> str:
     try:
-        return Path(path).read_text("utf-8")
-    except (OSError, UnicodeDecodeError):
+        return read_text(Path(path))
+    except DocumentError:
         return ""  # what is not known is not vouched for

@@ -17,6 +17,7 @@ import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes import network
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import render
+from twinmatch.sessions.documents import read_yaml
+from twinmatch.sessions.errors import DocumentError
 
 __all__ = ["EXIT_DEFECT", "TEARDOWN", "RunnerError", "run"]
 
@@ -63,6 +66,7 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
     arguments = list(sys.argv if arguments is None else arguments)
     process = _Process()
     try:
+        _check_files(arguments)
         extra = _extra(arguments)
         if {"-h", "--help"} & set(extra):
             print(_help(kinds))
@@ -149,6 +153,17 @@ def _extra(arguments: list[str]) -> list[str]:
     """The arguments that are not for ROS."""
     with _clear_errors(arguments):
         return list(remove_ros_args(arguments)[1:])
+
+
+def _check_files(arguments: list[str]) -> None:
+    """Read the parameter files before ROS does, which waits for pipes and hardly says what is wrong."""
+    for option, path in pairwise(arguments):
+        if option == "--params-file":
+            try:
+                read_yaml(Path(path))
+            except DocumentError as error:
+                msg = f"{_program(arguments)}: {error}"
+                raise RunnerError(msg) from error
 
 
 @contextmanager

@@ -12,8 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from twinmatch.dynamics import FILED, Closing, Filed, Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Noise
@@ -21,6 +19,8 @@ from twinmatch.nodes.loop_parameters import UNKNOWN, closing_of, loop_parameters
 from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
 from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
+from twinmatch.sessions.documents import read_yaml
+from twinmatch.sessions.errors import DocumentError
 from twinmatch.twin import TrustLimits, TwinError, TwinSettings
 
 __all__ = [
@@ -180,13 +180,9 @@ def read_settings(path: Path | None, plant: str = "") -> TwinSettings:
     if path is None:
         return settings_from(twin_values("twin", wanted))
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror}"
-        raise ParameterError(msg) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        msg = f"{path}: is no YAML file: {str(error).splitlines()[0]}"
-        raise ParameterError(msg) from error
+        content = read_yaml(path)
+    except DocumentError as error:
+        raise ParameterError(str(error)) from error
     given: dict[str, Any] = {}
     for node in ("/**", "matcher", "discriminator", "/matcher", "/discriminator"):
         section = content.get(node) if isinstance(content, dict) else None

@@ -16,16 +16,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from twinmatch.discrimination.family import Candidate
+from twinmatch.dynamics import Output
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
 from twinmatch.plants.written import parameters_from
+from twinmatch.sessions.documents import parse_yaml, read_text, shown
+from twinmatch.sessions.errors import DocumentError
 
 __all__ = ["CandidateFileError", "parse_candidates", "read_candidates"]
 
 _WORDS = ("name", "plant", "structure")
+MOST_NAME = 200
+"""Longest name, characters."""
 
 
 class CandidateFileError(TwinmatchError):
@@ -39,14 +42,9 @@ def read_candidates(path: Path) -> list[Candidate]:
         CandidateFileError: the file is not there, is no YAML, or an entry is incomplete or wrong.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror}"
-        raise CandidateFileError(msg) from error
-    except UnicodeDecodeError as error:
-        msg = f"{path}: is no YAML file: {error}"
-        raise CandidateFileError(msg) from error
-    return parse_candidates(text, str(path))
+        return parse_candidates(read_text(path), str(path))
+    except DocumentError as error:
+        raise CandidateFileError(str(error)) from error
 
 
 def parse_candidates(text: str, path: str) -> list[Candidate]:
@@ -56,10 +54,9 @@ def parse_candidates(text: str, path: str) -> list[Candidate]:
         CandidateFileError: the text is no YAML, or an entry is incomplete or wrong.
     """
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        msg = f"{path}: is no YAML file: {str(error).splitlines()[0]}"
-        raise CandidateFileError(msg) from error
+        content = parse_yaml(text, path)
+    except DocumentError as error:
+        raise CandidateFileError(str(error)) from error
     entries = content.get("candidates") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
         msg = f"{path}: has no list 'candidates'"
@@ -68,14 +65,14 @@ def parse_candidates(text: str, path: str) -> list[Candidate]:
     names = [c.name for c in candidates]
     for name in names:
         if names.count(name) > 1:
-            msg = f"{path}: two candidates are called {name!r}; give each a name of its own"
+            msg = f"{path}: two candidates are called {shown(name)}; give each a name of its own"
             raise CandidateFileError(msg)
     return candidates
 
 
 def _candidate(entry: Any, place: str) -> Candidate:
     if not isinstance(entry, dict):
-        msg = f"{place}: is {entry!r}; give name, operating_point and the parameters"
+        msg = f"{place}: is {shown(entry)}; give name, operating_point and the parameters"
         raise CandidateFileError(msg)
     for key in ("name", "operating_point"):
         if key not in entry:
@@ -84,16 +81,35 @@ def _candidate(entry: Any, place: str) -> Candidate:
     try:
         numbers = {str(key): _number(key, value) for key, value in entry.items() if key not in _WORDS}
         operating_point = numbers.pop("operating_point")
-        plant, structure = str(entry.get("plant", Peltier.name)), str(entry.get("structure", ""))
+        name, plant, structure = (
+            _word(key, entry.get(key, usual))
+            for key, usual in (("name", ""), ("plant", Peltier.name), ("structure", ""))
+        )
         parameters = parameters_from(plant, structure, numbers)
     except TwinmatchError as error:
         msg = f"{place}: {error}"
         raise CandidateFileError(msg) from error
-    return Candidate(str(entry["name"]), operating_point, parameters, None)
+    _check_operating_point(operating_point, parameters.model.plant.output, place)
+    return Candidate(name, operating_point, parameters, None)
 
 
-def _number(key: Any, value: Any) -> float:
+def _word(key: str, value: Any) -> str:
+    if isinstance(value, dict | list) or not str(value).isprintable() or len(str(value)) > MOST_NAME:
+        msg = f"{key} is {shown(value)}; give at most {MOST_NAME} letters that can be printed"
+        raise CandidateFileError(msg)
+    return str(value)
+
+
+def _number(key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        msg = f"{key} is {value!r}; give a number"
+        msg = f"{key} is {shown(value)}; give a number"
         raise CandidateFileError(msg)
     return float(value)
+
+
+def _check_operating_point(value: float, output: Output, place: str) -> None:
+    low, high = output.span
+    if not low <= value <= high:
+        unit = f" {output.unit}".rstrip()
+        msg = f"{place}: operating_point is {value:g}{unit}; a reading is within {low:g} and {high:g}{unit}"
+        raise CandidateFileError(msg)

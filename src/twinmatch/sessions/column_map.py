@@ -26,16 +26,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
-from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.files import read_bounded
+from twinmatch.sessions.documents import read_yaml
+from twinmatch.sessions.errors import DocumentError, RecordingError
 
 __all__ = ["ColumnMap", "Source", "parse_map", "read_map"]
 
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
-_MOST_BYTES: Final = 100_000
-"""Of a file with a map; what is larger is another file."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +106,9 @@ def read_map(path: Path) -> ColumnMap:
         RecordingError: the file is not there, is no YAML, or holds something else.
     """
     try:
-        content = yaml.safe_load(read_bounded(path, _MOST_BYTES).decode())
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise RecordingError(f"{path}: is no YAML file: {str(error).splitlines()[0]}") from error
+        content = read_yaml(path)
+    except DocumentError as error:
+        raise RecordingError(str(error)) from error
     columns = content.get("columns") if isinstance(content, dict) else None
     if not isinstance(content, dict) or not isinstance(columns, dict) or not columns:
         raise RecordingError(

@@ -1,15 +1,16 @@
 """What can be wrong with files of sessions and recordings.
 
 TwinmatchError
-└── SessionError           a session cannot be read or written
-    └── RecordingError     a recording (.mat, .csv) cannot be imported
+├── SessionError           a session cannot be read or written
+│   └── RecordingError     a recording (.mat, .csv) cannot be imported
+└── DocumentError          a YAML or JSON text cannot be used
 """
 
 from __future__ import annotations
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["RecordingError", "SessionError"]
+__all__ = ["DocumentError", "RecordingError", "SessionError"]
 
 
 class SessionError(TwinmatchError):
@@ -18,3 +19,7 @@ class SessionError(TwinmatchError):
 
 class RecordingError(SessionError):
     """A recording cannot be imported; the message names the file and the place in it."""
+
+
+class DocumentError(TwinmatchError):
+    """A YAML or JSON text cannot be used; the message names the file and the line in it."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from twinmatch.sessions.documents import parse_yaml, read_yaml
 from twinmatch.sessions.topics import Qos, Topic
 
 __all__ = ["METADATA", "Part", "Summary", "distro_of", "files_listed", "parse_qos", "qos_text"]
@@ -95,7 +96,7 @@ def parse_qos(text: str) -> Qos:
     rosbag2 wrote numbers before version 9 and writes words since.
     """
     try:
-        profile = _load(text)[0]
+        profile = parse_yaml(text, "offered_qos_profiles")[0]
         reliability = {1: "reliable", 2: "best_effort"}.get(profile["reliability"], profile["reliability"])
         durability = {1: "transient_local", 2: "volatile"}.get(profile["durability"], profile["durability"])
         depth = int(profile["depth"])
@@ -124,19 +125,10 @@ def distro_of(folder: Path) -> str:
 
 
 def _read(folder: Path) -> Any:
-    return _load((folder / METADATA).read_text("utf-8"))["rosbag2_bagfile_information"]
+    return read_yaml(folder / METADATA)["rosbag2_bagfile_information"]
 
 
 def _dump(value: object) -> str:
     import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
 
     return str(yaml.safe_dump(value, sort_keys=False))
-
-
-def _load(text: str) -> Any:
-    import yaml  # noqa: PLC0415 - as above
-
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(str(error)) from None

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +20,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
 
+from twinmatch.sessions.chunk import ChunkError, unpacked
 from twinmatch.sessions.errors import SessionError
 from twinmatch.sessions.files import open_regular
 from twinmatch.sessions.metadata import parse_qos
@@ -101,7 +101,7 @@ class Scan:
             records = _records(file, len(MAGIC), self.path.stat().st_size)
             for opcode, body in records:
                 if opcode == Opcode.CHUNK:
-                    data = _unpacked(_parsed(Chunk, body))
+                    data = _unpacked_chunk(body)
                     yield from self._chunk(data)
                 elif opcode == Opcode.DATA_END:
                     self._check_end(records, file)
@@ -204,19 +204,8 @@ def _parsed(kind: type[_Record], body: bytes) -> _Record:
     return record
 
 
-def _unpacked(chunk: Chunk) -> bytes:
-    """The records in a chunk, checked against the CRC it carries."""
-    data = chunk.data
-    if chunk.compression:
-        from mcap.stream_reader import get_chunk_data_stream  # noqa: PLC0415 - loads two compressors
-
-        try:
-            stream, length = get_chunk_data_stream(chunk)
-            data = stream.read(length)
-        except Exception as error:  # each compressor has its own
-            raise _FaultError(
-                f"a chunk compressed with {chunk.compression} cannot be unpacked ({error})"
-            ) from error
-    if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in {0, zlib.crc32(data)}:
-        raise _FaultError("the file is damaged: the checksum of a chunk is wrong")
-    return data
+def _unpacked_chunk(body: bytes) -> bytes:
+    try:
+        return unpacked(_parsed(Chunk, body))
+    except ChunkError as error:
+        raise _FaultError(str(error)) from error

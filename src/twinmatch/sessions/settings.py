@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
-from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.documents import parse_json
+from twinmatch.sessions.errors import DocumentError, SessionError
 
 __all__ = ["CANDIDATES", "PLANT", "parameters_of", "parameters_record", "plant_of"]
 
@@ -32,8 +32,8 @@ def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[s
     if found is None:
         return None
     try:
-        return {name: json.loads(value) for name, value in found.items()}
-    except ValueError as error:
+        return {name: parse_json(value, name) for name, value in found.items()}
+    except DocumentError as error:
         msg = f"session: the recorded parameters of {node} cannot be read: {error}"
         raise SessionError(msg) from error
 
@@ -45,7 +45,7 @@ def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
     for name, values in records.items():
         if not said and name.startswith(PARAMETERS) and "plant" in values:
             try:
-                said = str(json.loads(values["plant"]))
-            except ValueError:
+                said = str(parse_json(values["plant"], name))
+            except DocumentError:
                 continue
     return said

@@ -1,0 +1,228 @@
+"""YAML and JSON from outside: the one place where either is read, as far as a document of ours goes.
+
+A few hundred bytes of YAML can stand for gigabytes (aliases of aliases), nest deeper than Python can follow,
+hold numbers that no float and no message can, or name objects to be made. So a document is bounded in bytes,
+depth, values once aliases are written out, and the size of its numbers, and what it may hold are lists,
+mappings and plain scalars. The events of the parser (libyaml, where it is there) are put together here;
+nothing is made before it has been counted.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import reprlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.files import read_bounded
+
+__all__ = ["MOST_BYTES", "parse_json", "parse_yaml", "read_text", "read_yaml", "shown"]
+
+MOST_BYTES = 1 << 20
+"""Longest document: a thousand candidates, or the metadata of a session of a thousand files."""
+MOST_VALUES = 20_000
+"""Most lists, mappings and scalars, each alias counted as what it stands for."""
+MOST_DEPTH = 32
+MOST_TEXT = 10_000
+"""Longest text among the values, characters."""
+MOST_DIGITS = 400
+"""Longest text of a number; the longest float in decimals has 325 places before its digits."""
+WHOLE = 2**63
+"""Whole numbers are below this, as in messages and parameters of ROS."""
+
+_PREFIX = "tag:yaml.org,2002:"
+_KINDS = {f"{_PREFIX}{kind}" for kind in ("null", "bool", "int", "float", "str")}
+
+
+def read_yaml(path: Path) -> Any:
+    """What a YAML file holds: lists, mappings by text, and scalars.
+
+    Raises:
+        DocumentError: it cannot be read, is no YAML, or goes beyond the bounds.
+    """
+    return parse_yaml(read_text(path), str(path))
+
+
+def read_text(path: Path) -> str:
+    """The text of a file of at most `MOST_BYTES` in UTF-8.
+
+    Raises:
+        DocumentError: it is none, or cannot be read.
+    """
+    try:
+        return read_bounded(path, MOST_BYTES).decode("utf-8-sig")
+    except OSError as error:
+        msg = f"{path}: cannot be read: {error.strerror or error}"
+        raise DocumentError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = f"{path}: is no text in UTF-8 (byte {error.start})"
+        raise DocumentError(msg) from None
+
+
+def parse_yaml(text: str, place: str) -> Any:
+    """What a YAML text holds; `place` begins the messages. Keys are the text they were written as.
+
+    Raises:
+        DocumentError: the text is no YAML, or goes beyond the bounds.
+    """
+    import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
+
+    if len(text) > MOST_BYTES:
+        raise DocumentError(f"{place}: has more than {MOST_BYTES} characters")
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        return _Builder(yaml, place).built(yaml.parse(text, Loader=loader))
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f" in line {mark.line + 1}"
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise DocumentError(f"{place}: is no YAML file{where}: {problem}") from None
+
+
+def parse_json(text: str, place: str) -> Any:
+    """What a JSON text holds; `place` begins the messages.
+
+    Raises:
+        DocumentError: the text is no JSON, or goes beyond the bounds.
+    """
+    try:
+        return json.loads(text, parse_int=lambda digits: _whole(digits, place))
+    except RecursionError:
+        raise DocumentError(f"{place}: is nested too deep") from None
+    except json.JSONDecodeError as error:
+        raise DocumentError(f"{place}: is no JSON: {error}") from None
+
+
+def shown(value: object) -> str:
+    """A value for one line of a message, shortened."""
+    return reprlib.repr(value)
+
+
+class _Builder:
+    """Puts the events of a parser together, counting what it makes."""
+
+    def __init__(self, yaml: Any, place: str) -> None:
+        self._yaml = yaml
+        self._place = place
+        self._resolver = yaml.resolver.Resolver()
+        self._constructor = yaml.constructor.SafeConstructor()
+        self._depth = 0
+        self._values = 0
+        self._anchored: dict[str, tuple[Any, int]] = {}
+
+    def built(self, events: Iterator[Any]) -> Any:
+        """The one document of a stream; an empty one is None."""
+        documents: list[Any] = []
+        for event in events:
+            if isinstance(event, self._yaml.DocumentStartEvent):
+                if documents:
+                    raise self._error(event, "a second document begins; give one")
+                documents.append(self._value(next(events), events))
+        return documents[0] if documents else None
+
+    def _value(self, event: Any, events: Iterator[Any]) -> Any:
+        if isinstance(event, self._yaml.AliasEvent):
+            return self._alias(event)
+        before = self._values
+        self._count(event, 1)
+        if isinstance(event, self._yaml.ScalarEvent):
+            value = self._scalar(event)
+        else:
+            self._depth += 1
+            if self._depth > MOST_DEPTH:
+                raise self._error(event, f"is nested deeper than {MOST_DEPTH} levels")
+            if event.tag not in (None, f"{_PREFIX}seq", f"{_PREFIX}map"):
+                raise self._error(event, f"has a {event.tag[:60]}, which is not read")
+            a_list = isinstance(event, self._yaml.SequenceStartEvent)
+            value = self._list(events) if a_list else self._mapping(events)
+            self._depth -= 1
+        if event.anchor is not None:
+            self._anchored[event.anchor] = value, self._values - before
+        return value
+
+    def _list(self, events: Iterator[Any]) -> list[Any]:
+        items = []
+        while not isinstance(event := next(events), self._yaml.SequenceEndEvent):
+            items.append(self._value(event, events))
+        return items
+
+    def _mapping(self, events: Iterator[Any]) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        merged: dict[str, Any] = {}
+        while not isinstance(event := next(events), self._yaml.MappingEndEvent):
+            if not isinstance(event, self._yaml.ScalarEvent):
+                raise self._error(event, "has a name that is no text")
+            self._count(event, 1)
+            name, value = event.value[:MOST_TEXT], self._value(next(events), events)
+            if name == "<<" and event.implicit[0]:
+                merged |= self._merged(event, value)
+            elif name in values:
+                raise self._error(event, f"gives {shown(name)} twice")
+            else:
+                values[name] = value
+        return {**merged, **values}
+
+    def _merged(self, event: Any, value: Any) -> dict[str, Any]:
+        """What `<<: *name` brings in; of several the first one counts."""
+        given = value if isinstance(value, list) else [value]
+        if not all(isinstance(one, dict) for one in given):
+            raise self._error(event, "merges what is no mapping")
+        return {name: one[name] for one in reversed(given) for name in one}
+
+    def _alias(self, event: Any) -> Any:
+        if event.anchor not in self._anchored:
+            raise self._error(event, f"*{event.anchor[:40]} stands for nothing that is complete before it")
+        value, size = self._anchored[event.anchor]
+        self._count(event, size)
+        return value
+
+    def _scalar(self, event: Any) -> Any:
+        text: str = event.value
+        if len(text) > MOST_TEXT:
+            raise self._error(event, f"has a text of more than {MOST_TEXT} characters")
+        tag = event.tag
+        if tag in (None, "!"):
+            tag = self._resolver.resolve(self._yaml.ScalarNode, text, event.implicit)
+            if tag not in _KINDS:  # what looks like a date is the text it is
+                tag = f"{_PREFIX}str"
+        if tag not in _KINDS:
+            raise self._error(event, f"has a {tag[:60]}, which is not read")
+        kind = tag.removeprefix(_PREFIX)
+        if kind == "str":
+            return text
+        if len(text) > MOST_DIGITS:
+            raise self._error(event, f"{text[:20]}… is too long for a number; write it with an exponent")
+        try:
+            value = getattr(self._constructor, f"construct_yaml_{kind}")(self._yaml.ScalarNode(tag, text))
+        except (ValueError, LookupError, OverflowError):
+            raise self._error(event, f"{shown(text)} is no {kind}") from None
+        return self._checked(event, value, text)
+
+    def _checked(self, event: Any, value: Any, text: str) -> Any:
+        if isinstance(value, float) and math.isnan(value):
+            raise self._error(event, f"{text} is no number")
+        if isinstance(value, float) and math.isinf(value) and "inf" not in text.lower():
+            raise self._error(event, f"{shown(text)} is beyond what a number can be")
+        if type(value) is int and abs(value) >= WHOLE:
+            raise self._error(
+                event, f"{shown(text)} is too large for a whole number; write it with an exponent"
+            )
+        return value
+
+    def _count(self, event: Any, values: int) -> None:
+        self._values += values
+        if self._values > MOST_VALUES:
+            raise self._error(event, f"stands for more than {MOST_VALUES} values")
+
+    def _error(self, event: Any, problem: str) -> DocumentError:
+        return DocumentError(f"{self._place}: line {event.start_mark.line + 1}: {problem}")
+
+
+def _whole(digits: str, place: str) -> int:
+    value = int(digits) if len(digits) < MOST_DIGITS else WHOLE
+    if abs(value) >= WHOLE:
+        raise DocumentError(f"{place}: {shown(digits)} is too large for a whole number")
+    return value

@@ -1,0 +1,247 @@
+"""YAML and JSON from outside: what ours may hold is read as PyYAML reads it, all else is refused soon."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.limits import within
+from twinmatch.cli import main
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.twin_parameters import read_settings
+from twinmatch.sessions.candidates import CandidateFileError, parse_candidates, read_candidates
+from twinmatch.sessions.documents import MOST_BYTES, parse_json, parse_yaml, read_yaml
+from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.metadata import files_listed, parse_qos
+from twinmatch.sessions.topics import Qos
+
+PROJECT = Path(__file__).resolve().parents[2]
+
+texts = st.text(
+    st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufeff\ufffe\uffff"), max_size=12
+)
+scalars = (
+    st.none() | st.booleans() | st.integers(-(2**63) + 1, 2**63 - 1) | st.floats(allow_nan=False) | texts
+)
+trees = st.recursive(
+    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4)
+)
+
+
+@given(trees, st.booleans())
+def test_what_pyyaml_writes_is_read_as_it_was(tree: Any, flow: bool) -> None:
+    text = yaml.safe_dump(tree, default_flow_style=flow, allow_unicode=True)
+    assert parse_yaml(text, "x") == tree
+
+
+@given(trees)
+def test_what_json_writes_is_read_as_it_was(tree: Any) -> None:
+    assert parse_json(json.dumps(tree), "x") == tree
+
+
+@pytest.mark.parametrize("path", sorted((PROJECT / "config").glob("*.yaml")))
+def test_the_files_of_this_project_are_read_as_pyyaml_reads_them(path: Path) -> None:
+    assert read_yaml(path) == yaml.safe_load(path.read_text("utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("a: &x {b: 1}\nc: *x", {"a": {"b": 1}, "c": {"b": 1}}),
+        ("a: &x {b: 1, d: 2}\nc: {<<: *x, b: 3}", {"a": {"b": 1, "d": 2}, "c": {"b": 3, "d": 2}}),
+        ("a: &x {b: 1}\ne: &y {b: 2}\nc: {<<: [*x, *y]}", {"a": {"b": 1}, "e": {"b": 2}, "c": {"b": 1}}),
+        ("name: 2022-02-27", {"name": "2022-02-27"}),
+        ("name: 2022-13-45", {"name": "2022-13-45"}),
+        ("1: a\nyes: b", {"1": "a", "yes": "b"}),
+        ("'no'", "no"),
+        ("a: !!str 5", {"a": "5"}),
+        ("[0x10, 1_000, +5, .5, 1e3]", [16, 1000, 5, 0.5, "1e3"]),
+        ("x: -.inf", {"x": -math.inf}),
+        ("", None),
+        ("# nothing", None),
+    ],
+)
+def test_what_stands_in_a_file_means_this(text: str, value: Any) -> None:
+    assert parse_yaml(text, "x") == value
+
+
+def laughs(levels: int) -> str:
+    lines = ["l0: &l0 [ha, ha, ha, ha, ha, ha, ha, ha, ha, ha]"]
+    lines += [f"l{k}: &l{k} [{', '.join([f'*l{k - 1}'] * 10)}]" for k in range(1, levels)]
+    return "\n".join(lines)
+
+
+def merges(levels: int) -> str:
+    lines = ["l0: &l0 {a: 1, b: 2, c: 3}"]
+    lines += [f"l{k}: &l{k} {{<<: [{', '.join([f'*l{k - 1}'] * 10)}]}}" for k in range(1, levels)]
+    return "\n".join(lines)
+
+
+HOSTILE = {
+    "laughs": (laughs(10), "stands for more than 20000 values"),
+    "merges": (merges(10), "stands for more than 20000 values"),
+    "many": ("[" + "1," * 400_000 + "]", "stands for more than 20000 values"),
+    "deep lists": ("[" * 1000 + "]" * 1000, "is nested deeper than 32 levels"),
+    "deeper lists": ("[" * 500_000, "is nested deeper than 32 levels"),
+    "deep mappings": ("{a: " * 1000 + "1" + "}" * 1000, "is nested deeper than 32 levels"),
+    "deep blocks": ("\n".join(" " * k + "a:" for k in range(1000)), "is nested deeper than 32 levels"),
+    "itself": ("a: &a [*a]", "stands for nothing that is complete"),
+    "its parent": ("a: &a {b: {c: *a}}", "stands for nothing that is complete"),
+    "nobody": ("a: *b", r"undefined alias|stands for nothing that is complete"),
+    "large": ("a: 1" + "0" * 399, "is too large for a whole number|is too long for a number"),
+    "64 bits": (f"a: {2**63}", "is too large for a whole number; write it with an exponent"),
+    "digits": ("a: " + "7" * 5000, "is too long for a number"),
+    "hexadecimal": ("a: 0x" + "f" * 5000, "is too long for a number"),
+    "beyond": ("a: 1.0e+999", "is beyond what a number can be"),
+    "below": ("a: -1.0e+999", "is beyond what a number can be"),
+    "no number": ("a: .nan", "line 1: .nan is no number"),
+    "object": ("a: !!python/object/apply:os.system [echo]", "which is not read"),
+    "bytes": ("a: !!binary aGFsbG8=", "which is not read"),
+    "date": ("a: !!timestamp 2022-13-45", "which is not read"),
+    "wrong kind": ("a: !!float seven", "is no float"),
+    "set": ("a: !!set {b}", "which is not read"),
+    "list as name": ("? [a, b]\n: 1", "line 1: has a name that is no text"),
+    "twice": ("a: 1\nb: 2\na: 3", "line 3: gives 'a' twice"),
+    "two": ("a: 1\n---\na: 2", "line 2: a second document begins"),
+    "merged": ("a: {<<: 5}", "merges what is no mapping"),
+    "long": ("a: " + "x" * 20_000, "has a text of more than 10000 characters"),
+    "longer": ("#" * (MOST_BYTES + 1), f"has more than {MOST_BYTES} characters"),
+    "torn": ("a: [1, 2", r"is no YAML file in line \d"),
+    "tab": ("a:\n\t- b", "is no YAML file in line 2"),
+    "zero byte": ("a: \0", "is no YAML file"),
+    "odd colons": ("a: 1:99999999999999:0", ""),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_would_do_harm_is_refused_in_one_line(name: str) -> None:
+    text, message = HOSTILE[name]
+    with within(5, 100):
+        try:
+            parse_yaml(text, "file")
+        except DocumentError as error:
+            words = str(error)
+        else:
+            assert not message
+            return
+    assert words.startswith("file: ")
+    assert "\n" not in words
+    assert len(words) < 300
+    with pytest.raises(DocumentError, match=message):
+        parse_yaml(text, "file")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "is nested too deep"),
+        ("1" * 5000, "is too large for a whole number"),
+        (str(2**63), "is too large for a whole number"),
+        ("{", "is no JSON"),
+    ],
+)
+def test_json_that_would_do_harm_is_refused(text: str, message: str) -> None:
+    with within(5, 100), pytest.raises(DocumentError, match=f"^file: .*{message}"):
+        parse_json(text, "file")
+
+
+@given(st.text(max_size=60) | st.text("[]{}:,-&*a !<>|?'\"#%\n 01.", max_size=80))
+def test_any_text_is_a_document_or_refused(text: str) -> None:
+    for parse in (parse_yaml, parse_json):
+        try:
+            parse(text, "file")
+        except DocumentError as error:
+            assert str(error).startswith("file: ")  # noqa: PT017 - either outcome is right
+
+
+# The same through those who read them.
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("read", [read_candidates, read_settings])
+def test_no_reader_of_files_lets_it_through(tmp_path: Path, name: str, read: Any) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(HOSTILE[name][0])
+    with within(5, 100), pytest.raises(TwinmatchError, match=r"file\.yaml"):
+        read(path)
+
+
+@pytest.mark.parametrize("read", [read_candidates, read_settings])
+def test_files_that_never_end_are_not_waited_for(tmp_path: Path, read: Any) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "long").write_bytes(b" " * (MOST_BYTES + 1))
+    for path, message in (
+        (tmp_path / "pipe", "is a pipe, a device or a socket"),
+        (Path("/dev/zero"), "is a pipe, a device or a socket"),
+        (tmp_path / "long", f"has more than {MOST_BYTES} bytes"),
+        (tmp_path / ("x" * 300), "File name too long"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "none", "No such file"),
+    ):
+        with within(5, 50), pytest.raises(TwinmatchError, match=message):
+            read(path)
+
+
+def test_metadata_and_qualities_of_service_that_would_do_harm_are_none(tmp_path: Path) -> None:
+    for text, _ in HOSTILE.values():
+        (tmp_path / "metadata.yaml").write_text(text)
+        with within(5, 100):
+            assert files_listed(tmp_path) == []
+            assert parse_qos(text) == Qos()
+
+
+def entry(**changes: object) -> str:
+    fields = {"name": "a", "operating_point": 50.0, "seebeck": 0.08} | changes
+    return "candidates:\n  - {" + ", ".join(f"{key}: {value}" for key, value in fields.items()) + "}\n"
+
+
+@pytest.mark.parametrize("field", ["operating_point", "seebeck", "conductance", "name", "plant", "structure"])
+@pytest.mark.parametrize(
+    "value",
+    [
+        "1" + "0" * 400,
+        "9" * 5000,
+        "1.0e+999",
+        ".nan",
+        "[1]",
+        "{a: 1}",
+        "2022-13-45",
+        "true",
+        "null",
+        '"\\e[2J"',
+    ],
+)
+def test_no_field_of_a_candidate_takes_what_it_cannot_be(field: str, value: str) -> None:
+    with within(5, 50):
+        try:
+            (found,) = parse_candidates(entry(**{field: value}), "file")
+        except CandidateFileError as error:
+            assert "\n" not in str(error)  # noqa: PT017 - for names, either outcome is right
+            assert str(error).isprintable()  # noqa: PT017
+            assert len(str(error)) < 800  # noqa: PT017
+        else:
+            assert field in {"name"}
+            assert found.name in {"2022-13-45", "True", "None"}
+
+
+@pytest.mark.parametrize("value", [".inf", "-.inf", "-300.0", "1.0e+6", "1.0e+300"])
+def test_an_operating_point_is_a_reading_that_the_sensor_can_give(value: str) -> None:
+    with pytest.raises(CandidateFileError, match=r"candidate 1: operating_point is .* a reading is within"):
+        parse_candidates(entry(operating_point=value), "file")
+
+
+@pytest.mark.parametrize("option", ["--candidates", "--config"])
+@pytest.mark.parametrize("name", ["laughs", "large", "deep lists"])
+def test_commands_end_with_one_line(tmp_path: Path, capsys: Any, option: str, name: str) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(HOSTILE[name][0])
+    assert main(["replay", str(PROJECT / "bags" / "four_setpoints"), option, str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
