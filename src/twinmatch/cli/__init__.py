@@ -12,7 +12,16 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from twinmatch import __version__
-from twinmatch.cli import backtesting, forecasting, importing, preparing, repairing, replaying, verifying
+from twinmatch.cli import (
+    backtesting,
+    fmus,
+    forecasting,
+    importing,
+    preparing,
+    repairing,
+    replaying,
+    verifying,
+)
 from twinmatch.dashboard import command as dashboard
 from twinmatch.emulation import virtual_rig_program as virtual_rig
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
@@ -49,6 +58,7 @@ _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("dashboard", dashboard, "the live page: what the graph says, in a browser"),
     ("foxglove", foxglove, "serve the graph to Foxglove and Lichtblick"),
     ("virtual-rig", virtual_rig, "the rig without the rig: board, camera and plate emulated"),
+    ("fmu", fmus, "say what an FMU has, and draft the map that makes it a structure of a plant"),
     ("prepare", preparing, "derive and compile the plants' equations now, so that no first run waits"),
 )
 """Name, module, and what it is for."""

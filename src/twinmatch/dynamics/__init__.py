@@ -14,8 +14,9 @@ from twinmatch.dynamics.ahead import Foretold, foretell
 from twinmatch.dynamics.closing import FILED, Closing, Filed, gains_for, gains_of
 from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Parameter, State, Structure
 from twinmatch.dynamics.descent import Descended, box_step, descend
+from twinmatch.dynamics.elsewhere import Elsewhere
 from twinmatch.dynamics.equations import Equations
-from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.errors import PlantError, StructureLostError
 from twinmatch.dynamics.experiment import Experiment, Known, Tangents
 from twinmatch.dynamics.functions import limited, magnitude, maximum, minimum
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
@@ -45,6 +46,7 @@ __all__ = [
     "Descended",
     "Disturbance",
     "Drive",
+    "Elsewhere",
     "Equations",
     "Experiment",
     "Filed",
@@ -67,6 +69,7 @@ __all__ = [
     "SensorRealisation",
     "State",
     "Structure",
+    "StructureLostError",
     "Tangents",
     "Wander",
     "advance",

@@ -10,9 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from twinmatch.dynamics.errors import PlantError
+
+if TYPE_CHECKING:
+    from twinmatch.dynamics.elsewhere import Elsewhere
 
 __all__ = ["Declaration", "Disturbance", "Drive", "Output", "Parameter", "State", "Structure"]
 
@@ -182,6 +185,8 @@ class Structure:
     watched: bool = True
     """Whether it is tried beside the running plant; the others only where somebody asks for all."""
     text: str = ""
+    elsewhere: Elsewhere | None = None
+    """Where its equations are, if not in the plant's file."""
 
     def __hash__(self) -> int:
         return hash((self.free, self.parts, tuple(self.fixed.items()), self.free_starts))

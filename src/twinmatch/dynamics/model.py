@@ -17,7 +17,7 @@ from twinmatch.dynamics.store import kernels_of
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
-    from twinmatch.dynamics.declarations import Parameter, Structure
+    from twinmatch.dynamics.declarations import Parameter, State, Structure
     from twinmatch.dynamics.plant import Plant
 
 __all__ = ["Model"]
@@ -42,14 +42,17 @@ class Model:
 
     @cached_property
     def kernels(self) -> Any:
-        """Its compiled functions, with tangents by what any structure with the same parts leaves free."""
+        """Its functions; compiled ones have tangents by all that structures with its parts leave free."""
+        if self.structure.elsewhere is not None:
+            return self.structure.elsewhere.kernels
         parts = self.structure.parts
-        free = (s.free for s in self.plant.structures.values() if s.parts == parts)
+        every = self.plant.structures.values()
+        free = (s.free for s in every if s.parts == parts and s.elsewhere is None)
         return kernels_of(self.plant, parts, frozenset().union(*free))
 
     def kernels_by(self, names: Iterable[str]) -> Any:
-        """Compiled functions that have tangents by these parameters."""
-        if set(names) <= set(self.kernels.UNKNOWN):
+        """Functions that have tangents by these parameters."""
+        if self.structure.elsewhere is not None or set(names) <= set(self.kernels.UNKNOWN):
             return self.kernels
         return kernels_of(self.plant, self.structure.parts, frozenset(self.names))
 
@@ -61,7 +64,21 @@ class Model:
     @cached_property
     def declared(self) -> Mapping[str, Parameter]:
         """The parameters that the equations of this structure depend on, in the order of every array."""
-        return {name: self.plant.parameters[name] for name in self.kernels.PARAMETERS}
+        own = self.structure.elsewhere.parameters if self.structure.elsewhere is not None else {}
+        known = {**self.plant.parameters, **own}
+        return {name: known[name] for name in self.kernels.PARAMETERS}
+
+    @cached_property
+    def declared_states(self) -> tuple[State, ...]:
+        """The states, in the order of every array of states."""
+        own = self.structure.elsewhere.states if self.structure.elsewhere is not None else {}
+        known = {**self.plant.states, **own}
+        return tuple(known[name] for name in self.states)
+
+    @property
+    def lost(self) -> str:
+        """Why a structure from elsewhere cannot be run any more, in a sentence; empty while it can."""
+        return "" if self.structure.elsewhere is None else self.structure.elsewhere.lost
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -145,7 +162,7 @@ class Model:
     @cached_property
     def corners(self) -> FloatArray:
         """Of the range of the states, shape (m, n)."""
-        spans = [self.plant.states[name].span for name in self.states]
+        spans = [state.span for state in self.declared_states]
         corners = np.array(list(itertools.product(*spans)), dtype=np.float64)
         return np.vstack([corners, corners.mean(axis=0)])
 

@@ -103,6 +103,29 @@ class Plant(metaclass=PlantType):
         return _model(cls, name)
 
     @classmethod
+    def adopt(cls, name: str, structure: Structure) -> Model:
+        """Take in one more structure, whose equations are elsewhere; one of the same name gives way.
+
+        Raises:
+            PlantError: the plant's own structure has that name, or it speaks of what is not declared.
+        """
+        before = cls.structures.get(name)
+        if structure.elsewhere is None or (before is not None and before.elsewhere is None):
+            msg = f"plant {cls.name}: structure {name!r} is its file's; give the other one another name"
+            raise PlantError(msg)
+        cls._check_structure(name, structure)
+        cls.structures = {**cls.structures, name: structure}
+        _MODELS.pop((cls, name), None)
+        return cls.model(name)
+
+    @classmethod
+    def disown(cls, name: str) -> None:
+        """Let a structure go that was adopted; one that is not there is no mistake."""
+        if name in cls.structures and cls.structures[name].elsewhere is not None:
+            cls.structures = {n: s for n, s in cls.structures.items() if n != name}
+            _MODELS.pop((cls, name), None)
+
+    @classmethod
     def _of(cls, kind: type[_Declared]) -> dict[str, _Declared]:
         return {n: v for n, v in cls.declarations.items() if isinstance(v, kind)}
 
@@ -121,16 +144,28 @@ class Plant(metaclass=PlantType):
         if cls.followed and cls.followed not in cls.structures:
             raise PlantError(f"plant {cls.name}: no structure {cls.followed!r} to follow it in")
         for name, structure in cls.structures.items():
-            place = f"plant {cls.name}, structure {name!r}"
-            for kind, names, known in (
-                ("part", structure.parts, cls.parts),
-                ("parameter", (*structure.free, *structure.fixed, *cls.typical), cls.parameters),
-                ("state", structure.free_starts, cls.states),
-            ):
-                unknown = sorted(set(names) - set(known))
-                if unknown:
-                    msg = f"{place}: no {kind} {unknown[0]!r}; the plant has {', '.join(known) or 'none'}"
-                    raise PlantError(msg)
+            cls._check_structure(name, structure)
+
+    @classmethod
+    def _check_structure(cls, name: str, structure: Structure) -> None:
+        elsewhere = structure.elsewhere
+        own_parameters, own_states = (elsewhere.parameters, elsewhere.states) if elsewhere else ({}, {})
+        for kind, names, known in (
+            ("part", structure.parts, cls.parts),
+            (
+                "parameter",
+                (*structure.free, *structure.fixed, *cls.typical),
+                (*cls.parameters, *own_parameters),
+            ),
+            ("state", structure.free_starts, (*cls.states, *own_states)),
+        ):
+            unknown = sorted(set(names) - set(known))
+            if unknown:
+                msg = (
+                    f"plant {cls.name}, structure {name!r}: no {kind} {unknown[0]!r}; the plant has "
+                    f"{', '.join(known) or 'none'}"
+                )
+                raise PlantError(msg)
 
 
 _MODELS: dict[tuple[type[Plant], str], Model] = {}

@@ -37,7 +37,9 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
     Raises:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
-    for name in plant.structures:
+    for name, structure in plant.structures.items():
+        if structure.elsewhere is not None:
+            continue
         model = plant.model(name)
         _use(model.parameters())
         yield model

@@ -134,7 +134,7 @@ class Tracker:
         )
         self._track = kernels.track
         noise = model.plant.output.noise
-        scales = np.array([model.plant.states[name].scale for name in model.states])
+        scales = np.array([state.scale for state in model.declared_states])
         slope = kernels.slopes_at(
             parameters.vector, begin(parameters, 0.0), float(model.plant.drive.rest), model.disturbances
         )[4]

@@ -110,5 +110,5 @@ def drift_of(model: Model) -> FloatArray:
 
 
 def _spans(model: Model) -> FloatArray:
-    low, high = np.array([model.plant.states[name].span for name in model.states], dtype=np.float64).T
+    low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
     return np.asarray(high - low, dtype=np.float64)

@@ -86,7 +86,7 @@ def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown,
     """The states whose value at a window's begin the structure leaves open."""
     found = []
     for name in model.structure.free_starts:
-        state = model.plant.states[name]
+        state = model.declared_states[model.states.index(name)]
         limits = (bounds or {}).get(name) or state.start_bounds or state.span
         found.append(Unknown(name, state.unit, limits, state.scale, relative=False))
     return tuple(found)

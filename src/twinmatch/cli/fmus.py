@@ -1,0 +1,36 @@
+"""`twinmatch fmu`: what an FMU has, and a draft of the map that makes it a structure of a plant."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", type=Path, metavar="FMU", help="the FMU; its program is not run")
+    parser.add_argument("--plant", default="peltier", help="the plant that it is to be a structure of")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Say it; what is printed is a map, with all else as comments.
+
+    Raises:
+        TwinmatchError: there is no such plant, or the file is no FMU.
+    """
+    from twinmatch.fmu.fitting import described_by  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.fmu.process import FmuProcess  # noqa: PLC0415
+    from twinmatch.fmu.proposal import draft, overview  # noqa: PLC0415
+    from twinmatch.plants import find_plant  # noqa: PLC0415
+
+    plant, process = find_plant(options.plant), FmuProcess()
+    try:
+        described = described_by(options.file, process)
+    finally:
+        process.close()
+    for line in overview(described):
+        print(f"# {line}")
+    print(draft(options.file, described, plant), end="")
+    return 0

@@ -1,0 +1,160 @@
+"""What an FMU says of itself, in the words that both processes use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+__all__ = ["CO_SIMULATION", "MODEL_EXCHANGE", "Described", "Variable", "described_from", "read_description"]
+
+CO_SIMULATION: Final = "co-simulation"
+MODEL_EXCHANGE: Final = "model exchange"
+MOST_VARIABLES: Final = 100_000
+
+_REAL: Final = ("Real", "Float64")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One of its real variables."""
+
+    name: str
+    reference: int
+    causality: str
+    variability: str
+    initial: str
+    unit: str
+    start: float | None
+    text: str
+    state: int
+    """Place among the continuous states; -1 if it is none."""
+
+    @property
+    def settable(self) -> bool:
+        """Whether it takes a value before a run begins."""
+        return self.variability != "constant" and (
+            self.causality in {"input", "parameter"} or self.initial in {"exact", "approx"}
+        )
+
+
+@dataclass(frozen=True)
+class Described:
+    """An FMU before it runs."""
+
+    version: str
+    """Of FMI."""
+    name: str
+    tool: str
+    guid: str
+    kinds: tuple[str, ...]
+    """How it can be run."""
+    identifiers: tuple[str, ...]
+    """The name of its library, for each of the kinds."""
+    directional: bool
+    """Whether a model-exchange FMU gives directional derivatives."""
+    after_steps: bool
+    """Whether it wants to be told of every step of the integrator."""
+    indicators: int
+    """Event indicators of FMI 2."""
+    states: int
+    step: float | None
+    """What it suggests as a step, s."""
+    platforms: tuple[str, ...]
+    variables: tuple[Variable, ...]
+
+    def called(self, name: str) -> Variable | None:
+        """The real variable of this name, if there is one."""
+        return next((variable for variable in self.variables if variable.name == name), None)
+
+    def of(self, *causalities: str) -> list[Variable]:
+        """Those of some causalities."""
+        return [variable for variable in self.variables if variable.causality in causalities]
+
+    @property
+    def tree(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        return asdict(self)
+
+
+def described_from(tree: dict[str, Any]) -> Described:
+    """The other way round.
+
+    Raises:
+        ValueError, TypeError, KeyError: it is no such tree.
+    """
+    variables = tuple(Variable(**variable) for variable in tree.pop("variables"))
+    pairs: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in tree.items()
+    }
+    return Described(**pairs, variables=variables)
+
+
+def read_description(folder: Path, names: Iterable[str]) -> Described:
+    """Read `modelDescription.xml` in a folder; `names` are those of all files of the FMU.
+
+    Raises:
+        Exception: FMPy raises many kinds where the file is not as FMI wants it.
+    """
+    from fmpy import read_model_description  # noqa: PLC0415 (an extra, and slow to import)
+
+    found = read_model_description(str(folder), validate=False)
+    if not found.fmiVersion.startswith(("2.", "3.")):
+        raise ValueError(f"it is of FMI {found.fmiVersion}; those of FMI 2 and 3 can be used")
+    if len(found.modelVariables) > MOST_VARIABLES:
+        raise ValueError(f"it has {len(found.modelVariables)} variables; at most {MOST_VARIABLES} are read")
+    ways = ((MODEL_EXCHANGE, found.modelExchange), (CO_SIMULATION, found.coSimulation))
+    there = [(kind, way) for kind, way in ways if way is not None]
+    order = [unknown.variable.derivative.name for unknown in found.derivatives if unknown.variable.derivative]
+    exchange, usual = found.modelExchange, found.defaultExperiment
+    return Described(
+        version=found.fmiVersion,
+        name=found.modelName or "",
+        tool=found.generationTool or "",
+        guid=found.guid or "",
+        kinds=tuple(kind for kind, _ in there),
+        identifiers=tuple(str(way.modelIdentifier) for _, way in there),
+        directional=bool(exchange is not None and exchange.providesDirectionalDerivative),
+        after_steps=exchange is not None and _told_of_steps(found.fmiVersion, exchange),
+        indicators=int(found.numberOfEventIndicators),
+        states=len(found.derivatives),
+        step=float(usual.stepSize) if usual is not None and usual.stepSize else None,
+        platforms=_platforms(names),
+        variables=tuple(
+            _variable(v, order) for v in found.modelVariables if v.type in _REAL and not v.dimensions
+        ),
+    )
+
+
+def _variable(found: Any, order: list[str]) -> Variable:
+    unit = found.unit or (found.declaredType.unit if found.declaredType is not None else "")
+    return Variable(
+        name=found.name,
+        reference=int(found.valueReference),
+        causality=found.causality or "local",
+        variability=found.variability or "",
+        initial=found.initial or "",
+        unit=unit or "",
+        start=_number(found.start),
+        text=found.description or "",
+        state=order.index(found.name) if found.name in order else -1,
+    )
+
+
+def _told_of_steps(version: str, exchange: Any) -> bool:
+    if version.startswith("2."):
+        return not exchange.completedIntegratorStepNotNeeded
+    return bool(exchange.needsCompletedIntegratorStep)
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
+
+
+def _platforms(names: Iterable[str]) -> tuple[str, ...]:
+    folders = {name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
+    return tuple(sorted(folders))

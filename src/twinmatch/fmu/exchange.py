@@ -1,0 +1,184 @@
+"""A model-exchange FMU: it gives rates, and is integrated here."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Final
+
+from twinmatch.fmu.calls import Calls
+from twinmatch.fmu.described import Described
+from twinmatch.fmu.machine import Machine, MachineError, Wires
+
+__all__ = ["Exchange"]
+
+MOST_ROUNDS: Final = 100
+"""Event iterations at one moment."""
+BISECTIONS: Final = 48
+MOST_EVENTS: Final = 24
+"""Events in one step before it is taken as it is."""
+
+
+class Exchange(Machine):
+    """One that gives rates and is integrated here (model exchange).
+
+    Runge–Kutta steps of order 4; where an event indicator changes sign within a step, its moment is bisected
+    and the step ends just behind it, as the native equations do at their kinks.
+    """
+
+    def __init__(self, fmu: Any, major: int, wires: Wires, described: Described, places: list[int]) -> None:
+        super().__init__(fmu, major, wires)
+        self._n, self._places = described.states, places
+        vector = ctypes.c_double * self._n
+        self._x, self._dx = vector(), vector()
+        calls, real, size, pointer = Calls(fmu, major), ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
+        of_x, of_dx = (ctypes.addressof(array) for array in (self._x, self._dx))
+        self._set_time = calls.bound("SetTime", real)
+        self._set_x = partial(calls.bound("SetContinuousStates", pointer, size), of_x, self._n)
+        self._get_x = partial(calls.bound("GetContinuousStates", pointer, size), of_x, self._n)
+        rates = "GetDerivatives" if major == 2 else "GetContinuousStateDerivatives"
+        self._get_dx = partial(calls.bound(rates, pointer, size), of_dx, self._n)
+        self._asked_after_steps = described.after_steps
+        self._events = described.indicators if major == 2 else None
+        self._z: Any = None
+        self._told: list[float] | None = None
+
+    def put(self, fixed: Sequence[float], inputs: Sequence[float]) -> None:
+        """Begin anew with these values; the last of the fixed ones are the states."""
+        split = len(fixed) - self._n
+        given = list(fixed[:split])
+        if given != self._told:
+            super().put(given, inputs)
+            self._told = given
+            self._settle()
+        self.time = 0.0
+        self._set_time(0.0)
+        super().feed(inputs)
+        self._place([*fixed[split:]])
+        self._after_jump()
+
+    def forget(self) -> None:
+        """Something went wrong: nothing that it was told before counts any more."""
+        self._told = None
+
+    def feed(self, inputs: Sequence[float]) -> None:
+        """Drive and disturbances from now on."""
+        super().feed(inputs)
+        self._after_jump()
+
+    def move(self, period: float, steps: int) -> None:
+        """On by one period in so many steps."""
+        x = self._own_states()
+        end = self.time + period
+        for k in range(steps):
+            left, begun = period / steps, self.time
+            for event in range(MOST_EVENTS):
+                signs = self._signs(x, self.time)
+                there = self._stepped(x, left)
+                went = left
+                if event < MOST_EVENTS - 1 and self._signs(there, self.time + left) != signs:
+                    went = self._reach(x, left, signs)
+                    there = self._stepped(x, went)
+                self.time += went
+                self._arrive(there)
+                x = self._own_states() if went != left else there
+                left -= went
+                if not left > 0.0:
+                    break
+            self.time = begun + period / steps if k < steps - 1 else end
+        self._set_time(self.time)
+
+    def rates(self) -> list[float]:
+        """Of the states where it is."""
+        return self._ordered(self._rates(self._own_states(), self.time))
+
+    def states(self) -> list[float]:
+        """Where it is."""
+        return self._ordered(self._own_states())
+
+    def _ordered(self, own: list[float]) -> list[float]:
+        return [own[place] for place in self._places]
+
+    def _place(self, states: list[float]) -> None:
+        for place, value in zip(self._places, states, strict=True):
+            self._x[place] = value
+        self._set_x()
+
+    def _own_states(self) -> list[float]:
+        if self._n:
+            self._get_x()
+        return self._x[:]
+
+    def _rates(self, x: list[float], time: float) -> list[float]:
+        self._set_time(time)
+        self._x[:] = x  # type: ignore[assignment]
+        self._set_x()
+        self._get_dx()
+        return self._dx[:]
+
+    def _stepped(self, x: list[float], h: float) -> list[float]:
+        t = self.time
+        k1 = self._rates(x, t)
+        k2 = self._rates([a + 0.5 * h * b for a, b in zip(x, k1, strict=True)], t + 0.5 * h)
+        k3 = self._rates([a + 0.5 * h * b for a, b in zip(x, k2, strict=True)], t + 0.5 * h)
+        k4 = self._rates([a + h * b for a, b in zip(x, k3, strict=True)], t + h)
+        slopes = zip(x, k1, k2, k3, k4, strict=True)
+        return [a + h / 6.0 * (b + 2.0 * c + 2.0 * d + e) for a, b, c, d, e in slopes]
+
+    def _signs(self, x: list[float], time: float) -> tuple[bool, ...]:
+        if not self._indicators:
+            return ()
+        self._set_time(time)
+        self._x[:] = x  # type: ignore[assignment]
+        self._set_x()
+        self.fmu.getEventIndicators(self._z, self._indicators)
+        return tuple(value > 0.0 for value in self._z)
+
+    def _reach(self, x: list[float], h: float, signs: tuple[bool, ...]) -> float:
+        low, high = 0.0, h
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            if self._signs(self._stepped(x, middle), self.time + middle) != signs:
+                high = middle
+            else:
+                low = middle
+        return high
+
+    def _arrive(self, x: list[float]) -> None:
+        """Take the states at the end of a step, and what the FMU makes of them."""
+        self._set_time(self.time)
+        self._x[:] = x  # type: ignore[assignment]
+        self._set_x()
+        asked = False
+        if self._asked_after_steps:
+            asked, ended = self.fmu.completedIntegratorStep()
+            if ended:
+                raise MachineError("it ended its simulation")
+        if asked or self._indicators:
+            self._after_jump()
+
+    @property
+    def _indicators(self) -> int:
+        if self._events is None:
+            self._events = int(self.fmu.getNumberOfEventIndicators())
+        if self._z is None:
+            self._z = (ctypes.c_double * self._events)()
+        return self._events
+
+    def _after_jump(self) -> None:
+        """Let it see that its states were put elsewhere, if it has anything that switches."""
+        if self._indicators:
+            self.fmu.enterEventMode()
+            self._settle()
+
+    def _settle(self) -> None:
+        for _ in range(MOST_ROUNDS):
+            update = self.fmu.newDiscreteStates if self.major == 2 else self.fmu.updateDiscreteStates
+            again, ended = update()[:2]
+            if ended:
+                raise MachineError("it ended its simulation")
+            if not again:
+                self.fmu.enterContinuousTimeMode()
+                return
+        raise MachineError(f"its discrete states do not settle in {MOST_ROUNDS} rounds")

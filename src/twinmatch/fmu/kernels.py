@@ -1,0 +1,287 @@
+"""What compiled kernels do for a plant's own equations, done for an FMU: whole runs, and differences of them.
+
+The functions are those of `twinmatch.dynamics.kernels`, `runs` and `observer_step`, with their arguments. An
+FMU mostly gives no derivatives by its parameters, so every derivative is a central difference: of whole runs,
+where a match asks how outputs change with parameters, and of single samples, where an observer or a forecast
+asks how small movements go on. One question to the FMU's process holds all of those runs.
+"""
+
+# ruff: noqa: PLR0917 (they take the arguments of kernels)
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from twinmatch.dynamics import PlantError
+from twinmatch.dynamics.descent import Search, told
+from twinmatch.dynamics.pid_step import Gains
+from twinmatch.dynamics.posed import Posed
+from twinmatch.fmu.described import MODEL_EXCHANGE
+from twinmatch.fmu.places import Places
+from twinmatch.fmu.residuals import cost_of, normal_of
+from twinmatch.fmu.runner import Runner, Signals
+from twinmatch.signals import FloatArray
+
+__all__ = ["FmuKernels"]
+
+
+class FmuKernels:
+    """The functions of an FMU that stands for a structure; each has the arguments of the compiled one."""
+
+    QUANTITIES: Final[tuple[str, ...]] = ()
+    RATE_LIMIT: Final = 0.06
+    """As that of the native equations: the step of the integrator in units of the fastest time constant."""
+    MOST_STEPS: Final = 2000
+
+    def __init__(self, runner: Runner, places: Places) -> None:
+        self._runner, self._places = runner, places
+        self.STATES, self.PARAMETERS = runner.map.known_states, runner.map.known_parameters
+        self.UNKNOWN = self.PARAMETERS
+        self._counts: dict[tuple[bytes, float, float], int] = {}
+
+    def begin(self, vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """States where a window begins, and their derivatives by y and by the parameters."""
+        return self._places.begin(vector, y, d)
+
+    def advance(
+        self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+    ) -> FloatArray:
+        """The states one period later."""
+        return np.asarray(self._ticks(vector, x, u, d, period, steps)[1][0])
+
+    def look(self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
+        """The output; there are no other quantities."""
+        found = self._runner.look(np.append(vector, x)[None], np.array([u]), d[None])
+        return float(found[0]), np.zeros(0)
+
+    def parts(
+        self, vector: FloatArray, y: float, before: FloatArray, u: float, rest: float, d: FloatArray,
+        period: float, steps: int,
+    ) -> tuple[float, float, FloatArray]:  # fmt: skip
+        """How far the drive moves a measured output in one period, how far all else does, and the states."""
+        x, by_y, _ = self.begin(vector, y, d)
+        x = np.where((by_y == 0.0) & ~np.isnan(before), before, x)
+        both = np.tile(np.append(vector, x), (2, 1))
+        at, after = self._runner.ticks(both, np.array([u, rest]), np.tile(d, (2, 1)), period, steps)
+        n = vector.size
+        both[:, n:] = after
+        driven, idle = self._runner.look(both, np.array([u, rest]), np.tile(d, (2, 1)))
+        return float(driven - idle), float(idle - at[0]), after[0]
+
+    def slopes_at(
+        self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters.
+
+        The rates of an FMU that moves itself are those over one sample, which rests where the plant does.
+        """
+        n, m = x.size, vector.size
+        moved = self._places.around(np.append(vector, x), u, range(n + m), drive_too=True)
+        given = np.tile(d, (len(moved.drive), 1))
+        if self._started() == MODEL_EXCHANGE:
+            y, rates = self._runner.rates(moved.fixed, moved.drive, given)
+        else:
+            period = self._places.period
+            y, after = self._runner.ticks(moved.fixed, moved.drive, given, period, 1)
+            rates = (after - moved.fixed[:, m:]) / period
+        of_rates, of_y = moved.slopes(rates), moved.slopes(y[:, None])[0]
+        fx, fu, fp = of_rates[:, m : m + n], of_rates[:, -1], of_rates[:, :m]
+        return rates[0], fx, fu, fp, of_y[m : m + n], of_y[:m]
+
+    def step_count(
+        self, vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float,
+        limit: float,
+    ) -> int:  # fmt: skip
+        """Runge–Kutta steps per sample by the rule of the native equations; 1 if the FMU moves itself."""
+        if self._started() != MODEL_EXCHANGE:
+            return 1
+        key = (vector.tobytes(), period, limit)
+        if key not in self._counts:
+            if len(self._counts) > self.MOST_STEPS:
+                self._counts.clear()
+            fastest = max(self._fastest(vector, x, u, d) for x in corners for u in drives)
+            count = np.ceil(period * fastest / limit)
+            self._counts[key] = int(max(count, 1.0)) if count <= self.MOST_STEPS else self.MOST_STEPS + 1
+        return self._counts[key]
+
+    def run(
+        self, vector: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray,
+        given: FloatArray, disturbances: FloatArray, noise: FloatArray, frozen: FloatArray,
+        resolution: float, integral: float, previous_error: float, period: float, steps: int,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+        """Output, input, both shape (N,), and states before each sample, shape (N + 1, nx)."""
+        signals = Signals(
+            closed, gains, reference if closed else given, disturbances, noise, frozen, resolution,
+            integral, previous_error, period, steps,
+        )  # fmt: skip
+        y, u, states = self._runner.runs(np.append(vector, x)[None], signals)
+        return y[0], u[0], states[0]
+
+    def run_with_tangents(
+        self, vector: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
+        reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
+        previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
+        robust: bool, stored: bool, limit: float,
+    ) -> tuple[
+        FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
+    ]:  # fmt: skip
+        """The run with its derivatives; either its arrays are stored, or the normal equations summed up."""
+        still = np.zeros(disturbances.shape[0])
+        signals = Signals(
+            closed, gains, reference if closed else given, disturbances, still, still, 0.0,
+            integral, previous_error, period, steps,
+        )  # fmt: skip
+        m, n = vector.size, columns.shape[1]
+        y, u, states = self._runner.runs(np.append(vector, x)[None], signals)
+        outputs = 2 if closed else 1
+        simulated = np.stack([y[0], u[0]])
+        normal = np.zeros((n + 1, n + 1))
+        by = np.zeros((2, simulated.shape[1], n))
+        cost = cost_of(simulated[:outputs], measured, weights, robust)
+        if stored or not cost > limit:
+            directions = np.zeros((n, m + x.size))
+            directions[np.arange(len(which)), which] = 1.0
+            directions[:, m:] = columns.T
+            moved = self._places.along(np.append(vector, x), directions)
+            of_y, of_u, _ = self._runner.runs(moved.fixed, signals)
+            by[:outputs] = np.stack([moved.slopes(of_y), moved.slopes(of_u)])[:outputs]
+        if not stored:
+            normal[:, :] = normal_of(simulated[:outputs], by[:outputs], measured, weights, robust)
+            none = np.zeros((0, 0))
+            return y[0][:0], u[0][:0], by[:, :0], none, none, none, none, normal
+        free = ((u[0] > gains.low) & (u[0] < gains.high)).astype(np.float64) if closed else np.zeros(y.size)
+        by_state, by_drive, seen = self._movements(vector, states[0][:-1], u[0], disturbances, period, steps)
+        return y[0], u[0], by, by_state, by_drive, free, seen, normal
+
+    def start_at(self, posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+        """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
+        n, started = posed.which.size, posed.started
+        vector = posed.base.copy()
+        vector[posed.places] = values[:n]
+        x, _, by_parameters = self.begin(vector, posed.first, posed.disturbances[0])
+        columns = np.zeros((x.size, values.size))
+        columns[:, :n] = by_parameters[:, posed.which]
+        x[started] = values[n:]
+        columns[started] = 0.0
+        columns[started, n + np.arange(started.size)] = 1.0
+        steps = self.step_count(
+            vector, posed.corners, posed.drives, posed.usual, posed.period, posed.rate_limit
+        )
+        return vector, x, columns, steps
+
+    def normal_at(
+        self, posed: Posed, values: FloatArray, limit: float
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """Sum, gradient Jᵀr and JᵀJ of the weighed residuals; infinite where the FMU gives no numbers."""
+        n = values.size
+        nowhere = np.inf, np.zeros(n), np.zeros((n, n))
+        vector, x, columns, steps = self.start_at(posed, values)
+        if steps > self.MOST_STEPS:
+            return nowhere
+        normal = self.run_with_tangents(
+            vector, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
+            posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
+            posed.weights, posed.robust, False, limit,
+        )[7]  # fmt: skip
+        if not np.isfinite(normal).all():
+            return nowhere
+        off = values - posed.expected
+        cost = normal[n, n] + float(np.sum(posed.pull * off * off))
+        return cost, normal[n, :n] + posed.pull * off, normal[:n, :n] + np.diag(posed.pull)
+
+    def search(self, posed: Posed, on_its_way: Search) -> None:
+        """Let a search run to its end."""
+        found = self.normal_at(posed, on_its_way.tried.copy(), np.inf)
+        while told(on_its_way, *found):
+            found = self.normal_at(posed, on_its_way.tried.copy(), float(on_its_way.best[0]))
+
+    def correct(
+        self, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray,
+        noise: float, limit: float, which: Any, bounds: FloatArray,
+    ) -> tuple[float, float]:  # fmt: skip
+        """By how much a reading surprises, and the variance that was to have; all else moves in place."""
+        m, n = vector.size, x.size
+        places = [*(m + np.arange(n)), *which[1]]
+        moved = self._places.around(np.append(vector, x), self._places.rest, places)
+        seen = self._runner.look(moved.fixed, moved.drive, np.tile(d, (len(moved.drive), 1)))
+        surprise, slope = y - float(seen[0]), moved.slopes(seen[:, None])[0]
+        reach = covariance @ slope
+        variance = noise * noise + float(slope @ reach)
+        if not np.isfinite(surprise + variance):
+            return np.nan, np.nan
+        most = limit * np.sqrt(variance)
+        gain = (most / abs(surprise) if abs(surprise) > most else 1.0) * reach / variance
+        x += gain[:n] * surprise
+        vector[which[1]] = np.clip(vector[which[1]] + gain[n:] * surprise, *bounds)
+        kept = np.eye(gain.size) - np.outer(gain, slope)
+        after = kept @ covariance @ kept.T + noise * noise * np.outer(gain, gain)
+        covariance[:] = 0.5 * (after + after.T)
+        return surprise, variance
+
+    def predict(
+        self, vector: FloatArray, x: FloatArray, covariance: FloatArray, strayed: FloatArray, u: float,
+        d: FloatArray, period: float, steps: int, which: Any, columns: FloatArray,
+    ) -> None:  # fmt: skip
+        """Move states and joint covariance on by one period."""
+        m, n = vector.size, x.size
+        wandering = which.shape[1]
+        places = [*which[0], *(m + np.arange(n))]
+        moved = self._places.around(np.append(vector, x), u, places, drive_too=True)
+        given = np.tile(d, (len(moved.drive), 1))
+        _, after = self._runner.ticks(moved.fixed, moved.drive, given, period, steps)
+        columns[:] = moved.slopes(after)
+        x[:] = after[0]
+        whole = np.eye(n + wandering)
+        whole[:n, :n], whole[:n, n:] = columns[:, wandering : wandering + n], columns[:, :wandering]
+        joint = whole @ covariance @ whole.T + np.diag(strayed)
+        covariance[:] = 0.5 * (joint + joint.T)
+
+    def _started(self) -> str:
+        """How the FMU is run; the first question starts it."""
+        if not self._runner.kind:
+            self._runner.start()
+        return self._runner.kind
+
+    def _ticks(
+        self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+    ) -> tuple[FloatArray, FloatArray]:
+        return self._runner.ticks(np.append(vector, x)[None], np.array([u]), d[None], period, steps)
+
+    def _movements(
+        self, vector: FloatArray, states: FloatArray, u: FloatArray, disturbances: FloatArray,
+        period: float, steps: int,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+        """Derivatives of every tick by state (N, nx, nx) and drive (N, nx), and of its output by state."""
+        m, n, size = vector.size, states.shape[1], states.shape[0]
+        if not np.isfinite(states).all():
+            raise PlantError(f"{self._runner.title}: the FMU gives no finite numbers at these parameters")
+        all_moved = [
+            self._places.around(np.append(vector, x), at, range(m, m + n), drive_too=True)
+            for x, at in zip(states, u.tolist(), strict=True)
+        ]
+        each = len(all_moved[0].drive) if all_moved else 0
+        y, after = self._runner.ticks(
+            np.concatenate([moved.fixed for moved in all_moved]),
+            np.concatenate([moved.drive for moved in all_moved]),
+            np.repeat(disturbances, each, axis=0),
+            period,
+            steps,
+        )
+        by_state, by_drive, seen = np.empty((size, n, n)), np.empty((size, n)), np.empty((size, n))
+        for k, moved in enumerate(all_moved):
+            part = slice(k * each, (k + 1) * each)
+            slopes = moved.slopes(after[part])
+            by_state[k], by_drive[k] = slopes[:, :n], slopes[:, n]
+            seen[k] = moved.slopes(y[part][:, None])[0, :n]
+        return by_state, by_drive, seen
+
+    def _fastest(self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> float:
+        """The least of three norms of df/dx: no eigenvalue is above any of them."""
+        m, n = vector.size, x.size
+        moved = self._places.around(np.append(vector, x), u, range(m, m + n))
+        _, rates = self._runner.rates(moved.fixed, moved.drive, np.tile(d, (len(moved.drive), 1)))
+        size = np.abs(moved.slopes(rates))
+        norms = size.sum(axis=1).max(initial=0.0), size.sum(axis=0).max(initial=0.0), np.linalg.norm(size)
+        return float(min(norms))

@@ -1,0 +1,226 @@
+"""The file that says which FMUs are structures of a plant, and what their variables mean there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from twinmatch.dynamics import Parameter, Plant, PlantError, State
+from twinmatch.fmu.described import CO_SIMULATION, MODEL_EXCHANGE
+from twinmatch.fmu.errors import FmuError
+from twinmatch.fmu.formula import Formula
+from twinmatch.plants import find_plant
+
+__all__ = ["FmuMap", "Link", "read_maps"]
+
+MOST_BYTES: Final = 1 << 20
+PATIENCE: Final = 10.0
+"""Seconds that one question to an FMU may take, if its file says nothing else."""
+
+_OF_FILE: Final = ("plant", "structures")
+_OF_MAP: Final = (
+    "fmu", "kind", "variables", "starts", "free", "fixed", "free_starts", "parameters", "states",
+    "patience", "watched",
+)  # fmt: skip
+_OF_LINK: Final = ("variable", "set", "factor", "offset")
+_OF_PARAMETER: Final = (
+    "unit", "text", "symbol", "default", "bounds", "scale", "least", "positive", "most", "relative",
+)  # fmt: skip
+_OF_STATE: Final = ("unit", "text", "symbol", "span", "scale", "start_bounds")
+
+
+@dataclass(frozen=True)
+class Link:
+    """A variable of the FMU: the plant's value is `factor` times the FMU's plus `offset`."""
+
+    variable: str
+    set: str
+    """The variable through which a state is put; the same one mostly."""
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FmuMap:
+    """One FMU as a structure of a plant."""
+
+    place: str
+    """Where this was written, for messages."""
+    plant: type[Plant]
+    name: str
+    """Of the structure, as the user calls it."""
+    file: Path
+    kind: str
+    """How the FMU is to be run; empty: model exchange, if it can be."""
+    links: Mapping[str, Link]
+    """By the plant's name for it: output, drive, disturbances, states, parameters."""
+    starts: Mapping[str, Formula]
+    """Of every state, in terms of the output, parameters and disturbances."""
+    free: tuple[str, ...]
+    fixed: Mapping[str, float]
+    free_starts: tuple[str, ...]
+    parameters: Mapping[str, Parameter]
+    """Those that the plant's file does not know."""
+    states: Mapping[str, State]
+    patience: float
+    watched: bool
+
+    @property
+    def known_states(self) -> tuple[str, ...]:
+        """The states that the FMU has, the plant's first."""
+        return tuple(name for name in {**self.plant.states, **self.states} if name in self.links)
+
+    @property
+    def known_parameters(self) -> tuple[str, ...]:
+        """The parameters that the FMU has, the plant's first."""
+        return tuple(name for name in {**self.plant.parameters, **self.parameters} if name in self.links)
+
+
+def read_maps(file: Path) -> tuple[FmuMap, ...]:
+    """The FMUs that a file makes structures of a plant.
+
+    Raises:
+        FmuError: the file cannot be used; the message says what of it.
+    """
+    try:
+        if file.stat().st_size > MOST_BYTES:
+            raise FmuError(f"{file}: is larger than {MOST_BYTES} bytes; no map is that long")
+        tree = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FmuError(f"{file}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise FmuError(f"{file}: is no YAML file: {str(error).splitlines()[0]}") from error
+    content = _table(str(file), tree, _OF_FILE)
+    structures = content.get("structures")
+    if "plant" not in content or not isinstance(structures, dict) or not structures:
+        raise FmuError(f"{file}: needs `plant` and, under `structures`, one FMU at least by name")
+    try:
+        plant = find_plant(str(content["plant"]))
+    except PlantError as error:
+        raise FmuError(f"{file}: {error}") from error
+    return tuple(_map(file, plant, str(name), what) for name, what in structures.items())
+
+
+def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
+    place = f"{file}, structure {name!r}"
+    own = _table(place, tree, _OF_MAP)
+    if not isinstance(own.get("fmu"), str) or not isinstance(own.get("variables"), dict):
+        raise FmuError(f"{place}: needs `fmu`, the path of the file, and `variables`")
+    parameters = _declared(place, Parameter, own.get("parameters"), _OF_PARAMETER, plant)
+    states = _declared(place, State, own.get("states"), _OF_STATE, plant)
+    links = {str(key): _link(f"{place}, variable {key}", value) for key, value in own["variables"].items()}
+    known = (
+        plant.output.name, plant.drive.name, *plant.disturbances, *plant.states, *plant.parameters,
+        *parameters, *states,
+    )  # fmt: skip
+    _subset(place, "variables", links, known)
+    for needed in (plant.output.name, plant.drive.name, *parameters, *states):
+        if needed not in links:
+            raise FmuError(f"{place}: variables says nothing of {needed}; name the FMU's variable for it")
+    kind = str(own.get("kind", ""))
+    if kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
+        raise FmuError(f"{place}: kind is {kind!r}; it can be {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
+    found = FmuMap(
+        place=place,
+        plant=plant,
+        name=name,
+        file=file.parent / own["fmu"],
+        kind=kind,
+        links=links,
+        starts={
+            str(key): Formula(f"{place}, start of {key}", str(value))
+            for key, value in _table(f"{place}, starts", own.get("starts", {})).items()
+        },
+        free=_names(f"{place}, free", own.get("free", ())),
+        fixed={
+            str(key): _number(f"{place}, fixed {key}", value)
+            for key, value in _table(f"{place}, fixed", own.get("fixed", {})).items()
+        },
+        free_starts=_names(f"{place}, free_starts", own.get("free_starts", ())),
+        parameters=parameters,
+        states=states,
+        patience=_number(f"{place}, patience", own.get("patience", PATIENCE)),
+        watched=bool(own.get("watched", True)),
+    )
+    _check(found)
+    return found
+
+
+def _check(of: FmuMap) -> None:
+    states, parameters = of.known_states, of.known_parameters
+    _subset(of.place, "free", of.free, parameters)
+    _subset(of.place, "fixed", of.fixed, parameters)
+    _subset(of.place, "free_starts", of.free_starts, states)
+    _subset(of.place, "starts", of.starts, states)
+    if not of.patience > 0:
+        raise FmuError(f"{of.place}: patience is {of.patience:g} s; it must be positive")
+    missing = [name for name in states if name not in of.starts]
+    if missing:
+        msg = f"{of.place}: starts says nothing of {missing[0]}; write where it starts at a known output"
+        raise FmuError(msg)
+    for name, formula in of.starts.items():
+        known = (of.plant.output.name, *of.plant.disturbances, *parameters)
+        _subset(f"{of.place}, start of {name}", repr(formula.text), formula.names, known)
+
+
+def _subset(place: str, what: str, names: Any, known: Any) -> None:
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        msg = f"{place}: {what} names {unknown[0]!r}; there are {', '.join(known) or 'none'}"
+        raise FmuError(msg)
+
+
+def _table(place: str, tree: Any, keys: tuple[str, ...] = ()) -> dict[Any, Any]:
+    if not isinstance(tree, dict):
+        raise FmuError(f"{place}: takes names with values, not {type(tree).__name__}")
+    if keys:
+        _subset(place, "it", tree, keys)
+    return tree
+
+
+def _link(place: str, tree: Any) -> Link:
+    if isinstance(tree, str):
+        return Link(tree, tree)
+    own = _table(place, tree, _OF_LINK)
+    if not isinstance(own.get("variable"), str):
+        raise FmuError(f"{place}: needs `variable`, the FMU's name for it")
+    factor = _number(f"{place}, factor", own.get("factor", 1.0))
+    if factor == 0.0:
+        raise FmuError(f"{place}: factor is 0; the plant's value is factor times the FMU's plus offset")
+    offset = _number(f"{place}, offset", own.get("offset", 0.0))
+    return Link(own["variable"], str(own.get("set", own["variable"])), factor, offset)
+
+
+def _declared(place: str, kind: Any, tree: Any, keys: tuple[str, ...], plant: type[Plant]) -> dict[str, Any]:
+    found = {}
+    for name, value in _table(f"{place}, {kind.__name__.lower()}s", tree or {}).items():
+        own = dict(_table(f"{place}, {kind.__name__.lower()} {name}", value, keys))
+        for key in ("bounds", "span", "start_bounds"):
+            if isinstance(own.get(key), list):
+                own[key] = tuple(own[key])
+        if str(name) in plant.declarations:
+            raise FmuError(f"{place}: {name} is declared by the plant; name it under variables only")
+        try:
+            declared = kind(**own)
+            declared.__set_name__(plant, str(name))
+        except (PlantError, TypeError, ValueError) as error:
+            raise FmuError(f"{place}, {kind.__name__.lower()} {name}: {error}") from error
+        found[str(name)] = declared
+    return found
+
+
+def _names(place: str, tree: Any) -> tuple[str, ...]:
+    if not isinstance(tree, list | tuple):
+        raise FmuError(f"{place}: takes a list of names")
+    return tuple(map(str, tree))
+
+
+def _number(place: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise FmuError(f"{place}: is {value!r}; it takes a finite number")
+    return float(value)

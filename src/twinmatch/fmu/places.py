@@ -1,0 +1,130 @@
+"""Where an FMU is put to find out how it answers small movements, and where it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import Parameter, Plant, State
+from twinmatch.fmu.formula import Formula
+from twinmatch.signals import FloatArray
+
+__all__ = ["Moved", "Places"]
+
+STEP: Final = 1e-4
+"""Half of a central difference, in units of what moves: its own error is a part in 1e8; where a solver of
+variable step gives its numbers to a part in 1e8, the derivative is good to a part in 1e4."""
+_LEAST: Final = 0.1
+"""A parameter near zero moves as one of this many of its scales."""
+
+
+class Moved(NamedTuple):
+    """A point, and points on both sides of it in several directions."""
+
+    fixed: FloatArray
+    """Parameters and states, shape (1 + 2·k, n); the point itself comes first, if it is there at all."""
+    drive: FloatArray
+    """Shape (1 + 2·k,)."""
+    widths: FloatArray
+    """Between both sides, shape (k,)."""
+
+    def slopes(self, values: FloatArray) -> FloatArray:
+        """Differences of values at those points, shape (points, m), by each direction: shape (m, k)."""
+        first = len(values) - 2 * self.widths.size
+        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / self.widths)
+
+
+class Places:
+    """Sizes of small movements, within what parameters can be; and where states start."""
+
+    def __init__(
+        self,
+        plant: type[Plant],
+        parameters: Sequence[Parameter],
+        states: Sequence[State],
+        starts: Mapping[str, Formula],
+    ) -> None:
+        """For a plant whose structure has these parameters and states."""
+        self._parameters, self._states, self._starts = tuple(parameters), tuple(states), starts
+        self._output, self._others = plant.output.name, tuple(plant.disturbances)
+        self.rest = float(plant.drive.rest)
+        self.period = 1.0 if plant.loop is None else float(plant.loop.period)
+        """Over which the movement of an FMU that moves itself counts as its rate, s."""
+        low, high = plant.drive.limits
+        self._drive_step = STEP * (high - low)
+        self._spans = STEP * np.array([state.span[1] - state.span[0] for state in states])
+
+    def begin(self, vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """States at an output y, shape (nx,), and their derivatives by y, and by the parameters, (nx, n)."""
+        names = [parameter.name for parameter in self._parameters]
+        values = {
+            self._output: float(y),
+            **dict(zip(self._others, np.asarray(d, dtype=np.float64).tolist(), strict=True)),
+            **dict(zip(names, vector.tolist(), strict=True)),
+        }
+        x = self._at(values)
+        by_y = self._slope(values, self._output, STEP * (1.0 + abs(y)))
+        by_parameters = np.zeros((x.size, vector.size))
+        named = {name for formula in self._starts.values() for name in formula.names}
+        for k, name in enumerate(names):
+            if name in named:
+                by_parameters[:, k] = self._slope(values, name, self._reach(k, float(vector[k])))
+        return x, by_y, by_parameters
+
+    def around(
+        self, at: FloatArray, drive: float, directions: Iterable[int], *, drive_too: bool = False
+    ) -> Moved:
+        """The point, and both sides of it along single parameters and states, and perhaps the drive."""
+        m = len(self._parameters)
+        rows, widths = [at], []
+        for k in directions:
+            size = self._reach(k, float(at[k])) if k < m else self._spans[k - m]
+            high, low = at.copy(), at.copy()
+            high[k] += size
+            low[k] -= size
+            if k < m:
+                high[k], low[k] = self._inside(k, high[k], at[k]), self._inside(k, low[k], at[k])
+            rows += [high, low]
+            widths.append(high[k] - low[k])
+        drives = np.full(len(rows), drive)
+        if drive_too:
+            rows += [at, at]
+            drives = np.append(drives, [drive + self._drive_step, drive - self._drive_step])
+            widths.append(2.0 * self._drive_step)
+        return Moved(np.array(rows), drives, np.array(widths))
+
+    def along(self, at: FloatArray, directions: FloatArray) -> Moved:
+        """Both sides of a point along directions, shape (k, n), of which each may move all of it."""
+        m = len(self._parameters)
+        sizes = np.array([*(self._reach(k, float(at[k])) for k in range(m)), *self._spans])
+        rows, widths = [], []
+        for direction in directions:
+            own = np.abs(direction) > 0.0
+            # A direction of a parameter is measured by it; how far the states move with it is its own affair.
+            first = own[:m] if own[:m].any() else own
+            chosen = np.flatnonzero(first)
+            size = float(np.min(sizes[chosen] / np.abs(direction[chosen]))) if chosen.size else 1.0
+            high, low = at + size * direction, at - size * direction
+            up = down = size
+            for k in np.flatnonzero(own[:m]).tolist():
+                high_k, low_k = self._inside(k, high[k], at[k]), self._inside(k, low[k], at[k])
+                up, down = min(up, (high_k - at[k]) / direction[k]), min(down, (at[k] - low_k) / direction[k])
+            rows += [at + up * direction, at - down * direction]
+            widths.append(up + down)
+        return Moved(np.array(rows).reshape(-1, at.size), np.zeros(0), np.array(widths))
+
+    def _reach(self, k: int, value: float) -> float:
+        return STEP * max(abs(value), _LEAST * self._parameters[k].scale)
+
+    def _inside(self, k: int, value: float, at: float) -> float:
+        """The value if the parameter can have it; where it stands, if not."""
+        return float(value if self._parameters[k].possible(float(value)) else at)
+
+    def _at(self, values: Mapping[str, float]) -> FloatArray:
+        return np.array([self._starts[state.name](values) for state in self._states], dtype=np.float64)
+
+    def _slope(self, values: Mapping[str, float], name: str, size: float) -> FloatArray:
+        high, low = ({**values, name: values[name] + sign * size} for sign in (1.0, -1.0))
+        return (self._at(high) - self._at(low)) / (2.0 * size)

@@ -1,0 +1,221 @@
+"""An FMU in the plant's words: what a structure's kernels ask of it, and how its process is kept."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import StructureLostError
+from twinmatch.dynamics.pid_step import Gains
+from twinmatch.fmu.errors import FmuError
+from twinmatch.fmu.fitting import described_by, loading
+from twinmatch.fmu.mapping import FmuMap
+from twinmatch.fmu.process import START, FmuProcess, ProcessLostError
+from twinmatch.signals import FloatArray
+
+__all__ = ["Runner", "Signals"]
+
+_SAMPLES = 1000
+"""Samples that one question asks for, and for which the map's patience is meant."""
+
+
+class Signals(NamedTuple):
+    """What runs are given, sample by sample, in the plant's units."""
+
+    closed: bool
+    gains: Gains
+    given: FloatArray
+    """Set-points of the loop, or inputs, shape (N,)."""
+    disturbances: FloatArray
+    """Shape (N, m)."""
+    noise: FloatArray
+    frozen: FloatArray
+    resolution: float
+    integral: float
+    previous: float
+    period: float
+    steps: int
+
+
+class Runner:
+    """The FMU of a map: started when it is first asked, and given up for good when its process is lost."""
+
+    def __init__(self, of: FmuMap, title: str, digest: str) -> None:
+        """Begin without a process.
+
+        Args:
+            of: what its variables are.
+            title: what messages call the structure.
+            digest: SHA-256 of the file; another one is not run.
+        """
+        self.map, self.title, self._digest = of, title, digest
+        self.lost = ""
+        """Why it cannot be asked any more; empty while it can."""
+        self._process: FmuProcess | None = None
+        self._lock = threading.RLock()
+        links, plant = of.links, of.plant
+        inputs = [plant.drive.name, *(name for name in plant.disturbances if name in links)]
+        self._given = [k for k, name in enumerate(plant.disturbances) if name in links]
+        self._output, self._inputs = links[plant.output.name], [links[name] for name in inputs]
+        self._states = [links[name] for name in of.known_states]
+        self._fixed = [*(links[name] for name in of.known_parameters), *self._states]
+        self._factors = np.array([link.factor for link in self._fixed])
+        self._offsets = np.array([link.offset for link in self._fixed])
+        self.kind = ""
+        """How it is run, once it was."""
+
+    def start(self) -> None:
+        """Start its process, if it is not there.
+
+        Raises:
+            FmuError: the FMU cannot be loaded, or does not fit its map.
+            StructureLostError: it was given up.
+        """
+        if self.lost:
+            raise StructureLostError(f"{self.title}: {self.lost}")
+        with self._lock:
+            if self._process is None:
+                self._started()
+
+    def look(self, fixed: FloatArray, drive: FloatArray, disturbances: FloatArray) -> FloatArray:
+        """Outputs, shape (B,), at parameters and states, shape (B, n), and inputs, shape (B,) and (B, m)."""
+        answer = self._ask({"ask": "look"}, fixed=self._own(fixed), inputs=self._fed(drive, disturbances))
+        return self._seen(answer)
+
+    def ticks(
+        self, fixed: FloatArray, drive: FloatArray, disturbances: FloatArray, period: float, steps: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """From there on by one period: outputs there, shape (B,), and states after, shape (B, nx)."""
+        header = {"ask": "ticks", "period": period, "steps": steps}
+        answer = self._ask(header, fixed=self._own(fixed), inputs=self._fed(drive, disturbances))
+        return self._seen(answer), self._moved(answer["after"])
+
+    def rates(
+        self, fixed: FloatArray, drive: FloatArray, disturbances: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Outputs, shape (B,), and rates of a model-exchange FMU there, shape (B, nx)."""
+        answer = self._ask({"ask": "rates"}, fixed=self._own(fixed), inputs=self._fed(drive, disturbances))
+        scale = np.array([link.factor for link in self._states])
+        return self._seen(answer), answer["rates"] * scale
+
+    def runs(self, fixed: FloatArray, signals: Signals) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Outputs and inputs, shape (B, N), and states, shape (B, N + 1, nx), of B runs."""
+        drive = self._inputs[0]
+        header = {
+            "ask": "runs",
+            "closed": bool(signals.closed),
+            "gains": [float(value) for value in signals.gains],
+            "y": [self._output.factor, self._output.offset],
+            "u": [1.0 / drive.factor, -drive.offset / drive.factor],
+            "rest": float(self.map.plant.drive.rest),
+            **{n: float(getattr(signals, n)) for n in ("integral", "previous", "resolution", "period")},
+            "steps": int(signals.steps),
+        }
+        answer = self._ask(
+            header,
+            fixed=self._own(fixed),
+            given=signals.given,
+            disturbances=self._others(signals.disturbances),
+            noise=signals.noise,
+            frozen=signals.frozen.astype(np.float64),
+        )
+        return answer["output"], answer["input"], self._moved(answer["states"])
+
+    def close(self) -> None:
+        """End its process; the next question starts another one."""
+        with self._lock:
+            if self._process is not None:
+                self._process.close()
+                self._process = None
+
+    def lose(self, why: str) -> StructureLostError:
+        """Give it up for good, and say so once; returns what to raise."""
+        with self._lock:
+            if not self.lost:
+                self.lost = why
+                print(
+                    f"twinmatch: {self.title}: {why}; all else goes on without this structure",
+                    file=sys.stderr,
+                )
+            self.close()
+        return StructureLostError(f"{self.title}: {self.lost}")
+
+    def _ask(self, header: dict[str, Any], **arrays: FloatArray) -> dict[str, FloatArray]:
+        """The answer to a question, put in parts of which each takes its time and no more."""
+        samples = arrays["given"].size if "given" in arrays else 1
+        rows, each = len(arrays["fixed"]), max(1, _SAMPLES // max(samples, 1))
+        by_row = [name for name in ("fixed", "inputs") if name in arrays]
+        parts = []
+        for first in range(0, rows, each):
+            part: dict[str, FloatArray] = {name: arrays[name][first : first + each] for name in by_row}
+            parts.append(self._answer(header, {**arrays, **part}, max(samples / _SAMPLES, 1.0)))
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+    def _answer(
+        self, header: dict[str, Any], arrays: dict[str, FloatArray], share: float
+    ) -> dict[str, FloatArray]:
+        if self.lost:
+            raise StructureLostError(f"{self.title}: {self.lost}")
+        with self._lock:
+            try:
+                process = self._process or self._started()
+                found = process.ask(header, arrays, limit=share * self.map.patience).arrays
+            except ProcessLostError as error:
+                raise self.lose(f"the FMU is lost: {error}") from error
+            except FmuError as error:
+                raise FmuError(f"{self.title}: the FMU says: {error}") from error
+        return self._fitting(found, len(arrays["fixed"]), arrays.get("given"))
+
+    def _fitting(self, found: Any, runs: int, given: FloatArray | None) -> dict[str, FloatArray]:
+        """The arrays, if they have the shapes that were asked for."""
+        size, n = (0 if given is None else given.size), len(self._states)
+        own = {"output": (runs,), "after": (runs, n), "rates": (runs, n)}
+        run = {"output": (runs, size), "input": (runs, size), "states": (runs, size + 1, n)}
+        for name, array in found.items():
+            if array.shape != (own if given is None else run).get(name):
+                raise self.lose(f"the FMU's process answered with an array of shape {array.shape}")
+        return dict(found)
+
+    def _started(self) -> FmuProcess:
+        """The process with the FMU in it, checked against its map.
+
+        Raises:
+            FmuError: they do not fit.
+        """
+        of, process = self.map, FmuProcess()
+        try:
+            question, self.kind = loading(of, described_by(of.file, process))
+            files = {"file": str(of.file.resolve()), "folder": str(process.folder / "fmu")}
+            process.ask({**question, **files, "digest": self._digest}, limit=START)
+        except ProcessLostError as error:
+            process.close()
+            raise FmuError(f"{of.place}: {of.file} cannot be loaded: {error}") from error
+        except FmuError as error:
+            process.close()
+            raise FmuError(f"{of.place}: {error}") from error
+        self._process = process
+        return process
+
+    def _seen(self, answer: dict[str, FloatArray]) -> FloatArray:
+        return np.asarray(self._output.factor * answer["output"] + self._output.offset)
+
+    def _own(self, fixed: FloatArray) -> FloatArray:
+        return np.asarray((fixed - self._offsets) / self._factors)
+
+    def _fed(self, drive: FloatArray, disturbances: FloatArray) -> FloatArray:
+        link = self._inputs[0]
+        return np.column_stack([(drive - link.offset) / link.factor, self._others(disturbances)])
+
+    def _others(self, disturbances: FloatArray) -> FloatArray:
+        links = self._inputs[1:]
+        offsets, factors = (np.array([getattr(link, n) for link in links]) for n in ("offset", "factor"))
+        return np.asarray((disturbances[:, self._given] - offsets) / factors)
+
+    def _moved(self, states: FloatArray) -> FloatArray:
+        count = len(self._states)
+        if not count:
+            return states
+        return np.asarray(states * self._factors[-count:] + self._offsets[-count:])

@@ -1,0 +1,50 @@
+"""Whether an FMU is what its map makes of it, tried once before it is used."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twinmatch.dynamics import Model, begin, simulate_driven
+from twinmatch.fmu.errors import FmuError
+
+__all__ = ["tried"]
+
+SAMPLES = 8
+_STATE = 1e-4
+"""How far a state may be from where it went in one go, in units of its span: a solver that is started anew
+chooses other steps."""
+
+
+def tried(model: Model) -> None:
+    """Run a few samples in one go, and again with a new start at each from its states; both must agree.
+
+    A twin is put to states that an observer found, and asked what comes next. An FMU that remembers more than
+    its map names, a filter say, would answer for another plant.
+
+    Raises:
+        FmuError: they do not, or the FMU gives no numbers.
+    """
+    plant, kernels = model.plant, model.kernels
+    low, high = plant.drive.limits
+    drive = np.repeat([0.5 * (plant.drive.rest + high), 0.5 * (plant.drive.rest + low)], SAMPLES // 2)
+    parameters = model.parameters()
+    period = 1.0 if plant.loop is None else plant.loop.period
+    y = float(np.mean(plant.output.set_points or plant.output.span))
+    run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
+    spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
+    for k, u in enumerate(drive.tolist()):
+        after = kernels.advance(parameters.vector, run.states[k], u, model.disturbances, period, run.steps)
+        seen, _ = kernels.look(parameters.vector, run.states[k], plant.drive.rest, model.disturbances)
+        if not np.isfinite([*after, *run.states[k + 1], seen, run.output[k]]).all():
+            raise FmuError(f"{model.title}: the FMU gives no finite numbers at sample {k + 1} of a trial")
+        off = np.abs(after - run.states[k + 1]) / spans if spans.size else np.zeros(1)
+        if abs(seen - run.output[k]) > plant.output.noise or off.max() > _STATE:
+            what = f"its output {seen:g} instead of {run.output[k]:g}"
+            if off.max() > _STATE:
+                name = model.states[int(np.argmax(off))]
+                what = f"{name} {after[np.argmax(off)]:g} instead of {run.states[k + 1][np.argmax(off)]:g}"
+            msg = (
+                f"{model.title}: started anew from its states, the FMU has {what}; it remembers more than "
+                "the states that its map names: name all, or export it as model exchange"
+            )
+            raise FmuError(msg)

@@ -1,0 +1,204 @@
+"""The process in which an FMU runs: takes messages on standard input, answers on what was standard output.
+
+An FMU is a program. Here it has a folder of its own, no sockets of the process that started it, a limit on
+its memory and on what it writes, and ends when that process does. How long it may take, the other side says.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import select
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from twinmatch.dynamics.pid_step import Gains, pid_step
+from twinmatch.dynamics.sensor_step import reading
+from twinmatch.fmu.archive import MOST_BYTES, ArchiveError, digest_of, unpack
+from twinmatch.fmu.described import described_from, read_description
+from twinmatch.fmu.exchange import Exchange
+from twinmatch.fmu.loading import machine_of
+from twinmatch.fmu.machine import Machine, MachineError, Wires
+from twinmatch.fmu.wire import Message, packed, unpacked
+from twinmatch.signals import FloatArray
+
+MEMORY: Final = 2 << 30
+"""Bytes that the FMU may take beyond what this process has before it is loaded."""
+DESCRIPTION: Final = "modelDescription.xml"
+
+Arrays = dict[str, FloatArray]
+
+
+class Worker:
+    """One FMU, and what may be asked of it."""
+
+    def __init__(self) -> None:
+        self._machine: Machine | None = None
+        self._asks: dict[str, Callable[[Message], tuple[dict[str, Any], Arrays]]] = {
+            "describe": self._describe,
+            "load": self._load,
+            "look": self._look,
+            "ticks": self._ticks,
+            "rates": self._rates,
+            "runs": self._runs,
+        }
+
+    def answer(self, message: Message) -> bytes:
+        """What is said to a message; errors of the FMU are an answer too."""
+        try:
+            header, arrays = self._asks[message.header["ask"]](message)
+        except Exception as error:  # FMPy raises many kinds, and all of them are the FMU's
+            if self._machine is not None:
+                self._machine.forget()
+            words = " ".join(str(error).split()) or type(error).__name__
+            return packed({"error": words[:600], "refused": isinstance(error, ArchiveError)}, {})
+        return packed(header, arrays)
+
+    def _describe(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+        file, folder = Path(message.header["file"]), Path(message.header["folder"])
+        names = unpack(file, folder, DESCRIPTION)
+        return {"described": read_description(folder, names).tree}, {}
+
+    def _load(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+        header = message.header
+        file, folder = Path(header["file"]), Path(header["folder"])
+        if digest_of(file) != header["digest"]:
+            raise MachineError("the file is not the one it was when it was taken in; start again")
+        unpack(file, folder)
+        described = described_from(header["described"])
+        wires = Wires(**header["wires"])
+        self._machine = machine_of(folder, described, header["kind"], wires, header["places"])
+        return {}, {}
+
+    @property
+    def _loaded(self) -> Machine:
+        if self._machine is None:
+            raise MachineError("no FMU was loaded")
+        return self._machine
+
+    def _look(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+        machine, arrays = self._loaded, message.arrays
+        found = []
+        for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
+            machine.put(fixed, inputs)
+            found.append(machine.output())
+        return {}, {"output": np.array(found)}
+
+    def _ticks(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+        """From each of several places on by one period: the output there, and the states after."""
+        machine, arrays, header = self._loaded, message.arrays, message.header
+        outputs, after = [], []
+        for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
+            machine.put(fixed, inputs)
+            outputs.append(machine.output())
+            machine.move(header["period"], header["steps"])
+            after.append(machine.states())
+        shape = (len(outputs), len(machine.wires.states))
+        return {}, {"output": np.array(outputs), "after": np.array(after).reshape(shape)}
+
+    def _rates(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+        """Rates and outputs at each of several places."""
+        machine, arrays = self._loaded, message.arrays
+        if not isinstance(machine, Exchange):
+            raise MachineError("a co-simulation FMU gives no rates")
+        outputs, rates = [], []
+        for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
+            machine.put(fixed, inputs)
+            outputs.append(machine.output())
+            rates.append(machine.rates())
+        shape = (len(outputs), len(machine.wires.states))
+        return {}, {"output": np.array(outputs), "rates": np.array(rates).reshape(shape)}
+
+    def _runs(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+        """Whole runs from several places under the same signals, in the loop or driven.
+
+        The output is `scale` times the FMU's plus `offset`; the drive is the FMU's times its own: the
+        controller speaks the plant's units.
+        """
+        header, arrays = message.header, message.arrays
+        runs = [self._run(fixed, header, arrays) for fixed in arrays["fixed"].tolist()]
+        names = ("output", "input", "states")
+        return {}, {name: np.stack([run[k] for run in runs]) for k, name in enumerate(names)}
+
+    def _run(self, fixed: list[float], header: Any, arrays: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+        machine, gains = self._loaded, _gains(header["gains"])
+        (y_scale, y_offset), (u_scale, u_offset) = header["y"], header["u"]
+        closed, period, steps = header["closed"], header["period"], header["steps"]
+        integral, previous, resolution = header["integral"], header["previous"], header["resolution"]
+        given, noise, frozen = (arrays[name].tolist() for name in ("given", "noise", "frozen"))
+        others = arrays["disturbances"].tolist()
+        outputs, inputs, states = [], [], []
+        last = 0.0
+        machine.put(fixed, [u_scale * header["rest"] + u_offset, *others[0]])
+        for k, signal in enumerate(given):
+            states.append(machine.states())
+            seen = y_scale * machine.output() + y_offset
+            last = reading(seen, noise[k], bool(frozen[k]) and k > 0, resolution, last)
+            u = signal
+            if closed:
+                u, integral, previous = pid_step(gains, integral, previous, signal, last)
+            outputs.append(last)
+            inputs.append(u)
+            machine.feed([u_scale * u + u_offset, *others[k]])
+            machine.move(period, steps)
+        states.append(machine.states())
+        shape = (len(states), len(machine.wires.states))
+        return np.array(outputs), np.array(inputs), np.array(states).reshape(shape)
+
+
+def main() -> None:
+    """Answer until nobody asks any more."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what the FMU prints is no answer
+    questions = os.fdopen(os.dup(0), "rb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    worker = Worker()
+    _limit()
+    while message := _next(questions):
+        answers.write(worker.answer(message))
+        answers.flush()
+
+
+def _gains(values: list[float]) -> Gains:
+    named: dict[str, Any] = dict(zip(Gains._fields, values, strict=True))
+    return Gains(**{**named, "on_measurement": bool(named["on_measurement"])})
+
+
+def _next(questions: BinaryIO) -> Message | None:
+    def read(size: int) -> bytes:
+        found = questions.read(size)
+        if len(found) < size:
+            raise EOFError
+        return found
+
+    try:
+        return unpacked(read)
+    except EOFError:
+        return None
+
+
+def _limit() -> None:
+    """How much memory the FMU may take, and how much it may write."""
+    taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    for what, most in (
+        (resource.RLIMIT_AS, taken + MEMORY),
+        (resource.RLIMIT_FSIZE, MOST_BYTES),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(what, (most, most))
+
+
+def _end_with(parent: int) -> None:
+    """End when the process that asks has ended: an FMU that hangs would never see it."""
+    while os.getppid() == parent:
+        select.select([], [], [], 1.0)
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""FMUs of the held sink's equations, built once, and structures that go when a test ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.fmus import build_c_fmu, build_python_fmu, write_map
+from twinmatch.dynamics import Model
+from twinmatch.fmu import adopt_fmus, is_fmu
+from twinmatch.plants import Peltier
+
+
+@pytest.fixture(scope="session")
+def exchange_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_c_fmu(tmp_path_factory.mktemp("exchange"))
+
+
+@pytest.fixture(scope="session")
+def switching_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_c_fmu(tmp_path_factory.mktemp("switching"), events=True)
+
+
+@pytest.fixture(scope="session")
+def python_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_python_fmu(tmp_path_factory.mktemp("python"), steps=12)
+
+
+@pytest.fixture
+def adopted(tmp_path: Path) -> Iterator[Callable[..., Model]]:
+    """Takes an FMU in as a structure; lets all go at the end."""
+
+    def adopt(fmu: Path, name: str = "the shop's", **changes: object) -> Model:
+        file = write_map(tmp_path, fmu, name, **changes)
+        return adopt_fmus(file)[0]
+
+    yield adopt
+    for name in [name for name in Peltier.structures if is_fmu(name)]:
+        source = Peltier.structures[name].elsewhere
+        source.runner.close()  # type: ignore[union-attr]
+        Peltier.disown(name)

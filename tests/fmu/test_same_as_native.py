@@ -1,0 +1,168 @@
+"""An FMU of the held sink's equations does what the plant file's own equations do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.fmus import write_map
+from twinmatch.dynamics import (
+    Experiment,
+    Model,
+    Observer,
+    begin,
+    foretell,
+    linearised,
+    rest_at,
+    simulate_closed_loop,
+    simulate_driven,
+)
+from twinmatch.fmu import adopt_fmus
+from twinmatch.matching import fit_structure, match
+from twinmatch.plants import Peltier
+from twinmatch.signals import Window
+
+KINDS = ("exchange_fmu", "switching_fmu", "python_fmu")
+TRUTH = {"seebeck": 0.06, "conductance": 0.7, "heat_capacity": 28.0}
+NATIVE = Peltier.model("held sink")
+
+
+def a_window(samples: int = 150, seed: int = 3) -> Window:
+    """A step of the set-point, seen by a noisy camera."""
+    truth = NATIVE.parameters(**TRUTH)
+    reference = np.repeat([40.0, 60.0], [30, samples - 30])
+    run = simulate_closed_loop(
+        truth,
+        reference,
+        states=begin(truth, 38.0),
+        sensor=Peltier.sensor.realise(samples, 1.0, seed),
+    )
+    return Window(reference, run.output, run.input, period=1.0)
+
+
+@pytest.fixture
+def model(request: pytest.FixtureRequest, adopted: Callable[..., Model]) -> Model:
+    return adopted(request.getfixturevalue(request.param))
+
+
+@pytest.mark.parametrize("model", KINDS, indirect=True)
+def test_a_run_is_the_same(model: Model) -> None:
+    # The current limit is crossed in the first samples; the FMU that moves itself does not look for it.
+    drive = np.repeat([255.0, -120.0, 0.0], 20)
+    runs = [
+        simulate_driven(p, drive, states=begin(p, 30.0))
+        for p in (NATIVE.parameters(**TRUTH), model.parameters(**TRUTH))
+    ]
+    np.testing.assert_allclose(runs[1].output, runs[0].output, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(runs[1].states, runs[0].states, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", KINDS, indirect=True)
+def test_differences_are_the_exact_tangents(model: Model) -> None:
+    window = a_window()
+    found = []
+    for one in (NATIVE, model):
+        experiment = Experiment(one.parameters(**TRUTH), ("seebeck", "heat_capacity", "ambient"), window)
+        values = experiment.values_of(one.parameters(**TRUTH))
+        found.append((experiment.tangents(values), *experiment.normal(values)))
+    (exact, cost, gradient, hessian), (tangents, *normal) = found
+    for name, size in (("by", 1e-5), ("by_state", 1e-7), ("by_drive", 1e-7), ("seen", 1e-9)):
+        one, other = getattr(exact, name), getattr(tangents, name)
+        np.testing.assert_allclose(other, one, rtol=0, atol=size * np.abs(one).max(), err_msg=name)
+    assert normal[0] == pytest.approx(cost, rel=1e-7)  # native steps are good to that
+    np.testing.assert_allclose(normal[1], gradient, rtol=1e-4, atol=1e-4 * np.abs(gradient).max())
+    np.testing.assert_allclose(normal[2], hessian, rtol=1e-4)
+
+
+@pytest.mark.parametrize("model", KINDS, indirect=True)
+def test_an_observer_follows_as_the_native_one_does(model: Model) -> None:
+    window, found = a_window(60), []
+    for one in (NATIVE, model):
+        observer = Observer(
+            one.parameters(**TRUTH), window.output[0], period=1.0, drift=[0.03], start=[4.5], limit=4.0
+        )
+        for y, u in zip(window.output.tolist(), window.input.tolist(), strict=True):
+            observer.correct(y)
+            observer.predict(u)
+        found.append((observer.states[0], observer.joint[0, 0]))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("model", KINDS, indirect=True)
+def test_a_forecast_and_its_variance_are_the_same(model: Model) -> None:
+    found = []
+    for one in (NATIVE, model):
+        parameters = one.parameters(**TRUTH)
+        found.append(
+            foretell(
+                parameters,
+                states=begin(parameters, 40.0),
+                covariance=np.diag([0.01, 1e-6]),
+                input=20.0,
+                drift=[0.03],
+                unsure=("seebeck",),
+                reference=np.repeat([40.0, 55.0], [10, 50]),
+            )
+        )
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("model", KINDS, indirect=True)
+def test_it_rests_and_moves_where_the_native_plant_does(model: Model) -> None:
+    one, other = NATIVE.parameters(**TRUTH), model.parameters(**TRUTH)
+    assert rest_at(other, 50.0).input == pytest.approx(rest_at(one, 50.0).input, abs=1e-5)
+    for name in ("A", "B", "C"):
+        np.testing.assert_allclose(
+            getattr(linearised(other, 50.0, 1.0), name), getattr(linearised(one, 50.0, 1.0), name), rtol=1e-5
+        )
+
+
+@pytest.mark.parametrize("model", ["exchange_fmu", "python_fmu"], indirect=True)
+def test_a_match_finds_the_same_parameters(model: Model) -> None:
+    window = a_window(200)
+    native = match(window, start=NATIVE.parameters())
+    found = match(window, start=model.parameters())
+    assert found.status is native.status
+    assert found.free == native.free
+    for name in native.free:
+        assert found.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+    np.testing.assert_allclose(found.covariance, native.covariance, rtol=1e-2)
+
+
+@pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
+def test_a_structure_is_fitted_alike(model: Model) -> None:
+    window = a_window(200)
+    native, found = (fit_structure([window], one, thorough=False, informed=True) for one in (NATIVE, model))
+    for name in NATIVE.structure.free:
+        assert found.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+    assert found.charge == pytest.approx(native.charge, rel=1e-4)
+
+
+@given(
+    seebeck=st.floats(0.02, 0.15),
+    conductance=st.floats(0.1, 1.5),
+    heat_capacity=st.floats(8.0, 100.0),
+    begun=st.floats(10.0, 80.0),
+)
+@settings(max_examples=15, deadline=None, derandomize=True)
+def test_any_plate_moves_as_its_equations_say(
+    everywhere: Model, seebeck: float, conductance: float, heat_capacity: float, begun: float
+) -> None:
+    values = {"seebeck": seebeck, "conductance": conductance, "heat_capacity": heat_capacity}
+    reference = np.repeat([begun, begun + 10.0], 15)
+    one, other = NATIVE.parameters(**values), everywhere.parameters(**values)
+    runs = [simulate_closed_loop(p, reference, states=begin(p, begun)) for p in (one, other)]
+    np.testing.assert_allclose(runs[1].output, runs[0].output, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(runs[1].input, runs[0].input, rtol=0, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def everywhere(exchange_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    file = write_map(tmp_path_factory.mktemp("map"), exchange_fmu, "any")
+    return adopt_fmus(file)[0]

@@ -1,0 +1,217 @@
+"""FMUs that mean no good, or are none: each ends in one clear line, and nothing else suffers."""
+
+from __future__ import annotations
+
+import stat
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.fmus import RATE, build_python_fmu, write_map
+from twinmatch.cli import main
+from twinmatch.dynamics import Model, PlantError, StructureLostError, begin, simulate_driven
+from twinmatch.fmu import FmuError, adopt_fmus, archive
+from twinmatch.plants import Peltier
+
+
+@pytest.fixture
+def run_of(adopted: Callable[..., Model], tmp_path: Path) -> Callable[[str], Callable[[], None]]:
+    """Something that runs an FMU with a flaw for a minute."""
+
+    def of(culprit: str, **changes: object) -> Callable[[], None]:
+        fmu = build_python_fmu(tmp_path, f"F{abs(hash(culprit))}", culprit=culprit, steps=2)
+        parameters = adopted(fmu, culprit, **changes).parameters()
+        return lambda: str(simulate_driven(parameters, np.zeros(60), states=begin(parameters, 30.0)).output)
+
+    return of
+
+
+@pytest.mark.parametrize("culprit", ["hangs", "spins"])
+def test_one_that_takes_too_long_is_ended(run_of, culprit: str, capfd) -> None:
+    run, begun = run_of(culprit, patience=1.0), time.monotonic()
+    with pytest.raises(StructureLostError, match="no answer within 1 s and was ended"):
+        run()
+    assert time.monotonic() - begun < 30.0
+    with pytest.raises(StructureLostError):  # at once, and without a second line
+        run()
+    assert capfd.readouterr().err.count("all else goes on without this structure") == 1
+
+
+@pytest.mark.parametrize(
+    ("culprit", "words"), [("crashes", "crashed .SIGSEGV."), ("ends", "ended by itself, with exit code 3")]
+)
+def test_one_that_crashes_is_given_up(run_of, culprit: str, words: str) -> None:
+    with pytest.raises(StructureLostError, match=words):
+        run_of(culprit)()
+
+
+@pytest.mark.parametrize("culprit", ["refuses", "eats"])
+def test_one_that_says_it_cannot_is_asked_again(run_of, culprit: str) -> None:
+    run = run_of(culprit)
+    for _ in range(2):
+        with pytest.raises(FmuError, match="the FMU says"):
+            run()
+
+
+def test_one_that_gives_no_numbers_is_not_believed(run_of, adopted, tmp_path) -> None:
+    run = run_of("says nothing")
+    assert "nan" in run()
+    worse = build_python_fmu(tmp_path, "Worse", rate=RATE.replace("return -drawn", "return float('nan')"))
+    with pytest.raises(FmuError, match="no finite numbers at sample 1 of a trial"):
+        adopted(worse)
+
+
+def test_what_one_prints_is_no_answer(run_of) -> None:
+    assert "nan" not in run_of("prints")()
+
+
+def test_one_that_remembers_more_than_its_map_says_is_refused(adopted, tmp_path: Path) -> None:
+    after = "self.inner += 0.2 * (self.plate - 273.15 - self.inner)"
+    fmu = build_python_fmu(tmp_path, "Lagging", output="self.inner", after=after, steps=4)
+    with pytest.raises(FmuError, match="it remembers more than the states that its map names"):
+        adopted(fmu)
+
+
+def test_its_process_sees_no_socket_and_no_secret(run_of, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWINMATCH_SECRET", "open sesame")
+    run_of("")()
+    process = _process()
+    fds = [str(link.readlink()) for link in Path(f"/proc/{process}/fd").iterdir()]
+    assert not [name for name in fds if name.startswith("socket:")]
+    assert b"open sesame" not in Path(f"/proc/{process}/environ").read_bytes()
+
+
+def test_its_process_ends_with_the_structure(run_of) -> None:
+    run_of("")()
+    process = _process()
+    source = next(s.elsewhere for s in Peltier.structures.values() if s.elsewhere is not None)
+    folder = source.runner._process.folder  # type: ignore[attr-defined]
+    source.runner.close()  # type: ignore[attr-defined]
+    assert not Path(f"/proc/{process}").exists()
+    assert not folder.exists()
+
+
+def _process() -> int:
+    source = next(s.elsewhere for s in Peltier.structures.values() if s.elsewhere is not None)
+    return int(source.runner._process._process.pid)  # type: ignore[attr-defined]
+
+
+def test_one_for_another_machine_is_refused(exchange_fmu: Path, tmp_path: Path) -> None:
+    def rename(name: str) -> str:
+        return name.replace("linux64", "win64").replace(".so", ".dll")
+
+    fmu = _changed(exchange_fmu, tmp_path, rename=rename)
+    with pytest.raises(FmuError, match="has programs for win64; this machine is linux64"):
+        adopt_fmus(write_map(tmp_path, fmu))
+
+
+@pytest.mark.parametrize("name", ["../../escaped", "/tmp/escaped", "..\\escaped", "c:escaped"])
+def test_what_leads_out_of_the_archive_is_not_unpacked(exchange_fmu: Path, tmp_path: Path, name: str) -> None:
+    fmu = _changed(exchange_fmu, tmp_path, more={name: b"x"})
+    with pytest.raises(FmuError, match="which leads out of it; it is not unpacked"):
+        adopt_fmus(write_map(tmp_path, fmu))
+    assert not list(tmp_path.parent.glob("escaped"))
+
+
+def test_a_link_is_not_unpacked(exchange_fmu: Path, tmp_path: Path) -> None:
+    fmu = _changed(exchange_fmu, tmp_path)
+    link = zipfile.ZipInfo("resources/passwd")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(fmu, "a") as opened:
+        opened.writestr(link, "/etc/passwd")
+    with pytest.raises(FmuError, match="holds the link 'resources/passwd'"):
+        adopt_fmus(write_map(tmp_path, fmu))
+
+
+def test_a_bomb_is_not_unpacked(exchange_fmu: Path, tmp_path: Path) -> None:
+    fmu = _changed(exchange_fmu, tmp_path)
+    with (
+        zipfile.ZipFile(fmu, "a", zipfile.ZIP_DEFLATED) as opened,
+        opened.open("resources/zeros", "w") as file,
+    ):
+        for _ in range(1 + archive.MOST_BYTES // (1 << 24)):
+            file.write(bytes(1 << 24))
+    with pytest.raises(FmuError, match="more than 512 MiB are not unpacked"):
+        adopt_fmus(write_map(tmp_path, fmu))
+
+
+@pytest.mark.parametrize(
+    ("xml", "words"),
+    [
+        (b"<fmiModelDescription", "modelDescription|XML|Couldn't find end|not well-formed"),
+        (b"", "modelDescription|XML|Document is empty"),
+        (b'<fmiModelDescription fmiVersion="1.0" modelName="x" guid="y"/>', "."),
+        (b"\x00\xff\x00", "."),
+    ],
+)
+def test_a_broken_description_is_one_line(
+    exchange_fmu: Path, tmp_path: Path, xml: bytes, words: str, capsys
+) -> None:
+    fmu = _changed(exchange_fmu, tmp_path, more={"modelDescription.xml": xml})
+    assert main(["fmu", str(fmu)]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert str(fmu) in lines[0]
+    with pytest.raises(FmuError, match=words):
+        adopt_fmus(write_map(tmp_path, fmu))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"kind": "co-simulation"}, "it can be run by model exchange, not by co-simulation"),
+        ({"kind": "magic"}, "kind is 'magic'"),
+        ({"free": ["colour"]}, "free names 'colour'"),
+        ({"starts": {}}, "starts says nothing of plate"),
+        ({"starts": {"plate": "__import__('os')"}}, "is no sum, difference, product or quotient"),
+        ({"starts": {"plate": "sink + 1"}}, "names 'sink'"),
+        ({"patience": 0}, "patience is 0 s; it must be positive"),
+        ({"patience": "long"}, "takes a finite number"),
+        ({"surprise": 1}, "it names 'surprise'"),
+        ({"variables": {"temperature": "celsius"}}, "variables says nothing of pwm"),
+        ({"parameters": {"k": {"default": 1, "bounds": [2, 1]}}}, "must grow"),
+    ],
+)
+def test_a_map_that_is_wrong_is_told_so(exchange_fmu: Path, tmp_path: Path, changes, words: str) -> None:
+    with pytest.raises(FmuError, match=words):
+        adopt_fmus(write_map(tmp_path, exchange_fmu, **changes))
+
+
+@pytest.mark.parametrize(
+    ("variable", "words"),
+    [
+        ("plates", "has no real variable 'plates'; `twinmatch fmu` lists those it has"),
+        ("celsius", "its continuous states are plate; 'plate' is not named in the map"),
+    ],
+)
+def test_a_variable_that_is_not_there_is_told(adopted, exchange_fmu: Path, variable: str, words: str) -> None:
+    links = {"temperature": "celsius", "pwm": "pwm", "plate": variable}
+    with pytest.raises(FmuError, match=words):
+        adopted(exchange_fmu, variables=links, free=[])
+
+
+def test_a_file_that_changed_is_not_run(exchange_fmu: Path, tmp_path: Path, adopted) -> None:
+    fmu = _changed(exchange_fmu, tmp_path)
+    model = adopted(fmu)
+    source = model.structure.elsewhere
+    source.runner.close()
+    with zipfile.ZipFile(fmu, "a") as opened:
+        opened.writestr("resources/more", b"x")
+    with pytest.raises(PlantError, match="not the one it was when it was taken in"):
+        begin(model.parameters(), 30.0) is not None and source.runner.start()
+
+
+def _changed(fmu: Path, folder: Path, rename=lambda name: name, more: dict[str, bytes] | None = None) -> Path:
+    """The FMU with other names or other files in it."""
+    changed = folder / f"changed_{fmu.name}"
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(changed, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():
+            if name not in (more or {}):
+                new.writestr(rename(name), old.read(name))
+        for name, data in (more or {}).items():
+            new.writestr(name, data)
+    return changed

@@ -1,0 +1,215 @@
+"""FMUs built for tests: the held sink's equations in Python (co-simulation) and in C (model exchange)."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import textwrap
+import zipfile
+from pathlib import Path
+
+import yaml
+
+__all__ = ["CULPRITS", "build_c_fmu", "build_python_fmu", "python_slave", "write_map"]
+
+PARAMETERS = {
+    "seebeck": 0.075,
+    "resistance": 3.3,
+    "conductance": 0.35,
+    "heat_capacity": 15.0,
+    "ambient": 296.0,
+    "supply": 12.0,
+    "bridge_resistance": 0.1,
+    "current_limit": 5.0,
+}
+
+RATE = """
+def rate(self, plate):
+    bridge = self.supply * self.pwm / 255.0
+    loop = self.resistance + self.bridge_resistance
+    wanted = (-bridge - self.seebeck * (self.ambient - plate)) / loop
+    current = min(max(wanted, -self.current_limit), self.current_limit)
+    joule = current**2 * self.resistance / 2
+    drawn = self.seebeck * plate * current - joule + self.conductance * (plate - self.ambient)
+    return -drawn / self.heat_capacity
+"""
+
+_SLAVE = """
+import os, signal, time
+from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real
+
+
+class {name}(Fmi2Slave):
+    author = "tests"
+    description = "A Peltier plate on a sink that stays at one temperature"
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.pwm = 0.0
+        self.plate = 298.15
+        self.inner = 0.0
+        for name, value in {parameters!r}.items():
+            setattr(self, name, value)
+            self.register_variable(
+                Real(name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable)
+            )
+        self.register_variable(Real("pwm", causality=Fmi2Causality.input))
+        self.register_variable(
+            Real("plate", causality=Fmi2Causality.local, initial=Fmi2Initial.exact,
+                 variability=Fmi2Variability.continuous)
+        )
+        self.register_variable(
+            Real("celsius", causality=Fmi2Causality.output, getter=lambda: {output})
+        )
+
+{rate}
+
+    def do_step(self, time_now, size):
+        {culprit}
+        h = size / {steps}
+        for _ in range({steps}):
+            x = self.plate
+            k1 = self.rate(x)
+            k2 = self.rate(x + 0.5 * h * k1)
+            k3 = self.rate(x + 0.5 * h * k2)
+            k4 = self.rate(x + h * k3)
+            self.plate = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        {after}
+        return True
+"""
+
+CULPRITS = {
+    "": "pass",
+    "hangs": "if time_now > 20: time.sleep(3600)",
+    "spins": "while time_now > 20: pass",
+    "crashes": "if time_now > 20: os.kill(os.getpid(), signal.SIGSEGV)",
+    "ends": "if time_now > 20: os._exit(3)",
+    "says nothing": "if time_now > 20: self.plate = float('nan')",
+    "refuses": "if time_now > 20: return False",
+    "eats": "self.hoard = bytearray(1 << 33) if time_now > 20 else b''",
+    "prints": "print('what an FMU prints is no answer'); os.write(1, b'garbage' * 100)",
+}
+"""What an FMU may do wrong from the twentieth second of a run on."""
+
+
+def python_slave(
+    name: str = "Plate",
+    *,
+    culprit: str = "",
+    rate: str = RATE,
+    output: str = "self.plate - 273.15",
+    after: str = "pass",
+    steps: int = 40,
+) -> str:
+    """The source of a slave for pythonfmu."""
+    return textwrap.dedent(_SLAVE).format(
+        name=name,
+        parameters=PARAMETERS,
+        rate=textwrap.indent(textwrap.dedent(rate).strip(), "    "),
+        output=output,
+        culprit=CULPRITS[culprit],
+        after=after,
+        steps=steps,
+    )
+
+
+def build_python_fmu(folder: Path, name: str = "Plate", **how: object) -> Path:
+    """A co-simulation FMU (FMI 2) whose slave is Python."""
+    from pythonfmu.builder import FmuBuilder
+
+    source = folder / f"{name.lower()}.py"
+    source.write_text(python_slave(name, **how), encoding="utf-8")  # type: ignore[arg-type]
+    return Path(FmuBuilder.build_FMU(str(source), dest=str(folder)))
+
+
+def write_map(folder: Path, fmu: Path, name: str = "the shop's", **changes: object) -> Path:
+    """A file that makes an FMU of the plate a structure of the Peltier rig."""
+    entry: dict[str, object] = {
+        "fmu": str(fmu),
+        "variables": {
+            "temperature": "celsius",
+            "pwm": "pwm",
+            "plate": "plate",
+            **{parameter: parameter for parameter in PARAMETERS},
+        },
+        "starts": {"plate": "temperature + 273.15"},
+        "free": ["seebeck", "conductance", "heat_capacity"],
+    }
+    entry.update(changes)
+    file = folder / f"{fmu.stem}.yaml"
+    tree = {"plant": "peltier", "structures": {name: entry}}
+    file.write_text(yaml.safe_dump(tree, allow_unicode=True), encoding="utf-8")
+    return file
+
+
+_XML = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="plate" guid="{{held-sink}}"
+  numberOfEventIndicators="{indicators}">
+  <ModelExchange modelIdentifier="plate"/>
+  <ModelVariables>
+{variables}
+  </ModelVariables>
+  <ModelStructure>
+    <Outputs><Unknown index="{output}"/></Outputs>
+    <Derivatives><Unknown index="{derivative}"/></Derivatives>
+  </ModelStructure>
+</fmiModelDescription>
+"""
+
+
+def build_c_fmu(folder: Path, *, events: bool = False) -> Path:
+    """A model-exchange FMU (FMI 2) of the same equations, compiled; the current limit may be an event."""
+    import fmpy.fmi2
+
+    build = folder / "build"
+    library = build / "binaries" / "linux64" / "plate.so"
+    library.parent.mkdir(parents=True, exist_ok=True)
+    names = list(PARAMETERS)
+    code = (Path(__file__).parent / "plate.c").read_text(encoding="utf-8")
+    code = code.replace("@values@", ", ".join(map(str, PARAMETERS.values()))).replace(
+        "@names@", ", ".join(names)
+    )
+    source = build / "plate.c"
+    source.write_text(code, encoding="utf-8")
+    others = build / "others.c"
+    others.write_text(_left_out(code, fmpy.fmi2.FMU2Model), encoding="utf-8")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    subprocess.run(
+        [
+            "gcc",
+            "-shared",
+            "-fPIC",
+            "-O2",
+            "-w",
+            f"-I{headers}",
+            str(source),
+            str(others),
+            "-o",
+            str(library),
+        ],
+        check=True,
+    )
+    variables = [
+        ("pwm", 'causality="input"', 'start="0"'),
+        ("plate", 'causality="local" variability="continuous" initial="exact"', 'start="298.15"'),
+        ("der(plate)", 'causality="local" variability="continuous"', 'derivative="2"'),
+        ("celsius", 'causality="output" variability="continuous"', ""),
+        *((n, 'causality="parameter" variability="fixed"', f'start="{v}"') for n, v in PARAMETERS.items()),
+    ]
+    lines = [
+        f'    <ScalarVariable name="{name}" valueReference="{k}" {what}><Real {more}/></ScalarVariable>'
+        for k, (name, what, more) in enumerate(variables)
+    ]
+    xml = _XML.format(variables="\n".join(lines), output=4, derivative=3, indicators=2 if events else 0)
+    file = folder / "plate.fmu"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("modelDescription.xml", xml)
+        archive.write(library, "binaries/linux64/plate.so")
+    shutil.rmtree(build)
+    return file
+
+
+def _left_out(code: str, of: type) -> str:
+    """Functions that FMPy wants to find, and that say that they cannot do it."""
+    names = [name for name in dir(of) if name.startswith(("fmi2", "fmi3")) and f"{name}(" not in code]
+    return "".join(f"int {name}(void) {{ return 3; }}\n" for name in names)
