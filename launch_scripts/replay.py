@@ -1,6 +1,6 @@
 """Play a recorded session through the ROS graph and show the verdicts as they come.
 
-    python launch_scripts/replay.py SESSION [--rate 50] [--candidates FILE] [--config FILE] [--dashboard]
+    python launch_scripts/replay.py SESSION [--rate 50] [--candidates FILE] [--config FILE] [--plant FILE.py]
 
 Ctrl-C ends it; with --dashboard the live page stays open until then. Exit code: 0 all verdicts came,
 2 something given cannot be used, 130 interrupted.
@@ -25,6 +25,7 @@ def main() -> int:
     )
     parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="parameter file of the twin's nodes")
+    parser.add_argument("--plant", metavar="NAME|FILE.py", help="the plant, if the session does not say it")
     add_page_options(parser)
     options = parser.parse_args()
     if not 0.0 <= options.rate <= 1000.0:
@@ -33,7 +34,9 @@ def main() -> int:
         from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
 
         with page_of(options, parser, options.config) as page:
-            code = play(Replay(options.session, options.rate, options.candidates, options.config))
+            code = play(
+                Replay(options.session, options.rate, options.candidates, options.config, options.plant)
+            )
             if code == 0:
                 page.stay()
             return code

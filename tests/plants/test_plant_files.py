@@ -151,3 +151,32 @@ def test_what_a_package_declares_wrongly_is_told(tmp_path: Path, monkeypatch: py
     finally:
         monkeypatch.undo()
         _declared.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("self.loss *", "self.los *", r"line 19: self\.los is not declared; did you mean loss\?"),
+        ("self.loss *", "self.xyz *", r"line 19: self\.xyz is not declared; declare it as"),
+        ("lost = ", "lots = ", r"line 21: NameError: name 'lost' is not defined"),
+        (
+            "        lost = ",
+            "        if self.block > 3: pass\n        lost = ",
+            "line 19: a condition",
+        ),
+        ("output=self.block", "output=self.heater", "the output depends on the drive at the same instant"),
+        ("start={self.block: self.temperature}", "start={}", "state block has no start value"),
+        ("rates={self.block: ", "rates={self.gain: ", "a rate of gain, which is not declared as a state"),
+        (
+            "rates={self.block: (self.gain * self.heater - lost) / self.capacity}",
+            "rates={}",
+            "no state has a rate",
+        ),
+        ("return Equations(", "return dict(", "returns dict; return Equations"),
+    ],
+)
+def test_a_mistake_in_the_equations_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:
+    plant = find_plant(str(plant_file(tmp_path, f"block_equations_{abs(hash((old, new)))}", (old, new))))
+    with pytest.raises(PlantError, match=message) as raised:
+        _ = plant.model().states
+    assert "\n" not in str(raised.value)

@@ -14,11 +14,13 @@ from tests.support.plant_files import plant_file
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
+from twinmatch.judging.terms import terms_from_files
 from twinmatch.plants import find_plant
-from twinmatch.sessions import RecordingError, read_session
+from twinmatch.sessions import RecordingError, read_session, write_session
 from twinmatch.sessions.column_map import ColumnMap, Source, parse_map, read_map
 from twinmatch.sessions.guesses import look, proposed
 from twinmatch.sessions.mapped import Mapped, map_samples, with_plant_names
+from twinmatch.sessions.settings import PLANT
 from twinmatch.sessions.tables import read_table
 from twinmatch.sessions.times import read_times
 
@@ -133,13 +135,16 @@ def test_tables_that_cannot_be_used_are_explained(
         mapped(tmp_path, heated, text)
 
 
-def test_a_plant_whose_loop_is_known_needs_its_set_points(tmp_path: Path) -> None:
+def test_without_set_points_the_loop_is_taken_as_not_known(tmp_path: Path) -> None:
     text = "time,speed,volts\n0,1,2\n0.05,1,2\n0.1,1,2\n"
     table = read_table(written(tmp_path, text))
-    with pytest.raises(
-        RecordingError, match="no column is mapped to reference, since the loop of plant motor"
-    ):
-        map_samples(table, with_plant_names(table, Motor, ColumnMap()), Motor)
+    found = map_samples(table, with_plant_names(table, Motor, ColumnMap()), Motor)
+    assert Motor.loop is not None
+    assert not found.has_reference
+    records = {PLANT: {"plant": "tclab", "reference": "none"}}
+    session = read_session(write_session(tmp_path / "run", found.samples, records=records))
+    assert (session.plant, session.has_reference) == ("tclab", False)
+    assert terms_from_files(session).settings.gains is None
 
 
 def test_a_few_odd_readings_are_those_of_a_sensor_that_failed(tmp_path: Path, heated: type[Plant]) -> None:

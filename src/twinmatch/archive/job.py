@@ -100,16 +100,18 @@ def _record(job: Job) -> dict[str, Any]:
     """The judged session as JSON has it, with one row per candidate."""
     from twinmatch.judging.judgement import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
     from twinmatch.nodes.twin_parameters import at_period, read_settings  # noqa: PLC0415
+    from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError, open_any  # noqa: PLC0415
     from twinmatch.views import document  # noqa: PLC0415
 
     terms, session = job.terms, open_any(job.path)
     settings = terms.settings
-    if session.plant not in {"", settings.plant.name}:
-        if terms.fixed:
-            msg = f"{job.path}: is of plant {session.plant}, the others are of {settings.plant.name}"
-            raise SessionError(msg)
-        settings = read_settings(None, session.plant)
+    if terms.fixed and session.plant and plant_named(session.plant) is not settings.plant:
+        msg = f"{job.path}: is of plant {session.plant}, the others are of {settings.plant.name}"
+        raise SessionError(msg)
+    if terms.config is None:
+        plant = session.plant or settings.plant.name
+        settings = read_settings(None, plant, driven=not session.has_reference)
     settings = at_period(settings, session.period, terms.config)
     judgement = judge_samples(session.name, session.samples, settings, given=terms.given, notes=session.notes)
     entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)

@@ -60,11 +60,11 @@ def cells(row: dict[str, Any], matched: Sequence[Quantity]) -> tuple[str, ...]:
 def _matched(archive: Archive) -> list[Quantity]:
     if not archive.candidates:
         return []
-    from twinmatch.plants import find_plant  # noqa: PLC0415 — as `rich`
+    from twinmatch.plants import plant_named  # noqa: PLC0415 — as `rich`
     from twinmatch.views.quantities import quantity  # noqa: PLC0415
 
     first = archive.candidates[0]
-    plant = find_plant(first["plant"])
+    plant = plant_named(first["plant"])
     return [quantity(plant, name) for name in plant.structures[first["structure"]].free]
 
 

@@ -77,7 +77,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
     from twinmatch.plants import find_plant  # noqa: PLC0415 — as above
     from twinmatch.sessions import write_session  # noqa: PLC0415
     from twinmatch.sessions.mapped import map_samples, with_plant_names  # noqa: PLC0415
-    from twinmatch.sessions.settings import PLANT  # noqa: PLC0415
+    from twinmatch.sessions.settings import NO_REFERENCE, PLANT  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
     given = _given(options)
@@ -92,7 +92,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
         "plant": plant.name,
         "source": options.recording.name,
         "map": columns,
-        "reference": "recorded" if found.has_reference else "none",
+        "reference": "recorded" if found.has_reference else NO_REFERENCE,
     }
     write_session(options.output, found.samples, overwrite=options.overwrite, records={PLANT: record})
     seconds = len(found.samples) * found.period

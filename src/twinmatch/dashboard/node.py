@@ -31,7 +31,7 @@ from twinmatch.nodes.sample_messages import one_of, sample_from
 from twinmatch.nodes.samples import LATCHED
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.twin_parameters import read_settings
-from twinmatch.plants import find_plant
+from twinmatch.plants import plant_named
 from twinmatch.plants.named import description_of
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import Forecast, LoopSample, ModelScore, PlantDescription, PwmApplied, TwinState
@@ -142,7 +142,7 @@ class Dashboard(TwinmatchNode):
     def _on_description(self, message: PlantDescription) -> None:
         self.state.describe(description_from(message))
         if not self.values["config"] and message.plant != self._settings.plant.name:
-            self._settings = TwinSettings.of(find_plant(message.plant), period=message.period)
+            self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
 
     def _on_sample(self, message: LoopSample) -> None:
         self.state.push_sample(sample_from(message), time.monotonic())

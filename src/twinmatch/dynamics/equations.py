@@ -9,6 +9,8 @@ sign. The equations themselves have to be continuous there, as those of a limite
 
 from __future__ import annotations
 
+import difflib
+import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -76,7 +78,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     import sympy  # noqa: PLC0415
 
     title = f"plant {plant.name}"
-    written = plant.equations(parts)
+    written = _written(plant, parts)
     declared = {name: getattr(plant, name) for name in plant.declarations}
     states = tuple(symbol for name, symbol in declared.items() if symbol in written.rates)
     _require_states(title, states, written, [declared[name] for name in plant.states])
@@ -110,6 +112,35 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
         states, drive, disturbances, parameters, tuple(s for s in parameters if str(s) in unknown), measured,
         tuple(kinks.switches), tuple(kinks.conditions), rates, output, start, quantities,
     )  # fmt: skip
+
+
+def _written(plant: Plant, parts: frozenset[str]) -> Equations:
+    """What the plant's method returns; a mistake in it is told with its file and line."""
+    try:
+        written = plant.equations(parts)
+    except PlantError:
+        raise
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        lines = [f for f in traceback.extract_tb(error.__traceback__) if f.name == "equations"]
+        place = lines[-1] if lines else frame
+        msg = f"plant {plant.name}, {place.filename}, line {place.lineno}: {_mistake(plant, error)}"
+        raise PlantError(msg) from error
+    if not isinstance(written, Equations):
+        kind = type(written).__name__
+        msg = f"plant {plant.name}: its method `equations` returns {kind}; return Equations(rates=…, …)"
+        raise PlantError(msg)
+    return written
+
+
+def _mistake(plant: Plant, error: Exception) -> str:
+    if isinstance(error, AttributeError) and error.obj is plant:
+        near = difflib.get_close_matches(error.name or "", plant.declarations, n=1)
+        hint = f"did you mean {near[0]}?" if near else "declare it as a State, Parameter or Disturbance"
+        return f"self.{error.name} is not declared; {hint}"
+    if isinstance(error, TypeError) and "truth value" in str(error):
+        return "a condition on a value is not seen by the equations; use limited, minimum or maximum instead"
+    return f"{type(error).__name__}: {error}"
 
 
 def _require_states(

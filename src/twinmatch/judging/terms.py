@@ -46,7 +46,8 @@ def terms_from_files(session: Session, config: Path | None = None, candidates: P
         TwinmatchError: a file cannot be used, or has another sample time than the session.
     """
     source = f"the file {config.name}" if config else "the defaults of this version"
-    settings = at_period(read_settings(config, session.plant), session.period, config)
+    held = read_settings(config, session.plant, driven=not session.has_reference)
+    settings = at_period(held, session.period, config)
     return Terms(settings, tuple(read_candidates(candidates)) if candidates else (), source=source)
 
 

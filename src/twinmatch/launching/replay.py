@@ -15,10 +15,12 @@ from twinmatch.discrimination import Verdict
 from twinmatch.launching.processes import LaunchError, Processes
 from twinmatch.launching.settled import Settled
 from twinmatch.nodes.conversions import match_from, verdict_from
+from twinmatch.nodes.loop_parameters import UNKNOWN
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import at_period, read_settings
+from twinmatch.plants import written_name
 from twinmatch.sessions import Session, open_any, samples_of, write_session
 from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch.views import Summary, summarise
@@ -46,6 +48,8 @@ class Replay:
     """Recorded seconds per second; 0: as fast as it goes."""
     candidates: Path | None = None
     config: Path | None = None
+    plant: str | None = None
+    """Name or file of the plant, where the session does not say it or it is in a file."""
     console: Console = field(default_factory=lambda: Console(soft_wrap=True, highlight=False))
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
@@ -60,8 +64,9 @@ def play(replay: Replay) -> int:
     Raises:
         TwinmatchError: the session or one of the files cannot be used.
     """
-    session = open_any(replay.session)
-    settings = at_period(read_settings(replay.config), session.period, replay.config)
+    session = open_any(replay.session, plant=replay.plant)
+    held = read_settings(replay.config, session.plant, driven=not session.has_reference)
+    settings = at_period(held, session.period, replay.config)
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
         playable = _playable(session, Path(folder))
         view = view_on(replay.console, session.name, settings.period, len(session.samples))
@@ -115,6 +120,9 @@ def _watch_class(
             view.say(f"{session.name}: {len(session.samples)} samples at {replay.rate:g} times their speed")
             view.open()
             options = ["--ros-args", "-p", f"period:={settings.period}"]
+            options += ["-p", f"plant:={written_name(settings.plant)}"]
+            if settings.gains is None:
+                options += ["-p", f"loop:={UNKNOWN}"]
             if replay.config is not None:
                 options += ["--params-file", str(replay.config)]
             if replay.candidates is not None:

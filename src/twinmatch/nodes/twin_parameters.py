@@ -162,7 +162,7 @@ def values_of(settings: TwinSettings) -> Values:
     return values
 
 
-def read_settings(path: Path | None, plant: str = "") -> TwinSettings:
+def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -> TwinSettings:
     """Settings from the sections of a ROS parameter file that concern the twin's nodes.
 
     Without a file, the defaults. Sections of other nodes are passed over.
@@ -171,12 +171,16 @@ def read_settings(path: Path | None, plant: str = "") -> TwinSettings:
         path: the file, if there is one.
         plant: the plant that is to be judged, by the name that recordings give it; empty: that of the
             file, or the Peltier rig.
+        driven: whether what is to be judged has no set-points; the loop is then unknown, unless the file says
+            otherwise.
 
     Raises:
         ParameterError: the file is not there, is no parameter file, has a parameter that does not exist or is
             out of range, or is for another plant.
     """
     wanted = {"plant": written_name(plant_named(plant))} if plant else {}
+    if driven:
+        wanted["loop"] = UNKNOWN
     if path is None:
         return settings_from(twin_values("twin", wanted))
     try:
@@ -202,7 +206,7 @@ def read_settings(path: Path | None, plant: str = "") -> TwinSettings:
     except TwinmatchError as error:
         msg = f"{path}: {error}"
         raise ParameterError(msg) from error
-    if wanted and settings.plant is not plant_named(plant):
+    if plant and settings.plant is not plant_named(plant):
         msg = f"{path}: is for plant {settings.plant.name}, and what is to be judged is of plant {plant}"
         raise ParameterError(msg)
     return settings

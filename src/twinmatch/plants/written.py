@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from twinmatch.dynamics import Parameters, Plant
-from twinmatch.plants import Peltier, find_plant
+from twinmatch.plants import Peltier, plant_named
 
 __all__ = ["parameters_from", "structure_of"]
 
@@ -28,7 +28,7 @@ def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> 
     Raises:
         PlantError: no such plant, structure or parameter, or values that no plant has.
     """
-    kind = find_plant(plant or Peltier.name)
+    kind = plant_named(plant or Peltier.name)
     if structure:
         return kind.model(structure).parameters(**values)
     model = kind.model(structure_of(kind, values))

@@ -13,13 +13,14 @@ candidates:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from twinmatch.discrimination.family import Candidate
-from twinmatch.dynamics import Output
+from twinmatch.dynamics import Output, Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, find_plant, plant_named
 from twinmatch.plants.written import parameters_from
 from twinmatch.sessions.documents import parse_yaml, read_text, shown
 from twinmatch.sessions.errors import DocumentError
@@ -42,13 +43,21 @@ def read_candidates(path: Path) -> list[Candidate]:
         CandidateFileError: the file is not there, is no YAML, or an entry is incomplete or wrong.
     """
     try:
-        return parse_candidates(read_text(path), str(path))
+        return parse_candidates(read_text(path), str(path), find_plant)
     except DocumentError as error:
         raise CandidateFileError(str(error)) from error
 
 
-def parse_candidates(text: str, path: str) -> list[Candidate]:
-    """A family to begin with from the text of a file; `path` begins the messages.
+def parse_candidates(
+    text: str, path: str, find: Callable[[str], type[Plant]] = plant_named
+) -> list[Candidate]:
+    """A family to begin with from the text of a file.
+
+    Args:
+        text: of the file.
+        path: begins the messages.
+        find: gives the plants that entries name. A text that was recorded may not name files to be run; one
+            that a user wrote may.
 
     Raises:
         CandidateFileError: the text is no YAML, or an entry is incomplete or wrong.
@@ -61,7 +70,7 @@ def parse_candidates(text: str, path: str) -> list[Candidate]:
     if not isinstance(entries, list) or not entries:
         msg = f"{path}: has no list 'candidates'"
         raise CandidateFileError(msg)
-    candidates = [_candidate(entry, f"{path}: candidate {k}") for k, entry in enumerate(entries, 1)]
+    candidates = [_candidate(entry, f"{path}: candidate {k}", find) for k, entry in enumerate(entries, 1)]
     names = [c.name for c in candidates]
     for name in names:
         if names.count(name) > 1:
@@ -70,7 +79,7 @@ def parse_candidates(text: str, path: str) -> list[Candidate]:
     return candidates
 
 
-def _candidate(entry: Any, place: str) -> Candidate:
+def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Candidate:
     if not isinstance(entry, dict):
         msg = f"{place}: is {shown(entry)}; give name, operating_point and the parameters"
         raise CandidateFileError(msg)
@@ -85,7 +94,7 @@ def _candidate(entry: Any, place: str) -> Candidate:
             _word(key, entry.get(key, usual))
             for key, usual in (("name", ""), ("plant", Peltier.name), ("structure", ""))
         )
-        parameters = parameters_from(plant, structure, numbers)
+        parameters = parameters_from(find(plant).name, structure, numbers)
     except TwinmatchError as error:
         msg = f"{place}: {error}"
         raise CandidateFileError(msg) from error

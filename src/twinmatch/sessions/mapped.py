@@ -152,16 +152,10 @@ def _wanted(
     table: Table, plant: type[Plant], sources: Mapping[str, Source]
 ) -> tuple[dict[str, _Signal], list[str]]:
     """The signals that the table is to give, and notes on those it does not have."""
-    needed = [TIME, OUTPUT, INPUT] + ([REFERENCE] if plant.loop is not None else [])
-    missing = [signal for signal in needed if signal not in sources]
+    missing = [signal for signal in (TIME, OUTPUT, INPUT) if signal not in sources]
     if missing:
-        why = ""
-        if missing == [REFERENCE]:
-            why = (
-                f", since the loop of plant {plant.name} is known (`loop`) and its twin follows the set-point"
-            )
         msg = (
-            f"{table.path}: no column is mapped to {' and none to '.join(missing)}{why}; "
+            f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
             f"write --map {' '.join(f'{signal}=COLUMN' for signal in missing)} (--list shows the columns)"
         )
         raise RecordingError(msg)

@@ -16,7 +16,7 @@ from twinmatch.sessions.errors import SessionError
 from twinmatch.sessions.metadata import METADATA, files_listed
 from twinmatch.sessions.older import current, current_topic
 from twinmatch.sessions.scan import Scan
-from twinmatch.sessions.settings import plant_of
+from twinmatch.sessions.settings import has_reference, plant_of
 from twinmatch.sessions.topics import Message, Topic
 from twinmatch.signals import Sample, Window
 
@@ -52,6 +52,8 @@ class Session:
     """Metadata records of the recorder by their name; of one that changed the last."""
     plant: str = ""
     """Of which plant it is, by name; empty where nothing says so, as in sessions of the Peltier rig."""
+    has_reference: bool = True
+    """Whether its set-points say anything; without, the loop is taken as not known."""
 
     @property
     def duration(self) -> float:
@@ -137,6 +139,7 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
         source=lambda: map(current, chain.from_iterable(Scan(file) for file in files)),
         records=records,
         plant=plant_of(records),
+        has_reference=has_reference(records),
     )
 
 

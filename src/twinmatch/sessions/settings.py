@@ -8,10 +8,11 @@ from typing import Any
 from twinmatch.sessions.documents import parse_json
 from twinmatch.sessions.errors import DocumentError, SessionError
 
-__all__ = ["CANDIDATES", "PLANT", "parameters_of", "parameters_record", "plant_of"]
+__all__ = ["CANDIDATES", "PLANT", "has_reference", "parameters_of", "parameters_record", "plant_of"]
 
 PLANT = "twinmatch/plant"
 """Record with the name of the `plant`; an import adds `source`, `map` and whether there is a `reference`."""
+NO_REFERENCE = "none"
 PARAMETERS = "twinmatch/parameters"
 CANDIDATES = "twinmatch/candidates"
 """Record with the `text` of the file of candidates that the discriminator began with; empty: not readable."""
@@ -49,3 +50,8 @@ def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
             except DocumentError:
                 continue
     return said
+
+
+def has_reference(records: Mapping[str, Mapping[str, str]]) -> bool:
+    """Whether the session's set-points say anything; False where an import found none."""
+    return records.get(PLANT, {}).get("reference", "") != NO_REFERENCE
