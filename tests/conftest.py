@@ -116,3 +116,12 @@ def kit_recording() -> Callable[[str], Window]:
         return Window(np.full(t1.size, t1[0]), t1, q1, disturbances=q2[:, None])
 
     return read
+
+
+@pytest.fixture(scope="session")
+def incubator_folder() -> Path:
+    """Where the recordings of the published incubator are."""
+    path = OTHERS / "incubator"
+    if not path.is_dir():
+        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
+    return path

@@ -10,13 +10,14 @@ from typing import Final
 
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.plants.files import is_plant_file, load_plant, loaded, source_of
+from twinmatch.plants.incubator import Incubator
 from twinmatch.plants.installed import installed_names, installed_plant
 from twinmatch.plants.peltier import Peltier
 from twinmatch.plants.tclab import TCLab
 
-__all__ = ["PLANTS", "Peltier", "TCLab", "find_plant", "plant_named", "written_name"]
+__all__ = ["PLANTS", "Incubator", "Peltier", "TCLab", "find_plant", "plant_named", "written_name"]
 
-PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier, TCLab)}
+PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier, TCLab, Incubator)}
 """The plants that come with this package, by name."""
 
 

@@ -1,0 +1,47 @@
+"""Recordings of the published incubator, and what its authors' twins said of the same runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from twinmatch.sessions import resample
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["FIRST", "LID", "SECOND", "published_twin", "read_run"]
+
+FIRST, SECOND, LID = "exp1_ht3_hg2", "exp2_ht20_hg30", "lid_opening_jan_2021"
+PERIOD = 3.0
+
+
+def read_run(folder: Path, name: str) -> Window:
+    """A run: the mean of both sensors in the box, the heat bed's state, and the room.
+
+    The controller takes a step for every row and changes the heat bed there, so what a row says of it holds
+    until the next.
+    """
+    table = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    time = table["time"].astype(np.float64)
+    columns = {
+        "box": (table["t2"] + table["t3"]) / 2,
+        "heater": table["heater_on"].astype(np.float64),
+        "room": table["t1"].astype(np.float64),
+    }
+    held = resample(
+        time * (1e-9 if time[0] > 1e12 else 1.0),
+        columns,
+        {"box": "reading", "heater": "held", "room": "reading"},
+        PERIOD,
+    ).columns
+    box, room = held["box"], held["room"]
+    return Window(np.full(box.size, box[0]), box, held["heater"], period=PERIOD, disturbances=room[:, None])
+
+
+def published_twin(folder: Path, name: str, parameters: int) -> tuple[FloatArray, FloatArray]:
+    """Temperatures of the authors' twin with so many parameters, and of the box, row by row."""
+    table = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    twin = np.genfromtxt(folder / f"twin_{parameters}P_{name}.csv", delimiter=",", skip_header=1)[:, 1]
+    box = (table["t2"] + table["t3"]) / 2
+    size = min(twin.size, box.size)
+    return twin[:size], np.asarray(box[:size], dtype=np.float64)
