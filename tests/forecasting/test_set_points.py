@@ -25,7 +25,7 @@ def test_a_held_set_point_stays() -> None:
 
 
 def test_steps_act_from_their_time_on() -> None:
-    plan = SetPoints.planned([(0, 40), (3, 55.5), (4, 50)], before=30.0, output=PLATE)
+    plan = SetPoints.planned([(0, 40), (3, 55.5), (4, 50)], before=30.0, signal=PLATE)
     assert plan.reference(0.0) == 40.0
     np.testing.assert_array_equal(plan.ahead(1.0, 6), [40.0, 40.0, 55.5, 50.0, 50.0, 50.0])
     later = SetPoints.planned([(2.5, 55)], before=30.0)
@@ -40,18 +40,18 @@ def test_a_step_is_not_missed_for_a_rounding() -> None:
 
 
 def test_ramps_go_in_straight_lines_from_now_on() -> None:
-    plan = SetPoints.planned([(4, 50), (6, 40)], before=30.0, ramps=True, output=PLATE)
+    plan = SetPoints.planned([(4, 50), (6, 40)], before=30.0, ramps=True, signal=PLATE)
     np.testing.assert_allclose(plan.ahead(1.0, 8), [35.0, 40.0, 45.0, 50.0, 45.0, 40.0, 40.0, 40.0])
 
 
 def test_it_is_read_from_a_csv() -> None:
     """With header, comments and empty lines; as numpy reads the same numbers."""
     lines = ["time,set-point", "# warm up", "", "10, 40", "20.5,55", "30,50"]
-    plan = SetPoints.planned(lines, before=30.0, output=PLATE)
+    plan = SetPoints.planned(lines, before=30.0, signal=PLATE)
     table = np.loadtxt(lines[2:], delimiter=",")
     np.testing.assert_array_equal(np.stack([plan.times, plan.levels], axis=1), table)
-    assert SetPoints.planned(list(csv.reader(lines)), before=30.0, output=PLATE) == plan
-    assert SetPoints.planned(["10; 40", "20.5\t55", "30,50"], before=30.0, output=PLATE) == plan
+    assert SetPoints.planned(list(csv.reader(lines)), before=30.0, signal=PLATE) == plan
+    assert SetPoints.planned(["10; 40", "20.5\t55", "30,50"], before=30.0, signal=PLATE) == plan
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_it_is_read_from_a_csv() -> None:
         (lambda: SetPoints.planned([(math.inf, 40)], 30.0), "row 1: the time is inf s; give a finite time"),
         (lambda: SetPoints.planned([(1, math.nan)], 30.0), "row 1: the set-point is nan; give a finite"),
         (
-            lambda: SetPoints.planned([(1, 40), (2, 120)], 30.0, output=PLATE),
+            lambda: SetPoints.planned([(1, 40), (2, 120)], 30.0, signal=PLATE),
             "row 2: the set-point is 120 °C; give one from 0 to 100 °C, where the plant takes set-points",
         ),
         (lambda: SetPoints.held(-5.0, PLATE), "the set-point now is -5 °C; give one from 0 to 100 °C"),
@@ -85,7 +85,7 @@ def test_a_faulty_profile_is_one_clear_line(make: Callable[[], object], message:
 
 def test_an_unusual_set_point_is_noted() -> None:
     assert SetPoints.held(45.0, PLATE).notes == ()
-    assert SetPoints.planned([(5, 95)], 45.0, output=PLATE).notes == (
+    assert SetPoints.planned([(5, 95)], 45.0, signal=PLATE).notes == (
         "A set-point of 95 °C lies outside 20 to 90 °C, where set-points are usual.",
     )
 
@@ -100,7 +100,7 @@ def test_recorded_set_points_come_back(reference: list[float], period: float) ->
 @given(since=st.floats(0.0, 300.0), ramp=st.sampled_from([0.0, 1.0]), period=st.sampled_from([0.05, 1.0]))
 def test_the_controllers_own_profile_is_followed(since: float, ramp: float, period: float) -> None:
     profile = Profile((40.0, 60.0, 30.0), (50.0, 80.0, 70.0), True, ramp, lowest=0, highest=100, unit="°C")
-    plan = SetPoints.following(profile.reference, since, period=period, size=30, output=PLATE)
+    plan = SetPoints.following(profile.reference, since, period=period, size=30, signal=PLATE)
     expected = [profile.reference(since + k * period) for k in range(1, 31)]
     np.testing.assert_array_equal(plan.ahead(period, 30), expected)
     assert plan.before == profile.reference(since)
@@ -115,7 +115,7 @@ def test_it_stays_between_its_set_points_and_ends_at_the_last(
     rows: list[tuple[float, float]], before: float, ramps: bool
 ) -> None:
     rows = sorted(rows)
-    plan = SetPoints.planned(rows, before, ramps=ramps, output=PLATE)
+    plan = SetPoints.planned(rows, before, ramps=ramps, signal=PLATE)
     found = plan.ahead(0.5, 120)
     named = [before, *(level for _, level in rows)]
     assert min(named) - 1e-9 <= found.min()

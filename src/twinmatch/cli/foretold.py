@@ -31,7 +31,7 @@ class Foretold:
     prospects: tuple[Prospect, ...]
     """Who was asked."""
     words: tuple[str, ...]
-    """Of the set-points ahead."""
+    """Of the set-points, or inputs, ahead."""
 
 
 def foretold(options: argparse.Namespace) -> Foretold:
@@ -98,7 +98,7 @@ def _size(horizon: float, period: float) -> int:
 
 
 def _fan(session: Session, prospect: Prospect, asked: Asked, period: float) -> Fan:
-    forecast = prospect.outlook.forecast(asked.ahead)
+    forecast = prospect.outlook.forecast(asked.ahead, asked.disturbances)
     learned = prospect.outlook.leads[-1] * period
     beyond: tuple[str, ...] = ()
     if forecast.time[-1] > learned:

@@ -6,7 +6,10 @@ import argparse
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from twinmatch.cli.forecasting import RECORDED
+from twinmatch.dynamics import Drive, Output
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import ForecastError, SetPoints
 from twinmatch.sessions import Session
@@ -22,13 +25,15 @@ MOST_BYTES = 1 << 20
 
 
 class Asked(NamedTuple):
-    """Set-points ahead of one sample."""
+    """Set-points, or inputs where the loop is not known, ahead of one sample."""
 
     ahead: FloatArray
     """From the next sample on, shape (N,)."""
     words: str
     """Which they are."""
     notes: tuple[str, ...] = ()
+    disturbances: FloatArray | None = None
+    """As they were recorded from this sample on, shape (N + 1, d); None: they stay as they are."""
 
 
 def planned_rows(path: Path) -> list[str]:
@@ -57,50 +62,57 @@ def asked_of(
     options: argparse.Namespace,
     rows: list[str] | None,
 ) -> Asked:
-    """The set-points of the `size` samples behind this one, or of as many as were recorded.
+    """The set-points, or inputs, of the `size` samples behind this one, or of as many as were recorded.
 
     `rows` are the lines of the file that the options name, if they name one.
 
     Raises:
-        TwinmatchError: a set-point that the plant does not take, a profile that cannot be read, or nothing
-            that was recorded.
+        TwinmatchError: a set-point or input that the plant does not take, a profile that cannot be read, or
+            nothing that was recorded.
     """
     if options.reference == RECORDED:
-        return _recorded(session, sample, size, settings.period)
-    output = settings.plant.output
-    unit = f" {output.unit}".rstrip()
+        return _recorded(session, sample, size, settings)
+    closed = settings.gains is not None
+    signal: Output | Drive = settings.plant.output if closed else settings.plant.drive
+    kind, standing = ("set-point", sample.reference) if closed else ("input", sample.input)
+    unit = f" {signal.unit}".rstrip()
     if rows is not None:
         try:
-            profile = SetPoints.planned(rows, sample.reference, output=output)
+            profile = SetPoints.planned(rows, standing, signal=signal)
         except ForecastError as error:
             raise ForecastError(f"{options.reference}: {error}") from error
-        words = f"set-points of {Path(options.reference).name}"
+        words = f"{kind}s of {Path(options.reference).name}"
     elif options.hold is not None:
         try:
-            profile = SetPoints.held(options.hold, output)
+            profile = SetPoints.held(options.hold, signal)
         except ForecastError as error:
             raise ForecastError(f"--hold: {error}") from error
         words = f"{options.hold:g}{unit} held"
     else:
-        profile = SetPoints.held(sample.reference)
-        words = f"its set-point of {sample.reference:g}{unit} held"
+        profile = SetPoints.held(standing)
+        words = f"its {kind} of {standing:g}{unit} held"
     return Asked(profile.ahead(settings.period, size), words, profile.notes)
 
 
-def _recorded(session: Session, sample: Sample, size: int, period: float) -> Asked:
+def _recorded(session: Session, sample: Sample, size: int, settings: TwinSettings) -> Asked:
+    period, closed = settings.period, settings.gains is not None
+    kind = "set-point" if closed else "input"
     stretch = next(
         part for part in unbroken(session.samples) if part[0].index <= sample.index <= part[-1].index
     )
-    reference = [s.reference for s in stretch if sample.index <= s.index <= sample.index + size]
-    count = len(reference) - 1
+    came = [s for s in stretch if sample.index <= s.index <= sample.index + size]
+    levels = [s.reference if closed else s.input for s in came]
+    count = len(came) - 1
     if not count:
         msg = (
             f"session {session.name}: nothing was recorded right after sample {sample.index}, so that no "
-            "set-point ahead is known; take an earlier one, or give --hold"
+            f"{kind} ahead is known; take an earlier one, or give --hold"
         )
         raise TwinmatchError(msg)
     notes: tuple[str, ...] = ()
     if count < size:
         why = "a sample is missing" if stretch[-1].index < session.samples[-1].index else "the session ends"
         notes = (f"shortened to {count * period:g} s: {why} there",)
-    return Asked(SetPoints.recorded(reference, period).ahead(period, count), "the recorded set-points", notes)
+    rows = np.array([s.disturbances for s in came]) if sample.disturbances else None
+    ahead = SetPoints.recorded(levels, period).ahead(period, count)
+    return Asked(ahead, f"the recorded {kind}s", notes, rows)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from twinmatch.signals import FloatArray
 
 __all__ = ["CONFIDENCE", "HORIZONS", "Band", "Forecast"]
@@ -44,3 +46,8 @@ class Forecast:
     input: Band
     notes: tuple[str, ...] = ()
     """Plain sentences on what the band cannot promise: a fault, a level never visited."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was made for set-points; otherwise for inputs."""
+        return bool(np.isfinite(self.reference).any())

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import (
+    Drive,
     Foretold,
+    Output,
     Parameters,
     PidGains,
     PidState,
@@ -69,6 +71,12 @@ class Outlook:
     def standing(self) -> float:
         """The newest of what it foretells under: the set-point, or the input."""
         return self.sample.reference if self.closed else self.sample.input
+
+    @property
+    def signal(self) -> Output | Drive:
+        """What that is of the plant."""
+        plant = self.parameters.model.plant
+        return plant.output if self.closed else plant.drive
 
     def foretold(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Foretold:
         """Mean and variance of the N samples ahead under these set-points or inputs, shape (N,).
@@ -148,8 +156,23 @@ class Outlook:
             reference=values if self.closed else np.full(values.size, np.nan),
             output=Band(foretold.output, foretold.output - half[0], foretold.output + half[0]),
             input=self._input_band(foretold.input, half[1:]),
-            notes=self.notes + self._beyond(foretold.output),
+            notes=self.notes + self._given(values, disturbances) + self._beyond(foretold.output),
         )
+
+    def _given(self, ahead: FloatArray, disturbances: ArrayLike | None) -> tuple[str, ...]:
+        """What it takes for granted: inputs that nobody foretells, and disturbances."""
+        plant, told = self.parameters.model.plant, []
+        if not self.closed:
+            stays = bool((ahead == self.sample.input).all())
+            level = f"{self.sample.input:g} {plant.drive.unit}".rstrip()
+            what = f"an input that stays at {level}" if stays else "the inputs that were given"
+            told.append(f"the loop is not known: it holds for {what}")
+        if self.sample.disturbances and disturbances is None:
+            names = " and ".join(d.text or d.name for d in plant.disturbances.values())
+            told.append(
+                f"it takes for granted that what is measured beside the output ({names}) stays as it is"
+            )
+        return tuple(told)
 
     def _input_band(self, mean: FloatArray, half: FloatArray) -> Band:
         """Of the controller's answers; inputs that were given are what they are."""

@@ -1,5 +1,5 @@
 """Which set-points a forecast is made for: one that is held, a planned profile, a function of time, or those
-that were recorded."""
+that were recorded. Where the loop is not known they are inputs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics import Output
+from twinmatch.dynamics import Drive, Output
 from twinmatch.forecasting.errors import ForecastError
 from twinmatch.signals import FloatArray
 
@@ -24,7 +24,7 @@ Row = str | Sequence[float | str]
 
 @dataclass(frozen=True)
 class SetPoints:
-    """Rows of time and set-point, ahead of now; the last set-point is held.
+    """Rows of time and set-point, or input, ahead of now; the last one is held.
 
     Raises:
         ForecastError: times and set-points are not as many, a value is not finite, a time lies in the past or
@@ -39,17 +39,17 @@ class SetPoints:
     """Set-points from these times on, or reached at these times if they are ramps."""
     ramps: bool = False
     """Whether the set-point moves in a straight line from row to row, beginning now; else it steps."""
-    output: Output | None = None
-    """The plant's output, which says where set-points may lie; without it anywhere."""
+    signal: Output | Drive | None = None
+    """The plant's output or drive, which says where set-points or inputs may lie; without it anywhere."""
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.levels):
             msg = (
-                f"profile: {len(self.times)} times and {len(self.levels)} set-points are given; give one "
-                "set-point per time"
+                f"profile: {len(self.times)} times and {len(self.levels)} {self.kind}s are given; give one "
+                f"{self.kind} per time"
             )
             raise ForecastError(msg)
-        self._check_level("the set-point now", self.before)
+        self._check_level(f"the {self.kind} now", self.before)
         before = -math.inf
         for number, (time, level) in enumerate(zip(self.times, self.levels, strict=True), 1):
             if not math.isfinite(time):
@@ -63,32 +63,37 @@ class SetPoints:
                     "row before; give growing times"
                 )
                 raise ForecastError(msg)
-            self._check_level(f"row {number}: the set-point", level)
+            self._check_level(f"row {number}: the {self.kind}", level)
             before = time
 
+    @property
+    def kind(self) -> str:
+        """What the levels are."""
+        return "input" if isinstance(self.signal, Drive) else "set-point"
+
     def _check_level(self, what: str, level: float) -> None:
-        low, high, unit = _allowed(self.output)
+        low, high, unit = _allowed(self.signal)
         if not math.isfinite(level):
             raise ForecastError(f"profile: {what} is {level:g}; give a finite number")
         if not low <= level <= high:
             msg = (
-                f"profile: {what} is {level:g} {unit}; give one from {low:g} to {high:g} {unit}, where the "
-                "plant takes set-points"
+                f"profile: {what} is {_with(level, unit)}; give one from {low:g} to {_with(high, unit)}, "
+                f"where the plant takes {self.kind}s"
             )
             raise ForecastError(msg)
 
     @classmethod
-    def held(cls, level: float, output: Output | None = None) -> SetPoints:
+    def held(cls, level: float, signal: Output | Drive | None = None) -> SetPoints:
         """One set-point that stays.
 
         Raises:
             ForecastError: as the class.
         """
-        return cls(float(level), output=output)
+        return cls(float(level), signal=signal)
 
     @classmethod
     def planned(
-        cls, rows: Sequence[Row], before: float, *, ramps: bool = False, output: Output | None = None
+        cls, rows: Sequence[Row], before: float, *, ramps: bool = False, signal: Output | Drive | None = None
     ) -> SetPoints:
         """A profile from rows of time (s ahead) and set-point: pairs of numbers or texts, or lines of a CSV.
 
@@ -118,7 +123,7 @@ class SetPoints:
         if not found:
             raise ForecastError("profile: it has no row; give at least one pair of time and set-point")
         times, levels = zip(*found, strict=True)
-        return cls(float(before), times, levels, ramps, output)
+        return cls(float(before), times, levels, ramps, signal)
 
     @classmethod
     def recorded(cls, reference: ArrayLike, period: float) -> SetPoints:
@@ -142,7 +147,7 @@ class SetPoints:
         *,
         period: float,
         size: int,
-        output: Output | None = None,
+        signal: Output | Drive | None = None,
     ) -> SetPoints:
         """What a function of time, such as the controller's own profile, asks for in the next samples.
 
@@ -157,7 +162,7 @@ class SetPoints:
             ForecastError: as the class.
         """
         asked = [float(profile(time + k * period)) for k in range(size + 1)]
-        return cls(asked[0], tuple(k * period for k in range(1, size + 1)), tuple(asked[1:]), output=output)
+        return cls(asked[0], tuple(k * period for k in range(1, size + 1)), tuple(asked[1:]), signal=signal)
 
     def reference(self, time: float) -> float:
         """The set-point at a time, s ahead of now."""
@@ -184,28 +189,35 @@ class SetPoints:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on set-points that the plant takes but that lie where none are usual."""
-        if self.output is None or self.output.set_points is None:
+        if not isinstance(self.signal, Output) or self.signal.set_points is None:
             return ()
-        low, high = self.output.set_points
+        low, high = self.signal.set_points
         beyond = [level for level in (self.before, *self.levels) if not low <= level <= high]
         if not beyond:
             return ()
-        unit = self.output.unit
+        unit = self.signal.unit
         return (
             f"A set-point of {beyond[0]:g} {unit} lies outside {low:g} to {high:g} {unit}, where set-points "
             "are usual.",
         )
 
 
-def _allowed(output: Output | None) -> tuple[float, float, str]:
-    """Where a plant takes set-points: its safe range; where that has no end, where they make sense."""
-    if output is None:
+def _allowed(signal: Output | Drive | None) -> tuple[float, float, str]:
+    """Where a plant takes inputs, or set-points: its safe range; where that has no end, where they make
+    sense."""
+    if signal is None:
         return -math.inf, math.inf, ""
-    sense = output.set_points or output.span
+    if isinstance(signal, Drive):
+        return (*signal.limits, signal.unit)
+    sense = signal.set_points or signal.span
     low, high = (
-        safe if math.isfinite(safe) else other for safe, other in zip(output.safe, sense, strict=True)
+        safe if math.isfinite(safe) else other for safe, other in zip(signal.safe, sense, strict=True)
     )
-    return low, high, output.unit
+    return low, high, signal.unit
+
+
+def _with(value: float, unit: str) -> str:
+    return f"{value:g} {unit}".rstrip()
 
 
 def _cells(row: Row) -> list[str]:

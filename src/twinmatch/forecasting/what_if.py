@@ -23,18 +23,19 @@ NEAR: Final = 10.0
 
 @dataclass(frozen=True)
 class Question:
-    """What comes if the set-points are these? Without arguments: if nothing is changed?"""
+    """What comes if the set-points, or the inputs where the loop is not known, are these? Without arguments:
+    if nothing is changed?"""
 
     times: tuple[float, ...] = ()
-    """Seconds after the newest sample, growing; without any the set-point stays as it is."""
+    """Seconds after the newest sample, growing; without any the newest level stays."""
     levels: tuple[float, ...] = ()
-    """Set-points from these times on, the last of which stays."""
+    """Set-points, or inputs, from these times on, the last of which stays."""
     ramps: bool = False
-    """Whether the set-point moves in a straight line from row to row, beginning now."""
+    """Whether they move in a straight line from row to row, beginning now."""
     horizon: float | None = None
     """How far to look, s; None: as far as forecasts are judged."""
     level: float | None = None
-    """Output to wait for; None: the last set-point."""
+    """Output to wait for; None: the last set-point, or where inputs were given the output they lead to."""
     tolerance: float | None = None
     """How near to it counts as there; None: `NEAR`."""
 
@@ -61,20 +62,21 @@ def what_if(outlook: Outlook, question: Question) -> Answer:
     """Ask a twin.
 
     Raises:
-        ForecastError: set-points the plant does not take or that lie in the past, a horizon that is not
-            positive or too long, a level that is not finite, a tolerance that is not positive.
+        ForecastError: set-points or inputs the plant does not take or that lie in the past, a horizon that is
+            not positive or too long, a level that is not finite, a tolerance that is not positive.
     """
     output, period = outlook.parameters.model.plant.output, outlook.period
     size = _samples(question.horizon, outlook)
     if question.times or question.levels:
         ahead = SetPoints(
-            outlook.sample.reference, question.times, question.levels, question.ramps, output=output
+            outlook.standing, question.times, question.levels, question.ramps, signal=outlook.signal
         )
     else:
-        ahead = SetPoints.held(outlook.sample.reference)
-    level = (ahead.levels or (ahead.before,))[-1] if question.level is None else question.level
+        ahead = SetPoints.held(outlook.standing)
     tolerance = NEAR * output.noise if question.tolerance is None else question.tolerance
     forecast = outlook.forecast(ahead.ahead(period, size))
+    last = (ahead.levels or (ahead.before,))[-1] if outlook.closed else float(forecast.output.mean[-1])
+    level = last if question.level is None else question.level
     notes = ahead.notes + _beyond(size, outlook)
     if notes:
         forecast = dataclasses.replace(forecast, notes=forecast.notes + notes)

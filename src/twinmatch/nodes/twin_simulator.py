@@ -26,7 +26,9 @@ class TwinSimulatorNode(SampleNode):
 
     def open(self) -> None:
         """Mirror the samples to come."""
-        self._mirror = Mirror(self.settings.start, self.settings.gains, self.values["recent"])
+        self._mirror = Mirror(
+            self.settings.start, self.settings.gains, self.values["recent"], self.settings.period
+        )
         self._leader = ""
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
         self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from twinmatch.discrimination import (
     Candidate,
     CandidateScore,
@@ -195,8 +197,11 @@ class Members:
 
     def _points(self, newest: Window) -> tuple[float, ...]:
         """Where plants are compared: at the family's operating points, and at the lowest and the highest
-        set-point of all windows that were judged, or output where nobody knows of a loop."""
-        levels = newest.output if self._settings.gains is None else newest.reference
+        set-point of all windows that were judged; where the loop is not known, at the lowest and the highest
+        output that a window ended with."""
+        levels = newest.reference
+        if self._settings.gains is None:
+            levels = np.array([newest.output[-self._settings.schedule.min_span :].mean()])
         seen = [float(levels.min()), float(levels.max()), *(self._reached or ())]
         self._reached = min(seen), max(seen)
         return tuple(sorted({*self._reached, *(c.operating_point for c in self._family.candidates)}))

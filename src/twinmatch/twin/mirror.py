@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, Pid, PidGains, advance, begin, gains_of, read
+from twinmatch.dynamics import FILED, Closing, Parameters, Pid, advance, begin, gains_for, read
 from twinmatch.forecasting import Follower
 from twinmatch.signals import FloatArray, Sample
 
@@ -21,7 +21,10 @@ _LOOK_BACK: Final = 300.0
 
 @dataclass(frozen=True)
 class MirrorState:
-    """Both twins at one tick, before the tick's input acts on them."""
+    """Both twins at one tick, before the tick's input acts on them.
+
+    Where the loop is not known there is only the driven twin: all that is said of the other is NaN.
+    """
 
     sample: Sample
     closed_output: float
@@ -56,17 +59,25 @@ class Mirror:
 
     _closed: FloatArray
     _driven: FloatArray
-    _pid: Pid
+    _pid: Pid | None
 
-    def __init__(self, parameters: Parameters, gains: PidGains | None = None, recent: int = 60) -> None:
-        """Start with these parameters; residuals are averaged over `recent` samples.
+    def __init__(
+        self, parameters: Parameters, gains: Closing = FILED, recent: int = 60, period: float = 1.0
+    ) -> None:
+        """Start with these parameters.
 
-        The gains are those of the plant file, at 1 s, if not given.
+        Args:
+            parameters: of both twins.
+            gains: of the running controller, None for a loop that is not known; if not given, what the plant
+                file says.
+            recent: samples over which residuals are averaged.
+            period: sample time, s; a controller that is given has its own.
         """
         self._parameters = parameters
-        self._gains = gains or gains_of(parameters.model.plant, 1.0)
+        self._gains = gains_for(parameters.model.plant, period, gains)
+        self._period = period if self._gains is None else self._gains.period
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
-        self._samples: deque[Sample] = deque(maxlen=max(round(_LOOK_BACK / self._gains.period), 1))
+        self._samples: deque[Sample] = deque(maxlen=max(round(_LOOK_BACK / self._period), 1))
         self._previous: Sample | None = None
         self._started = 0
 
@@ -79,7 +90,9 @@ class Mirror:
     def parameters(self, new: Parameters) -> None:
         if self._previous is not None and new.model is not self._parameters.model:
             found = self._found(new)
-            self._closed, self._driven = (self._moved(x, new, found) for x in (self._closed, self._driven))
+            self._driven = self._moved(self._driven, new, found)
+            absent = np.full(found.size, np.nan)
+            self._closed = absent if self._pid is None else self._moved(self._closed, new, found)
         self._parameters = new
 
     def push(self, sample: Sample) -> MirrorState:
@@ -87,25 +100,34 @@ class Mirror:
         if self._previous is None or sample.index != self._previous.index + 1:
             self._restart(sample)
         row = _disturbances(sample)
-        closed = read(self._parameters, self._closed, row)
-        if self._started < 2:
-            # The controller's state follows from two recorded samples; until then it is the plant's.
-            state = self._observe(sample, closed, sample.input)
-            self._pid.follow(sample.reference, sample.output, sample.input)
-            self._started += 1
-        else:
-            state = self._observe(sample, closed, self._pid.step(sample.reference, closed))
-        period = self._gains.period
-        self._closed = advance(self._parameters, self._closed, state.closed_input, period, row)
-        self._driven = advance(self._parameters, self._driven, sample.input, period, row)
+        state = self._open(sample, row) if self._pid is None else self._looped(sample, self._pid, row)
+        self._driven = advance(self._parameters, self._driven, sample.input, self._period, row)
         self._previous = sample
         self._samples.append(sample)
         return state
 
+    def _open(self, sample: Sample, row: FloatArray | None) -> MirrorState:
+        """The driven twin alone."""
+        return self._observe(sample, float("nan"), float("nan"), row)
+
+    def _looped(self, sample: Sample, pid: Pid, row: FloatArray | None) -> MirrorState:
+        """Both twins; the closed-loop one goes on to the next tick."""
+        closed = read(self._parameters, self._closed, row)
+        if self._started < 2:
+            # The controller's state follows from two recorded samples; until then it is the plant's.
+            state = self._observe(sample, closed, sample.input, row)
+            pid.follow(sample.reference, sample.output, sample.input)
+            self._started += 1
+        else:
+            state = self._observe(sample, closed, pid.step(sample.reference, closed), row)
+        self._closed = advance(self._parameters, self._closed, state.closed_input, self._period, row)
+        return state
+
     def _restart(self, sample: Sample) -> None:
         start = begin(self._parameters, sample.output, disturbances=_disturbances(sample))
-        self._closed = self._driven = start
-        self._pid = Pid(self._gains)
+        self._closed = start if self._gains is not None else np.full(start.size, np.nan)
+        self._driven = start
+        self._pid = None if self._gains is None else Pid(self._gains)
         self._recent.clear()
         self._samples.clear()
         self._started = 0
@@ -118,14 +140,16 @@ class Mirror:
 
     def _found(self, new: Parameters) -> FloatArray:
         """Where the states are at the next tick, as the newest samples show."""
-        follower = Follower(new, self._gains.period)
+        follower = Follower(new, self._period)
         for sample in self._samples:
             follower.push(sample)
         newest = self._samples[-1]
-        return advance(new, follower.states, newest.input, self._gains.period, _disturbances(newest))
+        return advance(new, follower.states, newest.input, self._period, _disturbances(newest))
 
-    def _observe(self, sample: Sample, closed: float, closed_input: float) -> MirrorState:
-        driven = read(self._parameters, self._driven, _disturbances(sample))
+    def _observe(
+        self, sample: Sample, closed: float, closed_input: float, row: FloatArray | None
+    ) -> MirrorState:
+        driven = read(self._parameters, self._driven, row)
         residual = (sample.output - closed, sample.input - closed_input, sample.output - driven)
         self._recent.append(residual)
         closed_rms_y, closed_rms_u, driven_rms_y = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()

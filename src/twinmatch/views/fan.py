@@ -24,7 +24,8 @@ class Fan:
     past: Window
     """The newest samples that were known; the last is the one it was made at."""
     came: Window | None
-    """What came under the set-points of the forecast, as long as they were those; None if they never were."""
+    """What came under the set-points (or inputs) of the forecast, as long as they were those; None if they
+    never were."""
 
     @property
     def judged(self) -> int:
@@ -39,17 +40,21 @@ class Fan:
 
     @property
     def held(self) -> tuple[FloatArray, FloatArray]:
-        """Whether the bands held output and input, 1 or 0 for each sample that came, shape (judged,)."""
+        """Whether the bands held output and input, 1 or 0 for each sample that came, shape (judged,); of an
+        input that was given nothing is said, shape (0,)."""
         if self.came is None:
             return np.empty(0), np.empty(0)
-        return _inside(self.forecast.output, self.came.output), _inside(self.forecast.input, self.came.input)
+        of_output = _inside(self.forecast.output, self.came.output)
+        if not self.forecast.closed:
+            return of_output, np.empty(0)
+        return of_output, _inside(self.forecast.input, self.came.input)
 
 
 def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
     """A forecast with those samples of its session that belong to it.
 
-    What came is held against it up to the first sample that is missing, or whose set-point is another than
-    the forecast was made for.
+    What came is held against it up to the first sample that is missing, or whose set-point (or input) is
+    another than the forecast was made for.
 
     Args:
         forecast: made at one of the samples.
@@ -61,8 +66,11 @@ def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
     near = [s for s in samples if now - before <= s.index <= now + size]
     stretch = next(part for part in unbroken(near) if part[0].index <= now <= part[-1].index)
     window = Window.from_samples(stretch, period)
-    ahead = window.reference[now + 1 - window.first :]
-    other = np.flatnonzero(ahead != forecast.reference[: ahead.size])
+    levels, asked = window.reference, forecast.reference
+    if not forecast.closed:
+        levels, asked = window.input, forecast.input.mean
+    ahead = levels[now + 1 - window.first :]
+    other = np.flatnonzero(ahead != asked[: ahead.size])
     count = int(other[0]) if other.size else ahead.size
     came = window.part(now + 1, now + count) if count else None
     return Fan(forecast, window.part(window.first, now), came)

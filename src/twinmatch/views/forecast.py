@@ -38,13 +38,16 @@ def forecast_document(forecast: Forecast) -> dict[str, Any]:
         "t": forecast.time.tolist(),
         "y": _band(forecast.output),
         "u": _band(forecast.input),
-        "reference": forecast.reference.tolist(),
+        "reference": forecast.reference.tolist() if forecast.closed else None,
         "notes": list(forecast.notes),
     }
 
 
 def forecast_words(forecast: Forecast, plant: type[Plant]) -> list[str]:
-    """What it says, one thought a line: where the output ends, when it is there, how hard the drive works."""
+    """What it says, one thought a line: where the output ends, when it is there, how hard the drive works;
+    under inputs that were given only where the output ends."""
+    if not forecast.closed:
+        return [_end(forecast, plant), _widths(forecast, plant)]
     parts = _asked(forecast)
     if len(parts) > _MOST_LEVELS:
         parts = parts[-1:]
@@ -57,12 +60,17 @@ def came_words(fan: Fan, plant: type[Plant]) -> list[str]:
     if not fan.judged:
         return []
     words, error = words_of(plant), float(np.sqrt(np.mean(np.square(fan.error))))
-    y, u = (float(np.mean(held)) for held in fan.held)
+    shares = [f"{100 * np.mean(held):.0f} % of the" for held in fan.held if held.size]
+    told = " and ".join(f"{s} {w}" for s, w in zip(shares, (words.output, words.input), strict=False))
     off = _with(number(error, _decimals(plant.output.noise) + 1), words.output_unit)
-    same = "" if fan.judged == fan.forecast.time.size else ", under the same set-points"
+    same = (
+        ""
+        if fan.judged == fan.forecast.time.size
+        else f", under the same {'set-points' if fan.forecast.closed else 'inputs'}"
+    )
     return [
         f"what came in the next {fan.judged * fan.past.period:g} s{same}: off by {off} RMS; the band held "
-        f"{100 * y:.0f} % of the {words.output} and {100 * u:.0f} % of the {words.input}"
+        f"{told}"
     ]
 
 
@@ -133,7 +141,7 @@ def _widths(forecast: Forecast, plant: type[Plant]) -> str:
         y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
         wide = _with(number(y, _decimals(plant.output.noise)), words.output_unit)
         also = _with(number(u, _decimals(plant.drive.noise)), words.input_unit)
-        told.append(f"{wide} and {also} at {horizon:g} s")
+        told.append(f"{wide} and {also} at {horizon:g} s" if forecast.closed else f"{wide} at {horizon:g} s")
     if not told:
         y = float(forecast.output.high[-1] - forecast.output.low[-1])
         told.append(f"{_with(number(y, _decimals(plant.output.noise)), words.output_unit)} at the end")
