@@ -22,8 +22,16 @@ class Quantity:
     high: float = math.inf
 
     @property
+    def decimals(self) -> int:
+        """Decimal places that tell a ten-thousandth of its span; three where it has none."""
+        span = self.high - self.low
+        return min(9, max(0, 4 - math.floor(math.log10(span)))) if 0 < span < math.inf else 3
+
+    @property
     def label(self) -> str:
-        """Name and unit, as on an axis."""
+        """Name and unit, as on an axis; of a PWM in PWM the unit says all."""
+        if self.name.lower() == self.unit.lower():
+            return self.unit
         return f"{self.name} / {self.unit}" if self.unit else self.name
 
 

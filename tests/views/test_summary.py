@@ -23,7 +23,7 @@ SUMMARY = Summary(
     identified=2,
     matches={},
     order="22221",
-    range=TrustRange(24.3, 92.7),
+    range=TrustRange(24.3, 92.7, "°C"),
 )
 
 

@@ -9,7 +9,7 @@ from twinmatch.backtest.result import LEADER, TWINS, Backtest
 from twinmatch.backtest.summary import Card
 from twinmatch.dynamics import Plant
 from twinmatch.views.quantities import number
-from twinmatch.views.words import words_of
+from twinmatch.views.words import with_unit, words_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -20,18 +20,16 @@ __all__ = ["at_horizon", "cells", "columns", "sentences", "tables"]
 def columns(plant: type[Plant]) -> tuple[str, ...]:
     """The names of what `cells` gives."""
     w = words_of(plant)
-    y, u = w.output_unit or w.output, w.input_unit or w.input
+    if w.output_unit == w.input_unit:
+        called = (f" {w.output}", f" {w.input}")
+        in_unit = tuple(with_unit(name, w.output_unit) for name in called)
+    else:
+        called = (f" {w.output_unit or w.output}", f" {w.input_unit or w.input}")
+        in_unit = tuple(f" /{unit}" for unit in called)
     return (
-        "who",
-        "error",
-        "9 in 10",
-        "× best",
-        f"end / {y}",
-        f"end / {u}",
-        f"held {y}",
-        f"held {u}",
-        f"width / {y}",
-        f"width / {u}",
+        *("who", "error", "9 in 10", "× best"),
+        *(f"{figure}{name}" for figure, names in (("end", in_unit), ("held", called)) for name in names),
+        *(f"width{name}" for name in in_unit),
         "score",
     )
 
@@ -39,17 +37,18 @@ def columns(plant: type[Plant]) -> tuple[str, ...]:
 def cells(card: Card, plant: type[Plant]) -> tuple[str, ...]:
     """One forecaster's figures; ends and widths in the plant's units, the others in units of its noise."""
     y, u = plant.output.noise, plant.drive.noise
+    fine_y, fine_u = plant.output.decimals + 1, plant.drive.decimals + 1
     return (
         card.who,
         number(card.median),
         number(card.nine_in_ten),
         number(card.ratio),
-        number(card.end_output * y),
-        number(card.end_input * u, 1),
+        number(card.end_output * y, fine_y),
+        number(card.end_input * u, fine_u),
         f"{number(100 * card.coverage_output, 0)} %",
         f"{number(100 * card.coverage_input, 0)} %",
-        number(card.width_output * y),
-        number(card.width_input * u, 1),
+        number(card.width_output * y, fine_y),
+        number(card.width_input * u, fine_u),
         number(card.score, 1),
     )
 
@@ -90,7 +89,7 @@ def sentences(backtest: Backtest) -> list[str]:
         own = held[LEADER]
         text = (
             f"{horizon:g} s ahead, the leader's {w.output} was off by less than "
-            f"{number(own.end_output * noise)} {w.output_unit}".rstrip()
+            f"{number(own.end_output * noise, backtest.plant.output.decimals + 1)} {w.output_unit}".rstrip()
             + f" half of the time, and its band held {100 * own.coverage_output:.0f} % of the readings"
             f" ({100 * backtest.confidence:.0f} % promised)"
         )

@@ -44,7 +44,7 @@ class _Command(Protocol):
 
 
 _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
-    ("import", importing, "turn a rig recording (.mat or .csv) into an MCAP session"),
+    ("import", importing, "turn a recording (.mat or .csv) into an MCAP session"),
     ("replay", replaying, "judge recorded sessions offline, as fast as it goes"),
     ("forecast", forecasting, "say what comes after chosen samples of a session, with a band"),
     ("verify", verifying, "judge a recorded session again and compare the verdicts, bit for bit"),
@@ -57,7 +57,7 @@ _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("report", reporting, "write a session up as one HTML file, with its figures and tables"),
     ("dashboard", dashboard, "the live page: what the graph says, in a browser"),
     ("foxglove", foxglove, "serve the graph to Foxglove and Lichtblick"),
-    ("virtual-rig", virtual_rig, "the rig without the rig: board, camera and plate emulated"),
+    ("virtual-rig", virtual_rig, "the Peltier rig without the rig: board, camera and plate emulated"),
     ("fmu", fmus, "say what an FMU has, and draft the map that makes it a structure of a plant"),
     ("prepare", preparing, "derive and compile the plants' equations now, so that no first run waits"),
 )

@@ -11,7 +11,7 @@ from bokeh.plotting import figure
 from twinmatch.dashboard.ahead import Fans
 from twinmatch.dashboard.events import Event, Lane
 from twinmatch.dashboard.look import MARKS, SHAPES
-from twinmatch.description import Description
+from twinmatch.description import Description, Quantity
 from twinmatch.signals import FloatArray
 from twinmatch.views.events import Stretch
 from twinmatch.views.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
@@ -117,7 +117,7 @@ class TimeCharts:
         asked.glyph.line_dash = [6, 4]
         self.time.renderers = [plant]
         _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@output{{0.00}} {self._said.output.unit}")])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("output", self._said.output))])
         return chart
 
     def _control(self) -> Any:
@@ -127,7 +127,7 @@ class TimeCharts:
             "t", "closed_input", source=self._twin, mode="after", color=CLOSED, line_width=1.2
         )
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", f"@input{{0.0}} {self._said.input.unit}")])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("input", self._said.input))])
         return chart
 
     def _residual(self) -> Any:
@@ -149,7 +149,7 @@ class TimeCharts:
             driven,
             [
                 ("time", "@t{0.0} s"),
-                ("plant − driven twin", f"@driven_residual_y{{0.00}} {self._said.output.unit}"),
+                ("plant − driven twin", _shown("driven_residual_y", self._said.output)),
             ],
         )
         return chart
@@ -169,7 +169,7 @@ class TimeCharts:
         _hover(
             chart,
             line,
-            [("time", "@t{0.0} s"), ("residual", f"@closed_residual_u{{0.0}} {self._said.input.unit}")],
+            [("time", "@t{0.0} s"), ("residual", _shown("closed_residual_u", self._said.input))],
         )
         return chart
 
@@ -202,6 +202,12 @@ class TimeCharts:
         _hover(chart, strips, [("trust", "@level"), ("from", "@left{0} s"), ("to", "@right{0} s")])
         _hover(chart, marks, [("at", "@t{0} s"), ("what", "@title"), ("why", "@text")])
         return chart
+
+
+def _shown(column: str, quantity: Quantity) -> str:
+    """A column's value in a tooltip."""
+    places = "0" * quantity.decimals
+    return f"@{column}{{0.{places}}} {quantity.unit}".rstrip()
 
 
 def _legend(chart: Any, names: Mapping[str, Any]) -> None:

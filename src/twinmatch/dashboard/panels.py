@@ -78,17 +78,17 @@ def headline(verdict: Verdict | None, period: float, sentence: str = "", leader:
 def tiles(state: DashboardState) -> str:
     """Figures of the moment."""
     now, said = state.plant.newest() or {}, state.described
-    twin = state.twin.newest() or {}
+    twin, y, u = state.twin.newest() or {}, said.output.decimals, said.input.decimals
     entries = [
-        (said.reference.label, number(now.get("reference"), 1)),
-        (with_unit("plant", said.output.unit), number(now.get("output"), 2)),
-        (with_unit("closed-loop twin", said.output.unit), number(twin.get("closed_output"), 2)),
-        (with_unit("driven twin", said.output.unit), number(twin.get("driven_output"), 2)),
-        (f"plant's {said.input.label}", number(now.get("input"), 1)),
-        (f"twin's {said.input.label}", number(twin.get("closed_input"), 1)),
+        (said.reference.label, number(now.get("reference"), y)),
+        (with_unit("plant", said.output.unit), number(now.get("output"), y)),
+        (with_unit("closed-loop twin", said.output.unit), number(twin.get("closed_output"), y)),
+        (with_unit("driven twin", said.output.unit), number(twin.get("driven_output"), y)),
+        (f"plant's {said.input.label}", number(now.get("input"), u)),
+        (f"twin's {said.input.label}", number(twin.get("closed_input"), u)),
     ]
     if state.drive is not None:
-        entries.append((with_unit("applied", said.input.unit), number(state.drive.pwm, 0)))
+        entries.append((with_unit("applied", said.input.unit), number(state.drive.pwm, u)))
         entries.append(("current / A", number(state.drive.current, 2)))
     return _tiles(entries, "tiles now")
 

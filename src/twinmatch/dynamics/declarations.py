@@ -66,6 +66,11 @@ class State(Declaration):
     """Where an unknown start is looked for; `span` if not given."""
 
 
+def _decimals(noise: float) -> int:
+    """Of a reading with this noise: down to the noise's first digit."""
+    return next(k for k in range(9) if noise >= 10.0**-k or k == 8)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Drive(Declaration):
     """The input u: what the controller commands."""
@@ -83,6 +88,11 @@ class Drive(Declaration):
         can do, so that switching it on counts however noisy it is said to be."""
         low, high = self.limits
         return min(_STEP * self.noise, (high - low) / 4)
+
+    @property
+    def decimals(self) -> int:
+        """Decimal places with which a value is shown; of errors and residuals one more is."""
+        return _decimals(self.noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +116,11 @@ class Output(Declaration):
     def least_step(self) -> float:
         """Movement of the set-point that excites the plant: far above the noise of a reading."""
         return _STEP * self.noise
+
+    @property
+    def decimals(self) -> int:
+        """Decimal places with which a value is shown; of errors and residuals one more is."""
+        return _decimals(self.noise)
 
 
 @dataclass(frozen=True, kw_only=True)

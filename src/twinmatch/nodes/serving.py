@@ -20,7 +20,7 @@ def add_serving_arguments(parser: argparse.ArgumentParser, port: int) -> None:
         help="serve on this address; others than 127.0.0.1 are open to others",
     )
     parser.add_argument("--port", type=int, default=port, help=f"TCP port ({port}); 0: any that is free")
-    parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the rig to show")
+    parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the plant to show")
 
 
 def check_serving(

@@ -43,7 +43,9 @@ def foretold_table(fans: tuple[Fan, ...], plant: type[Plant]) -> Table | None:
         f"{called.output} held",
         f"{called.input} held",
     )
-    return Table("What it foretold, and what came", columns, tuple(_row(one) for one in fans))
+    return Table(
+        "What it foretold, and what came", columns, tuple(_row(one, plant.output.decimals) for one in fans)
+    )
 
 
 def _moved(forecast: Forecast) -> float:
@@ -52,19 +54,19 @@ def _moved(forecast: Forecast) -> float:
     return float(np.ptp(reference)) if reference.size else 0.0
 
 
-def _row(one: Fan) -> tuple[Cell, ...]:
+def _row(one: Fan, decimals: int) -> tuple[Cell, ...]:
     forecast, band = one.forecast, one.forecast.output
     held = [f"{100 * float(np.mean(part)):.0f} %" if part.size else "–" for part in one.held]
-    came = "–" if one.came is None else number(float(one.came.output[-1]), 1)
+    came = "–" if one.came is None else number(float(one.came.output[-1]), decimals)
     off = float(np.sqrt(np.mean(np.square(one.error)))) if one.judged else float("nan")
-    ends = f"{number(float(band.low[-1]), 1)} to {number(float(band.high[-1]), 1)}"
+    ends = f"{number(float(band.low[-1]), decimals)} to {number(float(band.high[-1]), decimals)}"
     return (
         head(number(forecast.sample * one.past.period, 0)),
         words(forecast.candidate),
         words(_levels(forecast)),
         Cell(ends),
         Cell(came),
-        Cell(number(off)),
+        Cell(number(off, decimals + 1)),
         *(Cell(share) for share in held),
     )
 

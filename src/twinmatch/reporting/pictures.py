@@ -159,8 +159,8 @@ def _picture(name: str, title: str, alt: str, figure: Figure) -> Picture:
 def _session_alt(j: Judgement) -> str:
     low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
     words = words_of(j.settings.plant)
-    span = f"{low:.1f} to {high:.1f} {words.output_unit}"
-    base = f"Time series of set-point, measured {words.output} ({span}) and control"
+    span = f"{low:.{words.output_decimals}f} to {high:.{words.output_decimals}f} {words.output_unit}"
+    base = f"Time series of set-point, measured {words.output} ({span}) and {words.input}"
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
     if shown is None:
         return f"{base}; there is no twin to compare them with."

@@ -37,15 +37,16 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     measured = [s.output for s in samples]
     given = [s.input for s in samples]
     y, u = _words(judgement), _plant(judgement).drive
+    a, b = y.output_decimals, y.input_decimals
     facts = [
         ("samples", f"{len(samples)}, one every {period:g} s"),
         ("duration", duration((samples[-1].index - samples[0].index + 1) * period)),
-        ("set-point", f"{number(min(reference), 1)} to {number(max(reference), 1)} {y.output_unit}"),
-        (y.output, f"{number(min(measured), 1)} to {number(max(measured), 1)} {y.output_unit}"),
+        ("set-point", f"{number(min(reference), a)} to {number(max(reference), a)} {y.output_unit}"),
+        (y.output, f"{number(min(measured), a)} to {number(max(measured), a)} {y.output_unit}"),
         (
-            "control",
-            f"{number(min(given), 0)} to {number(max(given), 0)} {y.input_unit} "
-            f"(limits {number(u.limits[0], 0)} to {number(u.limits[1], 0)})",
+            y.input,
+            f"{number(min(given), b)} to {number(max(given), b)} {y.input_unit} "
+            f"(limits {number(u.limits[0], b)} to {number(u.limits[1], b)})",
         ),
         (
             "control steps" if judgement.settings.gains is None else "set-point steps",
@@ -165,7 +166,7 @@ def _driven_fit(judgement: Judgement, shown: Shown) -> str:
     return (
         f"Given the recorded control, {shown.name} follows the measured {words.output} over the whole "
         f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
-        f"{number(y)} {words.output_unit} RMS)"
+        f"{number(y, words.output_decimals + 1)} {words.output_unit} RMS)"
         f"{'; the time in which the plant was faulty is part of that' if faulty else ''}."
     )
 
@@ -181,8 +182,8 @@ def _fit(judgement: Judgement, shown: Shown) -> str:
     return (
         f"Given only the set-points, {shown.name} follows the measured {words.output} over the whole "
         f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
-        f"{number(y)} {words.output_unit} RMS) and the control to {number(100 * s.fit_u, 1)} % "
-        f"({number(u, 1)} {words.input_unit} RMS)"
+        f"{number(y, words.output_decimals + 1)} {words.output_unit} RMS) and the {words.input} to "
+        f"{number(100 * s.fit_u, 1)} % ({number(u, words.input_decimals + 1)} {words.input_unit} RMS)"
         f"{'; the time in which the plant was faulty is part of that' if faulty else ''}."
     )
 
@@ -221,23 +222,24 @@ def _health(judgement: Judgement) -> str:
 def _fit_facts(judgement: Judgement, shown: Shown) -> list[tuple[str, str]]:
     parts = _compared(judgement, shown)
     s, words = judgement.summary, _words(judgement)
+    fine = words.output_decimals + 1
     driven = root_mean_square([p.driven_residual_y for p in parts])
     range_ = ("trusted between", str(s.range) if s.range else "–")
     if judgement.settings.gains is None:
-        of_driven = f"fit {number(100 * s.fit_y, 1)} %, {number(driven, 3)} {words.output_unit} RMS"
+        of_driven = f"fit {number(100 * s.fit_y, 1)} %, {number(driven, fine + 1)} {words.output_unit} RMS"
         return [(f"driven twin of {shown.name}, {words.output}", of_driven), range_]
     y = root_mean_square([p.closed_residual_y for p in parts])
     u = root_mean_square([p.closed_residual_u for p in parts])
     return [
         (
             f"closed-loop twin of {shown.name}, {words.output}",
-            f"fit {number(100 * s.fit_y, 1)} %, {number(y, 3)} {words.output_unit} RMS",
+            f"fit {number(100 * s.fit_y, 1)} %, {number(y, fine + 1)} {words.output_unit} RMS",
         ),
         (
-            f"closed-loop twin of {shown.name}, control",
-            f"fit {number(100 * s.fit_u, 1)} %, {number(u, 1)} {words.input_unit} RMS",
+            f"closed-loop twin of {shown.name}, {words.input}",
+            f"fit {number(100 * s.fit_u, 1)} %, {number(u, words.input_decimals + 1)} {words.input_unit} RMS",
         ),
-        (f"driven twin of {shown.name}, {words.output}", f"{number(driven, 2)} {words.output_unit} RMS"),
+        (f"driven twin of {shown.name}, {words.output}", f"{number(driven, fine)} {words.output_unit} RMS"),
         range_,
     ]
 

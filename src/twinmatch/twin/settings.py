@@ -110,6 +110,7 @@ class TwinSettings:
             noise=Noise.of(plant),
             gains=held,
             sensor=plant.sensor or Sensor(),
+            decimals=plant.output.decimals + 1,
             regime_width=_REGIME * noise,
             health=HealthSettings.of(plant, period),
         )

@@ -119,7 +119,7 @@ def _columns(verdict: Verdict) -> tuple[Column, ...]:
     shown = [quantity(model.plant, name) for name in model.structure.free]
     return (
         CANDIDATE,
-        Column(f"at\n{y.unit}", 8, lambda c, _: number(c.operating_point, 1)),
+        Column(f"at\n{y.unit}", 8, lambda c, _: number(c.operating_point, y.decimals)),
         # A place is left for the mark behind the figure.
         *(Column(f"{q.symbol} \n{q.unit} ", 4 + k / len(shown), _parameter(q)) for k, q in enumerate(shown)),
         Column("order", 1, lambda c, _: c.chosen_order),

@@ -62,7 +62,7 @@ def came_words(fan: Fan, plant: type[Plant]) -> list[str]:
     words, error = words_of(plant), float(np.sqrt(np.mean(np.square(fan.error))))
     shares = [f"{100 * np.mean(held):.0f} % of the" for held in fan.held if held.size]
     told = " and ".join(f"{s} {w}" for s, w in zip(shares, (words.output, words.input), strict=False))
-    off = _with(number(error, _decimals(plant.output.noise) + 1), words.output_unit)
+    off = _with(number(error, plant.output.decimals + 1), words.output_unit)
     same = (
         ""
         if fan.judged == fan.forecast.time.size
@@ -80,7 +80,7 @@ def _band(band: Band) -> dict[str, list[float]]:
 
 def _end(forecast: Forecast, plant: type[Plant]) -> str:
     words, band = words_of(plant), forecast.output
-    decimals = _decimals(plant.output.noise)
+    decimals = plant.output.decimals
     low, mean, high = (number(float(v[-1]), decimals) for v in (band.low, band.mean, band.high))
     return (
         f"{words.output} after {forecast.time[-1]:g} s: "
@@ -126,7 +126,7 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
 
 def _work(forecast: Forecast, plant: type[Plant]) -> str:
     words, peak = words_of(plant), largest_input(forecast)
-    decimals = _decimals(plant.drive.noise)
+    decimals = plant.drive.decimals
     least, most = number(peak.least, decimals), number(peak.most, decimals)
     size = _with(number(peak.expected, decimals), words.input_unit)
     return f"largest {words.input}: {size} after {peak.time:g} s ({least} to {most})"
@@ -139,12 +139,12 @@ def _widths(forecast: Forecast, plant: type[Plant]) -> str:
             continue
         k = int((forecast.time <= horizon * (1 + 1e-9)).sum()) - 1
         y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
-        wide = _with(number(y, _decimals(plant.output.noise)), words.output_unit)
-        also = _with(number(u, _decimals(plant.drive.noise)), words.input_unit)
+        wide = _with(number(y, plant.output.decimals), words.output_unit)
+        also = _with(number(u, plant.drive.decimals), words.input_unit)
         told.append(f"{wide} and {also} at {horizon:g} s" if forecast.closed else f"{wide} at {horizon:g} s")
     if not told:
         y = float(forecast.output.high[-1] - forecast.output.low[-1])
-        told.append(f"{_with(number(y, _decimals(plant.output.noise)), words.output_unit)} at the end")
+        told.append(f"{_with(number(y, plant.output.decimals), words.output_unit)} at the end")
     return f"width of the band: {'; '.join(told)}"
 
 
@@ -162,11 +162,6 @@ def _range(moment: Moment) -> str:
     """The earliest and latest time in brackets."""
     first = "0" if moment.earliest is None else f"{moment.earliest:g}"
     return f" ({first} to {moment.latest:g})" if moment.latest is not None else f" ({first} or later)"
-
-
-def _decimals(noise: float) -> int:
-    """As many as a reading with this noise has."""
-    return next(k for k in range(9) if noise >= 10.0**-k or k == 8)
 
 
 def _with(text: str, unit: str) -> str:

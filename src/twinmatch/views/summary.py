@@ -85,7 +85,7 @@ def summarise(
         matches=dict(Counter(v.match for v in verdicts if v.match)),
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
-        range=trust_range(last, shown.parameters.model.plant.output.unit) if last and shown else None,
+        range=trust_range(last, shown.parameters.model.plant.output) if last and shown else None,
         fault=last.fault if last else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,

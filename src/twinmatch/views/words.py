@@ -19,8 +19,11 @@ class Words(NamedTuple):
     """Such as temperature."""
     output_unit: str
     input: str
-    """Always "control": what the controller computes."""
+    """Such as inflow; "control" where the plant file says no more than its unit."""
     input_unit: str
+    output_decimals: int
+    """Decimal places of its values; an error has one more."""
+    input_decimals: int
 
     @property
     def output_label(self) -> str:
@@ -35,7 +38,9 @@ class Words(NamedTuple):
 
 def words_of(plant: type[Plant]) -> Words:
     """Those of a plant, from its declarations."""
-    return Words(plant.output.name.replace("_", " "), plant.output.unit, "control", plant.drive.unit)
+    y, u = plant.output, plant.drive
+    driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
+    return Words(y.name.replace("_", " "), y.unit, driven, u.unit, y.decimals, u.decimals)
 
 
 def with_unit(name: str, unit: str) -> str:
