@@ -1,7 +1,6 @@
 """What stands between the CMake files in the ROS wheels and a build with them.
 
-The wheels bring rosidl with its CMake files, Debian brings ament_cmake; what neither has are two small
-packages, and the wheels remember a folder of the machine they were made on. A ROS 2 that was installed as a
+The wheels bring rosidl with its CMake files, Debian brings ament_cmake; what neither has are small packages, and the wheels remember a folder of the machine they were made on. A ROS 2 that was installed as a
 whole needs nothing of this.
 """
 
@@ -11,10 +10,10 @@ from pathlib import Path
 
 GENERATORS = """\
 foreach(package rosidl_cmake rosidl_generator_type_description rosidl_generator_c
-    rosidl_typesupport_fastrtps_c rosidl_typesupport_c rosidl_generator_py std_msgs)
+    rosidl_typesupport_fastrtps_c rosidl_typesupport_c rosidl_generator_py std_msgs service_msgs)
   find_package(${package} REQUIRED)
 endforeach()
-foreach(package std_msgs builtin_interfaces)
+foreach(package std_msgs builtin_interfaces service_msgs)
   set_target_properties(
     ${package}::${package}__rosidl_generator_py PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "")
 endforeach()
@@ -28,8 +27,14 @@ endif()
 
 
 def write_shim(prefix: Path) -> None:
-    """Write the two packages below a prefix."""
-    for package, text in (("rosidl_default_generators", GENERATORS), ("ament_cmake_ros_core", DEFAULTS)):
+    """Write the packages below a prefix."""
+    packages = {
+        "rosidl_default_generators": GENERATORS,
+        "ament_cmake_ros_core": DEFAULTS,
+        # Jazzy asks for these three; what they would bring, CMake finds here or is told.
+        **dict.fromkeys(("ament_cmake_ros", "python_cmake_module", "PythonExtra"), ""),
+    }
+    for package, text in packages.items():
         folder = prefix / "share" / package / "cmake"
         folder.mkdir(parents=True)
         (folder / f"{package}Config.cmake").write_text(text)
