@@ -40,7 +40,11 @@ def test_defaults() -> None:
 
 
 def test_built_in_parameters_are_passed_over() -> None:
-    given_ones = {"use_sim_time": True, "qos_overrides./x.depth": 3, "start_type_description_service": True}
+    given_ones = {
+        "use_sim_time": True,
+        "qos_overrides./clock.subscription.depth": 3,
+        "start_type_description_service": True,
+    }
     assert check("node", TABLE, given_ones) == check("node", TABLE, {})
 
 
@@ -55,6 +59,11 @@ def test_whole_numbers_become_float64() -> None:
     ("name", "value", "message"),
     [
         ("rat", 1.0, "node: there is no parameter rat; did you mean rate?"),
+        (
+            "qos_overrides./plant/sample.subscription.depth",
+            1,
+            "node: qos_overrides./plant/sample.subscription.depth is not taken: reliability",
+        ),
         ("zzz", 1.0, "node: there is no parameter zzz; it has: depth, gains, loud, name, parts, rate"),
         ("rate", "fast", "node: parameter rate is 'fast'; it must be a number"),
         ("rate", True, "node: parameter rate is True; it must be a number"),

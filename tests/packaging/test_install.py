@@ -65,6 +65,31 @@ def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:
     assert (installed / "share" / "ament_index" / "resource_index" / "packages" / "twinmatch").exists()
 
 
+def test_colcon_finds_both_packages_where_the_page_says() -> None:
+    colcon = shutil.which("colcon")
+    if colcon is None:
+        pytest.skip("colcon is not installed: apt-get install colcon python3-colcon-ros")
+    page = (PROJECT / "docs" / "ros.md").read_text(encoding="utf-8")
+    (named,) = re.findall(r"^colcon build --base-paths (.*)$", page, re.MULTILINE)
+    folders = [str(PROJECT / Path(name).relative_to("src/twinmatch")) for name in named.split()]
+    environment = {k: v for k, v in os.environ.items() if k not in ("LD_LIBRARY_PATH", "PYTHONPATH")}
+    command = [colcon, "--log-base", os.devnull, "list", "--names-only", "--base-paths", *folders]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["twinmatch", "twinmatch_msgs"]
+
+
+def test_package_xml_names_what_pyproject_needs() -> None:
+    """By rosdep's keys, or in the sentence that says what pip has to install."""
+    text = (PROJECT / "package.xml").read_text(encoding="utf-8")
+    told = text + (PROJECT / "docs" / "ros.md").read_text(encoding="utf-8")
+    block = (PROJECT / "pyproject.toml").read_text().split("\ndependencies = [")[1].split("]")[0]
+    names = [name.lower() for name in re.findall(r'"([\w-]+)', block)]
+    assert "numpy" in names
+    keys = {"pyserial": "python3-serial", "pyyaml": "python3-yaml"}
+    missing = [n for n in names if keys.get(n, f"python3-{n}") not in text and f" {n} " not in told]
+    assert not missing
+
+
 @pytest.mark.parametrize(("name", "module"), SCRIPTS)
 def test_console_script_has_its_module(name: str, module: str) -> None:
     """`ros2 run twinmatch <name>` starts what is called so."""

@@ -23,8 +23,9 @@ Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]
 
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list"}
-BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
-"""Parameters that every ROS 2 node has."""
+BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides./clock.")
+"""Parameters that every ROS 2 node has; rclpy lets the clock's subscription be overridden by itself."""
+QOS = "qos_overrides."
 
 
 class ParameterError(TwinmatchError):
@@ -102,6 +103,12 @@ def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Va
     """
     known = {parameter.name: parameter for parameter in table}
     for name in given:
+        if name.startswith(QOS) and not name.startswith(BUILT_IN):
+            msg = (
+                f"{node}: {name[:80]} is not taken: reliability and depth of a topic are part of what is "
+                "promised for it (docs/subscribing.md); leave it out"
+            )
+            raise ParameterError(msg)
         if name not in known and not name.startswith(BUILT_IN):
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]}?" if near else f"it has: {', '.join(sorted(known)) or 'none'}"

@@ -1,7 +1,8 @@
 """What stands between the CMake files in the ROS wheels and a build with them.
 
-The wheels bring rosidl with its CMake files, Debian brings ament_cmake; what neither has are small packages, and the wheels remember a folder of the machine they were made on. A ROS 2 that was installed as a
-whole needs nothing of this.
+The wheels bring rosidl with its CMake files, Debian brings ament_cmake; what neither has are small packages,
+and the wheels remember a folder of the machine they were made on. A ROS 2 that was installed as a whole
+needs nothing of this.
 """
 
 from __future__ import annotations
