@@ -24,6 +24,12 @@ def switching_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def wrong_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Whose author forgot Joule's heat."""
+    return build_c_fmu(tmp_path_factory.mktemp("wrong"), joule=False)
+
+
+@pytest.fixture(scope="session")
 def python_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_python_fmu(tmp_path_factory.mktemp("python"), steps=12)
 

@@ -58,10 +58,10 @@ def test_one_that_says_it_cannot_is_asked_again(run_of, culprit: str) -> None:
 
 
 def test_one_that_gives_no_numbers_is_not_believed(run_of, adopted, tmp_path) -> None:
-    run = run_of("says nothing")
-    assert "nan" in run()
+    with pytest.raises(FmuError, match="no finite numbers"):
+        run_of("says nothing")()
     worse = build_python_fmu(tmp_path, "Worse", rate=RATE.replace("return -drawn", "return float('nan')"))
-    with pytest.raises(FmuError, match="no finite numbers at sample 1 of a trial"):
+    with pytest.raises(FmuError, match="no finite numbers"):
         adopted(worse)
 
 

@@ -157,8 +157,11 @@ _XML = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def build_c_fmu(folder: Path, *, events: bool = False) -> Path:
-    """A model-exchange FMU (FMI 2) of the same equations, compiled; the current limit may be an event."""
+def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True) -> Path:
+    """A model-exchange FMU (FMI 2) of the same equations, compiled.
+
+    The current limit may be an event, and Joule's heat may have been forgotten.
+    """
     import fmpy.fmi2
 
     build = folder / "build"
@@ -169,6 +172,8 @@ def build_c_fmu(folder: Path, *, events: bool = False) -> Path:
     code = code.replace("@values@", ", ".join(map(str, PARAMETERS.values()))).replace(
         "@names@", ", ".join(names)
     )
+    if not joule:
+        code = code.replace("- current * current * m->p[resistance] / 2", "")
     source = build / "plate.c"
     source.write_text(code, encoding="utf-8")
     others = build / "others.c"

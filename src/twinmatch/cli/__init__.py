@@ -70,6 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
+        if getattr(options, "allow_fmu", None) is not None:
+            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — keeps --help fast
+
+            adopt_fmus(options.allow_fmu)
         return command(options)
     except TwinmatchError as error:
         print(f"twinmatch: {error}", file=sys.stderr)

@@ -7,15 +7,26 @@ from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["add_plant", "add_terms", "check_writable"]
+__all__ = ["add_fmus", "add_plant", "add_terms", "check_writable"]
 
 
 def add_terms(parser: argparse.ArgumentParser) -> None:
     """The files on whose terms a session is judged."""
     parser.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
     add_plant(parser)
+    add_fmus(parser)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="parameters (.yaml), as the nodes take them"
+    )
+
+
+def add_fmus(parser: argparse.ArgumentParser) -> None:
+    """FMUs as structures of the plant."""
+    parser.add_argument(
+        "--allow-fmu",
+        metavar="FILE",
+        type=Path,
+        help="let FMUs be structures of the plant as this file (.yaml) says; their programs are run",
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from twinmatch.archive import program as archive
 from twinmatch.cli.files import add_terms, check_writable
+from twinmatch.errors import TwinmatchError
 from twinmatch.judging.progress import Progress
 
 __all__ = ["add_arguments", "run"]
@@ -36,6 +37,9 @@ def run(options: argparse.Namespace) -> int:
     """
     check_writable(options.json, options.figure)
     if archive.is_archive(options):
+        if options.allow_fmu is not None:
+            msg = "--allow-fmu is for one session; for several, let the file of --config say allow_fmu"
+            raise TwinmatchError(msg)
         with Progress() as progress:
             judged = archive.judge(options, progress.advance)
         return archive.show(options, judged)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twinmatch.cli.files import add_plant
+from twinmatch.cli.files import add_fmus, add_plant
 from twinmatch.judging.progress import Progress
 
 __all__ = ["add_arguments", "run"]
@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("session", type=Path, help="session folder or .mcap file")
     parser.add_argument("--topic", metavar="TOPIC", help="the samples, if the session has several rigs")
     add_plant(parser)
+    add_fmus(parser)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="parameters (.yaml) instead of the recorded ones"
     )

@@ -76,6 +76,11 @@ class Model:
         return tuple(known[name] for name in self.states)
 
     @property
+    def is_elsewhere(self) -> bool:
+        """Whether its equations are not in the plant's file, so that they may fail in ways of their own."""
+        return self.structure.elsewhere is not None
+
+    @property
     def lost(self) -> str:
         """Why a structure from elsewhere cannot be run any more, in a sentence; empty while it can."""
         return "" if self.structure.elsewhere is None else self.structure.elsewhere.lost

@@ -14,11 +14,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from twinmatch.dynamics import PlantError
 from twinmatch.dynamics.descent import Search, told
 from twinmatch.dynamics.pid_step import Gains
 from twinmatch.dynamics.posed import Posed
 from twinmatch.fmu.described import MODEL_EXCHANGE
+from twinmatch.fmu.errors import FmuError
 from twinmatch.fmu.places import Places
 from twinmatch.fmu.residuals import cost_of, normal_of
 from twinmatch.fmu.runner import Runner, Signals
@@ -49,7 +49,7 @@ class FmuKernels:
         self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
     ) -> FloatArray:
         """The states one period later."""
-        return np.asarray(self._ticks(vector, x, u, d, period, steps)[1][0])
+        return self._numbers(self._ticks(vector, x, u, d, period, steps)[1][0])
 
     def look(self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
         """The output; there are no other quantities."""
@@ -117,7 +117,7 @@ class FmuKernels:
             integral, previous_error, period, steps,
         )  # fmt: skip
         y, u, states = self._runner.runs(np.append(vector, x)[None], signals)
-        return y[0], u[0], states[0]
+        return self._numbers(y[0]), self._numbers(u[0]), self._numbers(states[0])
 
     def run_with_tangents(
         self, vector: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
@@ -238,6 +238,11 @@ class FmuKernels:
         joint = whole @ covariance @ whole.T + np.diag(strayed)
         covariance[:] = 0.5 * (joint + joint.T)
 
+    def _numbers(self, values: FloatArray) -> FloatArray:
+        if not np.isfinite(values).all():
+            raise FmuError(f"{self._runner.title}: the FMU gives no finite numbers at these parameters")
+        return values
+
     def _started(self) -> str:
         """How the FMU is run; the first question starts it."""
         if not self._runner.kind:
@@ -255,8 +260,7 @@ class FmuKernels:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
         """Derivatives of every tick by state (N, nx, nx) and drive (N, nx), and of its output by state."""
         m, n, size = vector.size, states.shape[1], states.shape[0]
-        if not np.isfinite(states).all():
-            raise PlantError(f"{self._runner.title}: the FMU gives no finite numbers at these parameters")
+        self._numbers(states)
         all_moved = [
             self._places.around(np.append(vector, x), at, range(m, m + n), drive_too=True)
             for x, at in zip(states, u.tolist(), strict=True)

@@ -8,24 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from twinmatch.dynamics import Parameter, Plant, PlantError, State
 from twinmatch.fmu.described import CO_SIMULATION, MODEL_EXCHANGE
 from twinmatch.fmu.errors import FmuError
 from twinmatch.fmu.formula import Formula
 from twinmatch.plants import find_plant
+from twinmatch.sessions.documents import read_yaml
+from twinmatch.sessions.errors import DocumentError
 
 __all__ = ["FmuMap", "Link", "read_maps"]
 
-MOST_BYTES: Final = 1 << 20
 PATIENCE: Final = 10.0
 """Seconds that one question to an FMU may take, if its file says nothing else."""
 
 _OF_FILE: Final = ("plant", "structures")
 _OF_MAP: Final = (
     "fmu", "kind", "variables", "starts", "free", "fixed", "free_starts", "parameters", "states",
-    "patience", "watched",
+    "searches", "patience", "watched",
 )  # fmt: skip
 _OF_LINK: Final = ("variable", "set", "factor", "offset")
 _OF_PARAMETER: Final = (
@@ -64,6 +63,8 @@ class FmuMap:
     free: tuple[str, ...]
     fixed: Mapping[str, float]
     free_starts: tuple[str, ...]
+    searches: tuple[Mapping[str, float], ...]
+    """More points to begin a search at; those of the plant's first structure if none are written."""
     parameters: Mapping[str, Parameter]
     """Those that the plant's file does not know."""
     states: Mapping[str, State]
@@ -88,13 +89,9 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
         FmuError: the file cannot be used; the message says what of it.
     """
     try:
-        if file.stat().st_size > MOST_BYTES:
-            raise FmuError(f"{file}: is larger than {MOST_BYTES} bytes; no map is that long")
-        tree = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FmuError(f"{file}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise FmuError(f"{file}: is no YAML file: {str(error).splitlines()[0]}") from error
+        tree = read_yaml(file)
+    except DocumentError as error:
+        raise FmuError(str(error)) from error
     content = _table(str(file), tree, _OF_FILE)
     structures = content.get("structures")
     if "plant" not in content or not isinstance(structures, dict) or not structures:
@@ -137,10 +134,8 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
             for key, value in _table(f"{place}, starts", own.get("starts", {})).items()
         },
         free=_names(f"{place}, free", own.get("free", ())),
-        fixed={
-            str(key): _number(f"{place}, fixed {key}", value)
-            for key, value in _table(f"{place}, fixed", own.get("fixed", {})).items()
-        },
+        fixed=_numbers(f"{place}, fixed", own.get("fixed", {})),
+        searches=_searches(place, plant, links, own.get("searches")),
         free_starts=_names(f"{place}, free_starts", own.get("free_starts", ())),
         parameters=parameters,
         states=states,
@@ -155,6 +150,8 @@ def _check(of: FmuMap) -> None:
     states, parameters = of.known_states, of.known_parameters
     _subset(of.place, "free", of.free, parameters)
     _subset(of.place, "fixed", of.fixed, parameters)
+    for search in of.searches:
+        _subset(of.place, "searches", search, parameters)
     _subset(of.place, "free_starts", of.free_starts, states)
     _subset(of.place, "starts", of.starts, states)
     if not of.patience > 0:
@@ -218,6 +215,19 @@ def _names(place: str, tree: Any) -> tuple[str, ...]:
     if not isinstance(tree, list | tuple):
         raise FmuError(f"{place}: takes a list of names")
     return tuple(map(str, tree))
+
+
+def _numbers(place: str, tree: Any) -> dict[str, float]:
+    return {str(name): _number(f"{place} {name}", value) for name, value in _table(place, tree).items()}
+
+
+def _searches(place: str, plant: type[Plant], links: Mapping[str, Link], tree: Any) -> tuple[Any, ...]:
+    if tree is None:
+        own = next(iter(plant.structures.values())).starts
+        return tuple(start for start in own if set(start) <= set(links))
+    if not isinstance(tree, list):
+        raise FmuError(f"{place}: searches takes a list, each entry being parameters with values")
+    return tuple(_numbers(f"{place}, searches", entry) for entry in tree)
 
 
 def _number(place: str, value: Any) -> float:

@@ -100,6 +100,7 @@ def _adopted(of: FmuMap) -> Model:
             free=of.free,
             fixed=of.fixed,
             free_starts=of.free_starts,
+            starts=of.searches,
             watched=of.watched,
             text=f"FMU {of.file.name}",
             elsewhere=source,

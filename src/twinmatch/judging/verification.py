@@ -9,6 +9,7 @@ from typing import Any
 
 from twinmatch.discrimination import Verdict
 from twinmatch.errors import TwinmatchError
+from twinmatch.judging.foreign import check_fmus
 from twinmatch.judging.judgement import Judgement, Watch, judge
 from twinmatch.judging.terms import prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
@@ -19,6 +20,7 @@ __all__ = ["Difference", "Verification", "VerifyError", "compare", "holds_verdic
 
 SCORES = "twin/model_score"
 MATCHES = "twin/match"
+DESCRIPTION = "plant/description"
 AT_THE_END = 60
 """What was set off within so many samples of the end may have come after the recorder had gone."""
 
@@ -92,6 +94,7 @@ def verify_session(
     Raises:
         VerifyError: no verdicts.
         TermsError: not the parameters they were made with.
+        ForeignError: not the FMUs they were made with.
         TwinmatchError: one of the files cannot be used.
     """
     session = open_any(path, topic, plant=plant)
@@ -101,7 +104,19 @@ def verify_session(
             "nothing to verify, twinmatch replay makes some"
         )
         raise VerifyError(msg)
-    return compare(session, judge(session, recorded_terms(session, config, candidates), watch=watch))
+    terms = recorded_terms(session, config, candidates)
+    check_fmus(session.name, terms.settings.plant, _structures(session))
+    return compare(session, judge(session, terms, watch=watch))
+
+
+def _structures(session: Session) -> list[str]:
+    """Names of the structures that the plant had when the session was recorded, as far as it says so."""
+    name = prefix_of(session) + DESCRIPTION
+    topic = next((t for t in session.topics if t.name == name), None)
+    if topic is None:
+        return []
+    decode = _decoder(topic, session.name)
+    return [str(s) for message in session.messages([name]) for s in decode(message.data).structures]
 
 
 def holds_verdicts(session: Session) -> int:

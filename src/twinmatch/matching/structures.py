@@ -227,6 +227,9 @@ class _Problem:
             response = run.simulate(part)
             simulated.append(np.stack([response.output, response.input])[:outputs, SETTLE:])
             states.append(response.states[SETTLE:-1])
+        if not all(np.isfinite(rows).all() for rows in simulated):
+            msg = f"structures: {self._runs[0].model.title} gives no finite numbers at the best parameters"
+            raise MatchingError(msg)
         measured = tuple(run.measured[:outputs, SETTLE:] for run in self._runs)
         return StructureFit(
             parameters=self._runs[0].parameters_at(parts[0]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Outlook, what_if
 from twinmatch.nodes.conversions import leader_message
@@ -51,7 +52,12 @@ class Foreteller:
         if not self._ahead:
             self._ahead = shown_samples(outlook.period, discriminator.forecaster.horizons)
         sample = outlook.sample
-        forecast = outlook.forecast(np.full(max(self._ahead), outlook.standing))
+        try:
+            forecast = outlook.forecast(np.full(max(self._ahead), outlook.standing))
+        except PlantError:
+            if not outlook.parameters.model.is_elsewhere:
+                raise
+            return  # whoever leads at the next sample can be run
         self._forecasts.publish(forecast_message(forecast, sample.stamp, self._ahead))
         self._health.set("leader", name)
         self._health.set("forecast from sample", sample.index)

@@ -14,6 +14,7 @@ from typing import Any
 
 from twinmatch.dynamics import FILED, Closing, Filed, Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
+from twinmatch.fmu import adopt_fmus
 from twinmatch.matching import Noise
 from twinmatch.nodes.loop_parameters import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
@@ -61,6 +62,11 @@ def twin_table(
             "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
         ),
         Parameter("candidates", "", "File of candidates to begin with, for the discriminator; empty: none."),
+        Parameter(
+            "allow_fmu",
+            "",
+            "File that makes FMUs structures of the plant, and lets them run; empty: none.",
+        ),
     )
 
 
@@ -72,6 +78,8 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Parameter, .
     """
     refuse_renamed(place, given)
     try:
+        if given.get("allow_fmu"):
+            adopt_fmus(Path(str(given["allow_fmu"])))
         plant = find_plant(str(given.get("plant", Peltier.name)))
         named = given.get("structure")
         model = plant.model(None if named is None else str(named))
@@ -94,12 +102,13 @@ def twin_values(place: str, given: Mapping[str, Any]) -> Values:
 
 def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
     """All parameters of a node as a session has them; names of earlier versions are understood. A file
-    that a session names as its plant is not run: the plant has to be known already.
+    that a session names as its plant is not run, nor are the FMUs of one that it names: the plant and its
+    structures have to be known already.
 
     Raises:
         ParameterError: as `twin_values`.
     """
-    kept = translated(given)
+    kept = {name: value for name, value in translated(given).items() if name != "allow_fmu"}
     if "plant" in kept:
         try:
             kept["plant"] = written_name(plant_named(str(kept["plant"])))

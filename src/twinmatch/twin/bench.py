@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from twinmatch.discrimination import DECIDED_FROM, Candidate, SimoModel, Verdict
-from twinmatch.dynamics import Parameters
+from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.signals import Window
 from twinmatch.twin.contenders import Contenders
 from twinmatch.twin.entrant import Entrant
@@ -127,7 +127,14 @@ class Bench:
         )
 
     def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
-        return replace(verdict, **self.members.judge(*looked, self._beside())._asdict())
+        beside = self._beside()
+        try:
+            judged = self.members.judge(*looked, beside)
+        except PlantError:
+            if not any(candidate.parameters.model.is_elsewhere for candidate in beside):
+                raise
+            judged = self.members.judge(*looked)
+        return replace(verdict, **judged._asdict())
 
     def _beside(self) -> list[Candidate]:
         """The structure that stands beside the matches: of all the one that foretells best."""

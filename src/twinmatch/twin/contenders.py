@@ -66,8 +66,9 @@ class Contenders:
 
     @property
     def held(self) -> tuple[Contender, ...]:
-        """The contenders, the one whose fit is worth most first."""
-        return tuple(sorted(self._held.values(), key=lambda c: c.fit.charge))
+        """The contenders that can still be run, the one whose fit is worth most first."""
+        able = (c for c in self._held.values() if not c.fit.model.lost)
+        return tuple(sorted(able, key=lambda c: c.fit.charge))
 
     def push(self, window: Window, *, excited: bool) -> bool:
         """Take one window of a healthy plant; return whether there are new fits."""
@@ -77,7 +78,7 @@ class Contenders:
             return False
         if newest is not None and not excited and 0 <= history.last - newest < self._every:
             return False
-        fresh = [self._fitted(model, history) for model in self._models]
+        fresh = [self._fitted(model, history) for model in self._models if not model.lost]
         found = {c.candidate.name: c for c in fresh if c is not None}
         self._held.update(found)
         return bool(found)

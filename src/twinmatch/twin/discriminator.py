@@ -28,6 +28,7 @@ from twinmatch.twin.promises import Promise, Promises, trust_level
 from twinmatch.twin.residuals import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
+from twinmatch.twin.structure_watch import watched
 from twinmatch.twin.threads import one_thread
 
 __all__ = ["Discriminator", "Step"]
@@ -74,6 +75,7 @@ class Discriminator:
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = _schedule(self.settings)
+        self._elsewhere = [model for model in watched(self.settings.plant) if model.is_elsewhere]
         self._bench = Bench(self.settings, self._spoilt)
         self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
@@ -197,7 +199,11 @@ class Discriminator:
         return self._bench.with_forecasts(replace(verdict, match=fate.word if fate else ""))
 
     def _notes(self) -> tuple[str, ...]:
-        """What no forecast can promise at this sample."""
+        """What no forecast can promise at this sample, and which structure takes no part any more."""
+        lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._elsewhere if model.lost)
+        return (*self._doubts(), *lost)
+
+    def _doubts(self) -> tuple[str, ...]:
         health, since = self._health, self._promises.since
         if health is not None and health.state is State.FAULT and health.fault is not None:
             told = f"the plant shows {health.fault.value} since sample {health.since}"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from twinmatch.discrimination import ForecastScore
-from twinmatch.dynamics import Pid, PidGains, PidState
+from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
 from twinmatch.forecasting import (
     PERSISTENCE,
     Calibration,
@@ -157,8 +158,9 @@ class Forecaster:
         self._visited = min(self._visited[0], sample.output), max(self._visited[1], sample.output)
         if self._pid is not None:
             self._pid.follow(sample.reference, sample.output, sample.input)
-        for twin in self._twins.values():
-            twin.follower.push(sample)
+        for name, twin in list(self._twins.items()):
+            with self._sparing(name):
+                twin.follower.push(sample)
         if self._twins and sample.index % self._stride == 0:
             leader = self.leader
             outlooks = {name: self._outlook(name, banded=name == leader) for name in self._order}
@@ -184,7 +186,13 @@ class Forecaster:
         for entrant in entrants:
             held = self._twins.get(entrant.name)
             if held is None or held.entrant.parameters != entrant.parameters:
-                held = self._begun(entrant, held or self._twins.get((successors or {}).get(entrant.name, "")))
+                earlier = held or self._twins.get((successors or {}).get(entrant.name, ""))
+                try:
+                    held = self._begun(entrant, earlier)
+                except PlantError:
+                    if not entrant.parameters.model.is_elsewhere:
+                        raise
+                    continue
             twins[entrant.name] = held
         if self._ledger is not None:
             for name, before in (successors or {}).items():
@@ -240,10 +248,29 @@ class Forecaster:
         if not made:
             return None
         came = list(self._recent)[made[-1] - newest - 1 :]
-        forecast = self._departures[made[-1]].outlook().forecast(self._asked(came[1:]), _rows(came))
+        outlook = self._departures[made[-1]].outlook()
+        try:
+            forecast = outlook.forecast(self._asked(came[1:]), _rows(came))
+        except PlantError:
+            if not outlook.parameters.model.is_elsewhere:
+                raise
+            return None
         newest_of = came[-samples:]
         output, input_ = (np.array([getattr(s, name) for s in newest_of]) for name in ("output", "input"))
         return promise_of(forecast, output, None if self._gains is None else input_)
+
+    @contextmanager
+    def _sparing(self, name: str) -> Iterator[None]:
+        """Let a candidate go whose equations are elsewhere and fail there; all others stay and go on."""
+        try:
+            yield
+        except PlantError:
+            if not self._twins[name].entrant.parameters.model.is_elsewhere:
+                raise
+            del self._twins[name]
+            self._order = tuple(self._twins)
+            if self._ledger is not None:
+                self._ledger.keep(self._twins)
 
     def _asked(self, came: Sequence[Sample]) -> FloatArray:
         """What a forecast is made under: the set-points that came, or the inputs."""
@@ -293,15 +320,16 @@ class Forecaster:
         for name, outlook in departure.outlooks.items():
             if name not in self._twins:
                 continue
-            if seldom and name != departure.leader:
-                off = measured - outlook.mean(asked, rows)[:signals]
-            else:
-                foretold = outlook.foretold(asked, rows)
-                off = measured - np.stack([foretold.output, foretold.input])[:signals]
-                quotients = np.abs(off) / outlook.deviations(foretold)[:signals]
-                self._twins[name].calibration.learn(quotients, before)
-            errors[name] = off[:, before:]
-            paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))
+            with self._sparing(name):
+                if seldom and name != departure.leader:
+                    off = measured - outlook.mean(asked, rows)[:signals]
+                else:
+                    foretold = outlook.foretold(asked, rows)
+                    off = measured - np.stack([foretold.output, foretold.input])[:signals]
+                    quotients = np.abs(off) / outlook.deviations(foretold)[:signals]
+                    self._twins[name].calibration.learn(quotients, before)
+                errors[name] = off[:, before:]
+                paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))
         ledger.add(errors, place)
         if ahead == self._longest and departure.leader in paths:
             self._hindsight.add(paths[departure.leader], min(paths.values()))

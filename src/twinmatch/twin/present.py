@@ -20,8 +20,9 @@ class Present:
 
     def __init__(self, models: Sequence[Model], noise: Noise, gains: PidGains | None) -> None:
         """Of these structures of a plant, simpler ones first, the richest is fitted: the last with the most
-        parameters."""
-        self._model = max(reversed(models), key=lambda model: model.structure.n_parameters())
+        parameters. One from elsewhere may fail, so it measures the others only if there is no other."""
+        own = [model for model in models if not model.is_elsewhere] or models
+        self._model = max(reversed(own), key=lambda model: model.structure.n_parameters())
         self._noise, self._gains = noise, gains
         self._fit: StructureFit | None = None
 

@@ -27,6 +27,7 @@ from twinmatch.discrimination.code_length import two_part_length
 from twinmatch.discrimination.criteria import bic, mdl, naic
 from twinmatch.discrimination.score import Criteria
 from twinmatch.dynamics import FILED, Closing, Model, Parameters
+from twinmatch.errors import TwinmatchError
 from twinmatch.matching import MatchingError, Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
 
@@ -134,7 +135,8 @@ def choose_structure(
 ) -> StructureChoice:
     """Fit every structure to the windows and choose the one that most criteria prefer.
 
-    Of equals the one with fewer parameters is chosen, then the one named first.
+    Of equals the one with fewer parameters is chosen, then the one named first. A structure from elsewhere
+    that cannot be fitted is passed over.
 
     Args:
         windows: what was recorded of one plant, one window or several.
@@ -155,15 +157,19 @@ def choose_structure(
     before = {s.name: s.fitted for s in previous.scores} if previous else {}
     scores = []
     for model in models:
-        fitted = fit_structure(
-            held,
-            model,
-            start=before.get(model.structure_name),
-            noise=noise,
-            gains=gains,
-            thorough=thorough,
-        )
-        scores.append(score_structure(fitted, decimals))
+        try:
+            fitted = fit_structure(
+                held,
+                model,
+                start=before.get(model.structure_name),
+                noise=noise,
+                gains=gains,
+                thorough=thorough,
+            )
+            scores.append(score_structure(fitted, decimals))
+        except TwinmatchError:
+            if not model.is_elsewhere:
+                raise
     samples = (min(w.first for w in held), max(w.last for w in held))
     if (
         previous is not None

@@ -1,0 +1,158 @@
+"""FMUs among the structures of a running plant: matched, compared, foretold with, and done without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from tests.support.fmus import build_python_fmu, write_map
+from twinmatch.dynamics import Model, Structure, begin, simulate_closed_loop
+from twinmatch.fmu import is_fmu
+from twinmatch.judging.foreign import ForeignError, check_fmus
+from twinmatch.judging.judgement import Judgement, judge_samples
+from twinmatch.nodes.twin_parameters import ParameterError, read_settings, recorded_values
+from twinmatch.plants import Peltier
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import Twin, TwinSettings
+from twinmatch.twin.structures import choose_structure
+
+NATIVE = Peltier.model("held sink")
+TRUTH = {"seebeck": 0.06, "conductance": 0.7, "heat_capacity": 28.0}
+
+
+def a_session(samples: int = 800, seed: int = 5) -> list[Sample]:
+    """A held sink, whose set-point moves every 250 s."""
+    truth, levels = NATIVE.parameters(**TRUTH), (40.0, 60.0, 35.0, 55.0)
+    reference = np.array([levels[k // 250 % len(levels)] for k in range(samples)])
+    run = simulate_closed_loop(
+        truth,
+        reference,
+        states=begin(truth, 38.0),
+        sensor=Peltier.sensor.realise(samples, 1.0, seed),
+    )
+    each = zip(reference.tolist(), run.output.tolist(), run.input.tolist(), strict=True)
+    return [Sample(k, 10**9 * k, *values) for k, values in enumerate(each)]
+
+
+def judged(samples: list[Sample]) -> Judgement:
+    return judge_samples("a session", samples, TwinSettings())
+
+
+@pytest.fixture
+def only_fmus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the matches nothing competes but FMUs, which keeps the test short."""
+    own = {n: s if is_fmu(n) else _unwatched(s) for n, s in Peltier.structures.items()}
+    monkeypatch.setattr(Peltier, "structures", own)
+
+
+def _unwatched(structure: Structure) -> Structure:
+    return replace(structure, watched=structure is NATIVE.structure)
+
+
+def test_wrong_physics_loses_the_choice_of_structures(
+    adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path
+) -> None:
+    samples = a_session(600)
+    window = Window(
+        *(np.array([getattr(s, n) for s in samples]) for n in ("reference", "output", "input")), period=1.0
+    )
+    right, wrong = adopted(exchange_fmu, "right"), adopted(wrong_fmu, "wrong")
+    choice = choose_structure(window, [wrong, right, NATIVE])
+    assert choice.chosen != wrong.structure_name
+    assert all(vote != wrong.structure_name for vote in choice.votes.values())
+    bic = {score.name: score.evidence.bic for score in choice.scores}
+    # The right one is the native one, and the wrong one is worse by more than chance can do in 600 samples.
+    assert bic[right.structure_name] == pytest.approx(bic["held sink"], rel=1e-6)
+    assert bic[wrong.structure_name] > bic["held sink"] + 20.0
+
+
+@pytest.mark.usefixtures("only_fmus")
+def test_wrong_physics_foretells_worse(
+    adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path
+) -> None:
+    right, wrong = adopted(exchange_fmu, "right"), adopted(wrong_fmu, "wrong")
+    verdict = judged(a_session()).verdicts[-1]
+    gains = {score.name: score.gain for score in verdict.forecasts}
+    assert gains[right.structure_name] > gains[wrong.structure_name]
+    assert verdict.leader != wrong.structure_name
+
+
+@pytest.mark.usefixtures("only_fmus")
+def test_two_judgements_are_the_same_to_the_last_bit(
+    adopted: Callable[..., Model], exchange_fmu: Path
+) -> None:
+    model = adopted(exchange_fmu)
+    first, second = (judged(a_session(600)).verdicts for _ in range(2))
+    names = {score.name for verdict in first for score in verdict.forecasts}
+    assert model.structure_name in names
+    assert repr(first) == repr(second)
+
+
+@pytest.mark.usefixtures("only_fmus")
+def test_one_that_is_lost_takes_no_one_with_it(adopted: Callable[..., Model], tmp_path: Path, capfd) -> None:
+    samples = a_session(600)
+    alone = judged(samples).verdicts
+    model = adopted(build_python_fmu(tmp_path, "Hanging", culprit="hangs", steps=2), patience=0.5)
+    beside = judged(samples).verdicts
+    assert "no answer within" in model.lost
+    assert "all else goes on without this structure" in capfd.readouterr().err
+    assert [v.sample for v in beside] == [v.sample for v in alone]
+    assert [v.leader for v in beside] == [v.leader for v in alone]
+    assert model.structure_name not in {s.name for v in beside for s in v.forecasts}
+
+
+@pytest.mark.usefixtures("only_fmus")
+def test_one_that_is_lost_while_it_leads_leaves(adopted: Callable[..., Model], exchange_fmu: Path) -> None:
+    model, samples = adopted(exchange_fmu), a_session(700)
+    twin = Twin(TwinSettings())
+    for sample in samples[:560]:
+        twin.push(sample)
+    forecaster = twin.discriminator.forecaster
+    assert model.structure_name in forecaster.names
+    model.structure.elsewhere.runner.lose("a test took it away")  # type: ignore[union-attr]
+    for sample in samples[560:]:
+        twin.push(sample)
+    assert model.structure_name not in forecaster.names
+    assert forecaster.leader is not None
+    assert any("a test took it away" in note for note in forecaster.notes)
+
+
+def test_a_configuration_lets_fmus_run_and_a_recording_does_not(exchange_fmu: Path, tmp_path: Path) -> None:
+    maps = write_map(tmp_path, exchange_fmu, "from a file")
+    config = tmp_path / "twin.yaml"
+    config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": str(maps)}}}))
+    recorded_values("session x", {"plant": "peltier", "allow_fmu": str(maps)})
+    assert not [name for name in Peltier.structures if is_fmu(name)]
+    try:
+        read_settings(config)
+        (name,) = [name for name in Peltier.structures if is_fmu(name)]
+        assert name.startswith("from a file (FMU ")
+        assert Peltier.structures[name].watched
+    finally:
+        for name in [name for name in Peltier.structures if is_fmu(name)]:
+            Peltier.structures[name].elsewhere.runner.close()  # type: ignore[union-attr]
+            Peltier.disown(name)
+    config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": "nowhere.yaml"}}}))
+    with pytest.raises(ParameterError, match=r"nowhere\.yaml"):
+        read_settings(config)
+
+
+def test_a_session_is_verified_with_its_own_fmu_only(
+    adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path
+) -> None:
+    native = tuple(Peltier.structures)
+    check_fmus("x", Peltier, native)
+    then = adopted(wrong_fmu, "the shop's").structure_name
+    check_fmus("x", Peltier, (*native, then))
+    with pytest.raises(ForeignError, match="was judged without the FMU"):
+        check_fmus("x", Peltier, native)
+    now = adopted(exchange_fmu, "the shop's").structure_name
+    assert now != then
+    assert then not in Peltier.structures
+    with pytest.raises(ForeignError, match=r"the one given is .* another FMU or another map"):
+        check_fmus("x", Peltier, (*native, then))
