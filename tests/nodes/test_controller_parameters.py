@@ -12,34 +12,34 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
 from twinmatch.nodes.controller import ControllerNode
-from twinmatch.nodes.controller_parameters import CONTROLLER_PARAMETERS, profile_from
+from twinmatch.nodes.controller_parameters import controller_table, profile_from
 from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.recorder import RecorderNode
 from twinmatch.nodes.twin_parameters import twin_table
 from twinmatch.safety import GuardLimits
 
+CONTROLLER = controller_table()
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "rig.yaml"
 
 
 @pytest.mark.parametrize("kind", [ControllerNode, RecorderNode])
 def test_the_file_is_what_the_table_renders(kind: Any) -> None:
     text = CONFIG.read_text(encoding="utf-8")
-    assert render(kind.NAME, kind.PARAMETERS) in text
+    table, _ = kind.table_for({})
+    assert render(kind.NAME, table) in text
     values = yaml.safe_load(text)[kind.NAME]["ros__parameters"]
-    assert check(kind.NAME, kind.PARAMETERS, values) == check(kind.NAME, kind.PARAMETERS, {})
+    assert check(kind.NAME, table, values) == check(kind.NAME, table, {})
 
 
 def test_the_twin_knows_the_running_pid() -> None:
     twin = {p.name: p.default for p in twin_table()}
-    shared = {
-        p.name: p.default for p in CONTROLLER_PARAMETERS if p.name.startswith("pid.") or p.name == "period"
-    }
+    shared = {p.name: p.default for p in CONTROLLER if p.name.startswith("pid.") or p.name == "period"}
     assert len(shared) == 8
     assert shared.items() <= twin.items()
 
 
 def test_the_defaults_make_a_profile_and_suit_the_guard() -> None:
-    values = check("controller", CONTROLLER_PARAMETERS, {})
+    values = check("controller", CONTROLLER, {})
     profile = profile_from(values)
     assert profile is not None
     assert profile.reference(0.0) == 30.0

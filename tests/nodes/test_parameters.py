@@ -20,7 +20,7 @@ from twinmatch.nodes.twin_parameters import (
     twin_values,
     values_of,
 )
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, TCLab
 from twinmatch.twin import TwinSettings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -107,7 +107,7 @@ def test_rendered_section_reads_back() -> None:
 
 # Every parameter file, its section and the table it must agree with.
 def files() -> list[tuple[str, str, Any]]:
-    found = [("twin.yaml", "/**", twin_table())]
+    found = [("twin.yaml", "/**", twin_table()), ("tclab_twin.yaml", "/**", twin_table(TCLab))]
     try:
         from twinmatch.nodes.player import Player
     except ImportError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from twinmatch.control.errors import ControlError
 from twinmatch.dynamics import Pid, PidGains, PidState, Plant, gains_of
@@ -63,7 +63,7 @@ class Loop:
         self.idle = 0
         """Ticks since sample 0 at which there was no usable reading or set-point."""
         self.refused = 0
-        """Readings that were not finite."""
+        """Readings that could not be used."""
         self.jitter = 0.0
         """How late the newest tick was, s."""
         self._plant = plant
@@ -73,6 +73,7 @@ class Loop:
         self._max_age = round(max_age * NANOSECONDS)
         self._output = math.nan
         self._measured: int | None = None
+        self._disturbances: tuple[float, ...] = ()
         self._number: int | None = None  # of the newest tick on the grid
         self._newest = 0  # its time, ns
         self._origin = 0  # when tick 0 was due, ns
@@ -87,10 +88,14 @@ class Loop:
         """Whether the newest tick made a sample."""
         return not self.trouble
 
-    def measure(self, output: float, stamp: int) -> None:
-        """Take a reading measured at `stamp` (ns); one that is not finite is only counted."""
-        if math.isfinite(output):
-            self._output, self._measured = output, stamp
+    def measure(self, output: float, stamp: int, disturbances: Sequence[float] = ()) -> None:
+        """Take a reading measured at `stamp` (ns), with the disturbances if they are measured too.
+
+        One that is not finite, or has not all of the plant's disturbances or none, is only counted.
+        """
+        whole = len(disturbances) in (0, len(self._plant.disturbances))
+        if whole and all(map(math.isfinite, (output, *disturbances))):
+            self._output, self._measured, self._disturbances = output, stamp, tuple(disturbances)
         else:
             self.refused += 1
 
@@ -124,7 +129,7 @@ class Loop:
         if self._restart:
             self._continue(reference)
         self.input = self._pid.step(reference, self._output)
-        return Sample(number, now, reference, self._output, self.input)
+        return Sample(number, now, reference, self._output, self.input, self._disturbances)
 
     def _place(self, now: int) -> int | None:
         """Number of this tick on the grid; None if it is none."""

@@ -17,7 +17,7 @@ from twinmatch.emulation.virtual_rig_faults import KINDS, Change, parse_faults
 from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
-    from twinmatch.emulation.virtual_rig import VirtualRig
+    from twinmatch.emulation.virtual_rig_time import VirtualPlantTime
 
 __all__ = ["EXIT_LOST", "add_arguments", "run"]
 
@@ -31,6 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     width = max(map(len, KINDS))
     parser.epilog = "faults:\n" + "\n".join(f"  {kind:{width}}  {text}" for kind, text in KINDS.items())
+    parser.add_argument(
+        "--plant", default="peltier", choices=("peltier", "tclab"), help="which plant (peltier)"
+    )
     parser.add_argument(
         "--speed", type=float, default=1.0, metavar="N", help="plant time per wall time, at most (1)"
     )
@@ -66,7 +69,8 @@ def run(options: argparse.Namespace) -> int:
     if options.tell is not None:
         print(tell(*options.tell))
         return 0
-    from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.emulation.virtual_kit import VirtualKit  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig  # noqa: PLC0415
 
     faults = tuple(fault for text in options.fault for fault in parse_faults(text))
     settings = RigSettings(
@@ -75,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     stopping: list[int] = []
     before = {number: signal.signal(number, lambda n, _: stopping.append(n)) for number in _STOPS}
     try:
-        with VirtualRig(settings) as rig:
+        with (VirtualKit if options.plant == "tclab" else VirtualRig)(settings) as rig:
             for number in _STOPS:
                 signal.signal(number, lambda *_: rig.request_stop())
             return 0 if stopping else _run(rig)
@@ -84,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
             signal.signal(number, handler)
 
 
-def _run(rig: VirtualRig) -> int:
+def _run(rig: VirtualPlantTime) -> int:
     rig.on_change = lambda change: _say("fault", _told(change))
     _say("board", f"{rig.board_kind} ({rig.board_remark})")
     for name, address in rig.addresses.items():

@@ -75,7 +75,15 @@ def run_live(live: Live) -> int:
     Raises:
         TwinmatchError: a file or option cannot be used.
     """
+    if live.plan.virtual is None:
+        live.plan.wiring.check(live.plan.port)
     settings = read_settings(live.plan.twin_config)
+    if settings.plant.name != live.plan.plant:
+        msg = (
+            f"{live.plan.twin_config or 'the twin'} is for the plant {settings.plant.name}, "
+            f"but the plant is {live.plan.plant}; give another --twin-config"
+        )
+        raise LaunchError(msg)
     view = view_on(live.console, "live", settings.period)
     try:
         code = run([_watch_class(live, view)], ["live"])
@@ -175,7 +183,7 @@ class _Supervision:
             readers = READERS if plan.session is None else f"{READERS} recorder"
             arguments = plan.rig_arguments(self._addresses)
             wait = ["-p", f"controller:readers:={readers}", "-p", "controller:wait_timeout:=30.0"]
-            self.processes.start_module(name, "twinmatch.nodes.rig", *arguments, *wait)
+            self.processes.start_module(name, plan.wiring.module, *arguments, *wait)
 
     def _next_session(self) -> Path:
         first = self._plan.session or Path("session")

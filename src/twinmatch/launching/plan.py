@@ -1,12 +1,16 @@
-"""What a live run consists of: the rig's configuration, the virtual rig if there is one, where to record."""
+"""What a live run consists of: plant, configuration, the virtual plant if there is one, where to record."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
-__all__ = ["LivePlan", "VirtualPlan"]
+from twinmatch.launching.processes import LaunchError
+from twinmatch.links.kit_link import require_package, require_port
+
+__all__ = ["WIRINGS", "LivePlan", "VirtualPlan", "Wiring"]
 
 
 @dataclass(frozen=True)
@@ -19,14 +23,61 @@ class VirtualPlan:
     """Such as `drive-lost@300`."""
     board: str = "auto"
     seed: int = 0
+    plant: str = "peltier"
 
     @property
     def arguments(self) -> list[str]:
         """For `twinmatch virtual-rig`."""
-        words = ["--speed", f"{self.speed:g}", "--board", self.board, "--seed", f"{self.seed}"]
+        words = [
+            "--plant",
+            self.plant,
+            "--speed",
+            f"{self.speed:g}",
+            "--board",
+            self.board,
+            "--seed",
+            f"{self.seed}",
+        ]
         for fault in self.faults:
             words += ["--fault", fault]
         return words
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """How the process is started that drives a plant."""
+
+    module: str
+    """Its nodes and the controller, in one process."""
+    bridge: str
+    """The node that has the serial port."""
+    check: Callable[[str], None] = lambda _: None
+    """Refuses a port (or, empty, none) at which nothing can be, before anything is started."""
+
+    def settings(self, addresses: Mapping[str, str]) -> dict[str, str]:
+        """Parameters of its nodes for where things are."""
+        found: dict[str, str] = {}
+        if "camera" in addresses:
+            host, port = addresses["camera"].rsplit(":", 1)
+            found |= {"camera_bridge:host": host, "camera_bridge:port": port}
+        if "serial" in addresses:
+            found[f"{self.bridge}:port"] = addresses["serial"]
+        if "clock" in addresses:
+            found["plant_pace:address"] = addresses["clock"]
+        return found
+
+
+def _check_kit(port: str) -> None:
+    require_package()
+    if port:
+        require_port(port)
+
+
+WIRINGS: Final = {
+    "peltier": Wiring("twinmatch.nodes.rig", "pwm_bridge"),
+    "tclab": Wiring("twinmatch.nodes.tclab_rig", "tclab_bridge", _check_kit),
+}
+"""By the name of the plant."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +94,22 @@ class LivePlan:
     candidates: Path | None = None
     overrides: Mapping[str, str] = field(default_factory=dict)
     """More parameters of the rig's nodes, such as `controller:profile.repeat` → `false`."""
+    plant: str = "peltier"
+    """Name of the plant."""
+    port: str = ""
+    """Serial port of what drives it, if not that of the configuration."""
+
+    @property
+    def wiring(self) -> Wiring:
+        """How its nodes are started.
+
+        Raises:
+            LaunchError: nothing here drives such a plant.
+        """
+        if self.plant not in WIRINGS:
+            msg = f"plant {self.plant!r}: nothing here drives it; there are: {', '.join(WIRINGS)}"
+            raise LaunchError(msg)
+        return WIRINGS[self.plant]
 
     @property
     def simulated_time(self) -> bool:
@@ -51,12 +118,12 @@ class LivePlan:
 
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:
         """ROS arguments of bridges and controller; `addresses` are those the virtual rig printed."""
-        words = ["--ros-args", "--params-file", str(self.config)]
-        if addresses:
-            host, port = addresses["camera"].rsplit(":", 1)
-            words += ["-p", f"camera_bridge:host:={host}", "-p", f"camera_bridge:port:={port}"]
-            words += ["-p", f"pwm_bridge:port:={addresses['serial']}"]
-            words += ["-p", f"plant_pace:address:={addresses['clock']}"]
+        words = ["--ros-args", "--params-file", str(self.config), "-p", f"controller:plant:={self.plant}"]
+        found = dict(addresses)
+        if self.port:
+            found["serial"] = self.port
+        for name, value in self.wiring.settings(found).items():
+            words += ["-p", f"{name}:={value}"]
         for name, value in self.overrides.items():
             words += ["-p", f"{name}:={value}"]
         return [*words, *self._time()]

@@ -1,34 +1,32 @@
-"""Holds the plate: temperatures and the set-point in, commands and samples out, one per tick."""
+"""Holds the plant: readings and the set-point in, commands and samples out, one per tick."""
 
 from __future__ import annotations
 
 import sys
 import time
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
-from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
 from twinmatch.control import Loop, Profile
-from twinmatch.dynamics import Pid
-from twinmatch.nodes.controller_parameters import CONTROLLER_PARAMETERS, profile_from
+from twinmatch.dynamics import Pid, Plant, PlantError
+from twinmatch.nodes.controller_parameters import controller_table, profile_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.loop_parameters import pid_gains
 from twinmatch.nodes.node import TwinmatchNode, missing_readers
+from twinmatch.nodes.parameters import Parameter, ParameterError
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import LATCHED, RELIABLE
-from twinmatch.plants import Peltier
-from twinmatch_msgs.msg import LoopSample, PwmCommand
+from twinmatch.nodes.wires import Wires, wires_of
+from twinmatch.plants import Peltier, find_plant
+from twinmatch_msgs.msg import LoopSample
 
 __all__ = ["ControllerNode", "main"]
-
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For readings of which only the newest counts."""
 
 REMEMBER = 60
 """Ticks for which a missed one is complained of."""
@@ -38,12 +36,19 @@ class ControllerNode(TwinmatchNode):
     """Runs the loop on the ROS clock.
 
     Between ticks the standing command is repeated, because the bridge takes silence for a fault; while
-    there is no usable temperature it is zero, and there are no samples. The last word of the node, however
-    it ends, is one command of zero.
+    there is no usable reading the drive rests, and there are no samples. The last word of the node, however
+    it ends, is one command of that.
     """
 
     NAME = "controller"
-    PARAMETERS: ClassVar = CONTROLLER_PARAMETERS
+
+    @classmethod
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+        """The parameters of the plant that is named."""
+        try:
+            return controller_table(find_plant(str(given.get("plant", Peltier.name)))), given
+        except PlantError as error:
+            raise ParameterError(f"{cls.NAME}: {error}") from error
 
     def read_parameters(self) -> None:
         """Make profile and loop.
@@ -52,22 +57,22 @@ class ControllerNode(TwinmatchNode):
             TwinmatchError: the profile cannot be run, or the gains no controller has.
         """
         values = self.values
+        self._plant: type[Plant] = find_plant(values["plant"])
         self._profile: Profile | None = profile_from(values)
         self._gains = pid_gains(values)
-        self._loop = Loop(Peltier, self._gains, max_age=values["max_age"])
+        self._loop = Loop(self._plant, self._gains, max_age=values["max_age"])
         self._asked: float | None = None
         """Set-point published last, or heard last."""
         self._waiting_until: float | None = time.monotonic() + values["wait_timeout"]
         self._missed_at = (0, 0)  # count and index
-        self._commands = None
+        self._wires: Wires | None = None
 
     def open(self) -> None:
-        """Take temperatures and begin to tick."""
+        """Take readings and begin to tick."""
         # Loading the compiled step takes a quarter of a second, which the first tick does not have.
         Pid(self._gains).step(0.0, 0.0)
-        self._commands = self.create_publisher(PwmCommand, "plant/pwm_command", 10)
+        self._wires = wires_of(self._plant)(self, self._on_reading)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
-        self.create_subscription(Temperature, "plant/temperature", self._on_temperature, NEWEST)
         if self._profile is None:
             # A latched reader hears what was asked before it came, but nothing of who does not latch.
             quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -90,27 +95,27 @@ class ControllerNode(TwinmatchNode):
         self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
         self.health.set("missed ticks", loop.missed)
         self.health.set("ticks without sample", loop.idle)
-        self.health.set("temperatures that are no numbers", loop.refused)
+        self.health.set("readings that cannot be used", loop.refused)
         return super().report()
 
     def close(self) -> bool:
-        """Command zero and nothing more."""
-        if self._commands is not None:
-            self._command(0.0)
-            self._commands.wait_for_all_acked(Duration(seconds=0.2))
-            self._commands = None
+        """Command the drive to rest, and nothing more."""
+        if self._wires is not None:
+            self._command(self._plant.drive.rest)
+            self._wires.publisher.wait_for_all_acked(Duration(seconds=0.2))
+            self._wires = None
         return True
 
-    def _on_temperature(self, message: Temperature) -> None:
-        now = self._now()
-        stamp = Time.from_msg(message.header.stamp).nanoseconds
+    def _on_reading(self, stamped: Any, output: float, disturbances: tuple[float, ...]) -> None:
+        now, stamp = self._now(), Time.from_msg(stamped).nanoseconds
         # A reading stamped in the time to come would never grow old; one without stamp is new.
-        self._loop.measure(message.temperature, min(stamp, now) if stamp else now)
+        self._loop.measure(output, min(stamp, now) if stamp else now, disturbances)
 
     def _on_reference(self, message: Float64) -> None:
         low, high = self.values["profile.lowest"], self.values["profile.highest"]
         if not low <= message.data <= high:
-            text = f"set-point {message.data:g} °C refused; the safe range is {low:g} to {high:g} °C"
+            unit = self._plant.output.unit
+            text = f"set-point {message.data:g} {unit} refused; the safe range is {low:g} to {high:g} {unit}"
             self.health.complain("set-point", Level.ERROR, text)
             return
         self.health.withdraw("set-point")
@@ -129,7 +134,7 @@ class ControllerNode(TwinmatchNode):
             self.health.say("ticking")
             self.health.withdraw("idle")
         elif not self._loop.running:
-            self._command(0.0)
+            self._command(self._plant.drive.rest)
             # Before sample 0 this is how every run begins.
             level = Level.ERROR if self._loop.idle else Level.WARN
             self.health.complain("idle", level, f"the output is off: {self._loop.trouble}")
@@ -153,11 +158,10 @@ class ControllerNode(TwinmatchNode):
             self._references.publish(Float64(data=asked))
         return asked
 
-    def _command(self, pwm: float) -> None:
-        if self._commands is not None:
-            message = PwmCommand(index=round(self._loop.time / self._gains.period), pwm=pwm)
-            message.header.stamp = self.get_clock().now().to_msg()
-            self._commands.publish(message)
+    def _command(self, value: float) -> None:
+        if self._wires is not None:
+            index = round(self._loop.time / self._gains.period)
+            self._wires.command(value, index, self.get_clock().now().to_msg())
 
     def _readers_there(self) -> bool:
         """Whether those who must not miss a sample listen, or were waited for long enough."""

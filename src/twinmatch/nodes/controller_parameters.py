@@ -6,58 +6,76 @@ from collections.abc import Mapping
 from typing import Any
 
 from twinmatch.control import ControlError, Profile
+from twinmatch.dynamics import Plant, PlantError
 from twinmatch.nodes.loop_parameters import loop_parameters
 from twinmatch.nodes.node import READERS
 from twinmatch.nodes.parameters import Parameter
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, find_plant, written_name
 
-__all__ = ["CONTROLLER_PARAMETERS", "profile_from"]
+__all__ = ["controller_table", "profile_from"]
 
-CONTROLLER_PARAMETERS: tuple[Parameter, ...] = (
-    *loop_parameters(Peltier),
-    Parameter(
-        "reference_source",
-        "profile",
-        "Where the set-point comes from: the profile below, or the topic plant/reference.",
-        choices=("profile", "topic"),
-    ),
-    Parameter(
-        "profile.levels", [30.0, 50.0, 70.0, 50.0], "Set-points, one after the other.", "°C", -50.0, 150.0
-    ),
-    Parameter("profile.holds", [300.0] * 4, "How long each of them is asked for.", "s", 0.1, 1e6),
-    Parameter("profile.repeat", True, "Begin again at the end; otherwise the last level stays."),
-    Parameter("profile.ramp", 0.0, "Rate at which the set-point moves; 0: at once.", "°C/s", 0.0, 100.0),
-    Parameter(
-        "profile.lowest",
-        Peltier.output.safe[0],
-        "Lowest set-point that is accepted, also from the topic.",
-        "°C",
-        -50.0,
-        150.0,
-    ),
-    Parameter(
-        "profile.highest",
-        Peltier.output.safe[1],
-        "Highest set-point that is accepted.",
-        "°C",
-        -50.0,
-        150.0,
-    ),
-    Parameter("exit_at_end", False, "End when the profile, not repeated, is over."),
-    Parameter("max_age", 2.0, "A temperature older than this switches the output off.", "s", 0.05, 10.0),
-    Parameter(
-        "command_period",
-        0.25,
-        "The command is repeated so often; the bridge takes silence for a fault.",
-        "s",
-        0.01,
-        1.0,
-    ),
-    Parameter("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
-    READERS,
-    Parameter("wait_timeout", 10.0, "Longest wait for them, by the wall's clock.", "s", 0.1, 3600.0),
-)
-"""Name, default, meaning, unit and range."""
+_WAY = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
+"""Where in the range of sensible set-points the usual profile goes."""
+
+
+def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
+    """Name, default, meaning, unit and range of the parameters of a plant's controller.
+
+    Raises:
+        PlantError: the plant file names no controller, so there is none to run.
+    """
+    if plant.loop is None:
+        raise PlantError(
+            f"plant {plant.name}: its file has no `loop`; only a plant with one can be controlled"
+        )
+    y, (low, high) = plant.output, plant.output.span
+    first, last = y.set_points or y.span
+    levels = [first + (last - first) * share for share in _WAY]
+    return (
+        Parameter("plant", written_name(plant), "Which plant: its name, or the file it is in."),
+        *loop_parameters(plant),
+        Parameter(
+            "reference_source",
+            "profile",
+            "Where the set-point comes from: the profile below, or the topic plant/reference.",
+            choices=("profile", "topic"),
+        ),
+        Parameter("profile.levels", levels, "Set-points, one after the other.", y.unit, low, high),
+        Parameter("profile.holds", [300.0] * 4, "How long each of them is asked for.", "s", 0.1, 1e6),
+        Parameter("profile.repeat", True, "Begin again at the end; otherwise the last level stays."),
+        Parameter(
+            "profile.ramp",
+            0.0,
+            "Rate at which the set-point moves; 0: at once.",
+            f"{y.unit}/s",
+            0.0,
+            high - low,
+        ),
+        Parameter(
+            "profile.lowest",
+            max(low, y.safe[0]),
+            "Lowest set-point that is accepted, also from the topic.",
+            y.unit,
+            low,
+            high,
+        ),
+        Parameter(
+            "profile.highest", min(high, y.safe[1]), "Highest set-point that is accepted.", y.unit, low, high
+        ),
+        Parameter("exit_at_end", False, "End when the profile, not repeated, is over."),
+        Parameter("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
+        Parameter(
+            "command_period",
+            0.25,
+            "The command is repeated so often; the bridge takes silence for a fault.",
+            "s",
+            0.01,
+            1.0,
+        ),
+        Parameter("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
+        READERS,
+        Parameter("wait_timeout", 10.0, "Longest wait for them, by the wall's clock.", "s", 0.1, 3600.0),
+    )
 
 
 def profile_from(values: Mapping[str, Any]) -> Profile | None:
@@ -67,8 +85,9 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
         ControlError: a profile that cannot be run, an empty range, an end that never comes.
     """
     low, high = values["profile.lowest"], values["profile.highest"]
+    unit = find_plant(values["plant"]).output.unit
     if not low < high:
-        msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} °C"
+        msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} {unit}"
         raise ControlError(msg)
     if values["reference_source"] == "topic":
         if values["exit_at_end"]:
@@ -80,4 +99,4 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
         )
     group = {n.removeprefix("profile."): v for n, v in values.items() if n.startswith("profile.")}
     group["levels"], group["holds"] = tuple(group["levels"]), tuple(group["holds"])
-    return Profile(**group, unit=Peltier.output.unit)
+    return Profile(**group, unit=unit)

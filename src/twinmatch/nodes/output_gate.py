@@ -29,10 +29,10 @@ class Times(NamedTuple):
 class Decision(NamedTuple):
     """What may be sent to the driver."""
 
-    pwm: float
-    """−255 to 255."""
+    input: float
+    """Command u, in the drive's unit."""
     armed: bool
-    """Whether the board's deadline may be fed."""
+    """Whether commands pass, and the deadline of what drives may be fed."""
     sample: int
     """Sample at which the command was computed."""
     time: float
@@ -73,11 +73,11 @@ class OutputGate:
         with self._news:
             return self._safety_clock.stopped
 
-    def command(self, pwm: float, index: int, stamp: int) -> None:
+    def command(self, value: float, index: int, stamp: int) -> None:
         """Take a command sent at `stamp` (ns), computed at sample `index`."""
         with self._news:
             now, times = self._now()
-            self._guard.command(pwm, now, (times.stamps - stamp) / 1e9)
+            self._guard.command(value, now, (times.stamps - stamp) / 1e9)
             self._index = index
             self._news.notify_all()
 
@@ -88,10 +88,10 @@ class OutputGate:
             self._guard.temperature(celsius, now, (times.stamps - stamp) / 1e9)
             self._news.notify_all()
 
-    def sample(self, reference: float, temperature: float, pwm: float) -> None:
+    def sample(self, reference: float, temperature: float, drive: float) -> None:
         """Take one tick of the control loop."""
         with self._news:
-            self._guard.loop(reference, temperature, pwm, self._now()[0])
+            self._guard.loop(reference, temperature, drive, self._now()[0])
             self._news.notify_all()
 
     def trip(self, kind: FaultKind, message: str) -> None:
@@ -117,8 +117,8 @@ class OutputGate:
                     message = f"the clock stands still for {clock.standing:.1f} s; is the simulated plant up?"
                     self._guard.trip(FaultKind.CLOCK, message, now)
                 return Decision(0.0, False, self._index, now)
-            pwm = self._guard.output(now)
-            return Decision(pwm, self._guard.armed, self._index, now)
+            value = self._guard.output(now)
+            return Decision(value, self._guard.armed, self._index, now)
 
     def wait(self, timeout: float) -> None:
         """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""

@@ -156,7 +156,7 @@ class PwmDriver:
         decision = self._gate.decide()
         if decision.armed:
             due = decision.time - self._sent_at >= self._settings.repeat
-            if due or not self._driving or decision.pwm != self._sent:
+            if due or not self._driving or decision.input != self._sent:
                 self._drive(decision)
                 return
         elif self._driving:
@@ -176,12 +176,12 @@ class PwmDriver:
             if not decision.armed:
                 return
         self._driving = True
-        self._sent, self._sent_at = decision.pwm, decision.time
-        applied = self._link.command(decision.pwm)
+        self._sent, self._sent_at = decision.input, decision.time
+        applied = self._link.command(decision.input)
         self._tell(applied, decision.sample)
-        if applied.pwm != round(decision.pwm):
+        if applied.pwm != round(decision.input):
             message = (
-                f"the board applies {applied.pwm} where {round(decision.pwm)} was sent; is it ours alone?"
+                f"the board applies {applied.pwm} where {round(decision.input)} was sent; is it ours alone?"
             )
             self._gate.trip(FaultKind.BOARD, message)
 

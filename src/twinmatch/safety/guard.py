@@ -34,11 +34,11 @@ class FaultKind(Enum):
     DRIVER = "driver"
     """The motor driver reports a short circuit, heat or lack of supply."""
     BOARD = "board"
-    """The PWM board started anew or tripped by itself."""
+    """The board that drives started anew, tripped by itself, or does something else than it was told."""
     LINK = "link"
-    """The PWM board does not answer, or its port is gone."""
+    """That board does not answer, or its port is gone."""
     CLOCK = "clock"
-    """The clock the rig lives by stands still."""
+    """The clock the plant lives by stands still."""
     STOPPED = "stopped"
     """Somebody asked for it."""
 
@@ -66,6 +66,10 @@ class GuardLimits:
     """Over-temperature, °C."""
     lowest: float = -10.0
     """Below this the plate ices or the sensor is wrong, °C."""
+    thing: str = "plate"
+    """What has the temperature …"""
+    sensor: str = "camera"
+    """… and what measures it, in a word."""
     runaway: RunawayLimits = field(default_factory=RunawayLimits)
 
     def __post_init__(self) -> None:
@@ -90,7 +94,7 @@ class OutputGuard:
     def __init__(self, limits: GuardLimits | None = None) -> None:
         """Begin waiting, with the output at zero."""
         self.limits = limits or GuardLimits()
-        self._runaway = Runaway(self.limits.runaway)
+        self._runaway = Runaway(self.limits.runaway, self.limits.thing)
         self.clear()
 
     @property
@@ -98,42 +102,40 @@ class OutputGuard:
         """True while commands pass."""
         return self._armed
 
-    def command(self, pwm: float, now: float, age: float = 0.0) -> None:
+    def command(self, value: float, now: float, age: float = 0.0) -> None:
         """Take a command that was given `age` seconds ago."""
         if self.fault is not None:
             return
         low, high = self.limits.commands
-        if not low <= pwm <= high:  # nor is what is not a number
-            message = f"the command is {pwm}; {low:g} to {high:g} is possible"
+        if not low <= value <= high:  # nor is what is not a number
+            message = f"the command is {value}; {low:g} to {high:g} is possible"
             self.trip(FaultKind.COMMAND_INVALID, message, now)
             return
-        self._command.take(pwm, now - max(0.0, age))
+        self._command.take(value, now - max(0.0, age))
 
     def temperature(self, celsius: float, now: float, age: float = 0.0) -> None:
-        """Take a temperature measured `age` seconds ago; not those that a frozen camera repeats."""
+        """Take a temperature measured `age` seconds ago; not those that a frozen sensor repeats."""
         limits = self.limits
         if self.fault is not None:
             return
         if not math.isfinite(celsius):
-            self.trip(FaultKind.TEMPERATURE_INVALID, f"the temperature is {celsius}; check the camera", now)
+            self.trip(
+                FaultKind.TEMPERATURE_INVALID, f"the temperature is {celsius}; check the {limits.sensor}", now
+            )
         elif celsius > limits.highest:
-            message = (
-                f"the plate is at {celsius:.1f} °C, above {limits.highest:g} °C; let it cool, find out why"
-            )
-            self.trip(FaultKind.OVER_TEMPERATURE, message, now)
+            found = f"the {limits.thing} is at {celsius:.1f} °C, above {limits.highest:g} °C"
+            self.trip(FaultKind.OVER_TEMPERATURE, f"{found}; let it cool, find out why", now)
         elif celsius < limits.lowest:
-            message = (
-                f"the plate is at {celsius:.1f} °C, below {limits.lowest:g} °C; check sensor and polarity"
-            )
-            self.trip(FaultKind.UNDER_TEMPERATURE, message, now)
+            found = f"the {limits.thing} is at {celsius:.1f} °C, below {limits.lowest:g} °C"
+            self.trip(FaultKind.UNDER_TEMPERATURE, f"{found}; check sensor and polarity", now)
         else:
             self._temperature.take(celsius, now - max(0.0, age))
 
-    def loop(self, reference: float, temperature: float, pwm: float, now: float) -> None:
+    def loop(self, reference: float, temperature: float, drive: float, now: float) -> None:
         """Take one tick of the control loop, for the runaway watch."""
-        if self.fault is not None or not all(map(math.isfinite, (reference, temperature, pwm))):
+        if self.fault is not None or not all(map(math.isfinite, (reference, temperature, drive))):
             return
-        found = self._runaway.check(now, reference, temperature, pwm)
+        found = self._runaway.check(now, reference, temperature, drive)
         if found is not None:
             self.trip(FaultKind.RUNAWAY, found, now)
 
@@ -153,7 +155,7 @@ class OutputGuard:
             message = f"no command for {silence:.1f} s; is the controller up?"
             self.trip(FaultKind.COMMAND_SILENT, message, now)
         elif self._armed and stale:
-            message = f"the newest temperature is {age:.1f} s old; is the camera up?"
+            message = f"the newest temperature is {age:.1f} s old; is the {self.limits.sensor} up?"
             self.trip(FaultKind.TEMPERATURE_STALE, message, now)
         else:  # before it is armed, what has grown old is only waited for again
             self._armed = not (silent or stale)

@@ -1,4 +1,4 @@
-"""Thermal runaway: the plate does not go where the drive pushes it.
+"""Thermal runaway: the plant does not go where the drive pushes it.
 
 After the heater checks of 3D-printer firmware (Klipper's `verify_heater`, Marlin's thermal protection),
 for both directions, since a Peltier plate is cooled as well as heated. The monitor knows nothing of
@@ -30,7 +30,7 @@ class RunawayLimits:
     wrong_way: float = 3.0
     """Movement away from the set-point at full drive that is a fault at once, °C."""
     full_drive: float = 250.0
-    """PWM counts from which the drive is taken to be full."""
+    """Command from which the drive is taken to be full, in its unit."""
 
     def __post_init__(self) -> None:
         for name in ("hysteresis", "patience", "gain", "gain_time", "wrong_way", "full_drive"):
@@ -43,8 +43,9 @@ class RunawayLimits:
 class Runaway:
     """Watches set-point, temperature and drive; says what is wrong, once something is."""
 
-    def __init__(self, limits: RunawayLimits | None = None) -> None:
-        """Begin with nothing seen."""
+    def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate") -> None:
+        """Begin with nothing seen of the `thing` that is heated or cooled."""
+        self._thing = thing
         self.limits = limits or RunawayLimits()
         self.reset()
 
@@ -58,8 +59,8 @@ class Runaway:
         self._deadline = 0.0
         self._nearest_at_full = math.inf  # smallest distance seen since the drive went full
 
-    def check(self, now: float, reference: float, temperature: float, pwm: float) -> str | None:
-        """Take one tick (s, °C, °C, −255..255); returns what is wrong, or None.
+    def check(self, now: float, reference: float, temperature: float, drive: float) -> str | None:
+        """Take one tick (s, °C, °C, the drive's unit); returns what is wrong, or None.
 
         A clock that steps back starts the watch anew.
         """
@@ -73,15 +74,15 @@ class Runaway:
             elapsed = 0.0
         self._time = now
         limits = self.limits
-        pushing = pwm >= limits.full_drive if heating else pwm <= -limits.full_drive
+        pushing = drive >= limits.full_drive if heating else drive <= -limits.full_drive
         self._nearest_at_full = min(self._nearest_at_full, distance) if pushing else math.inf
         if pushing and distance - self._nearest_at_full >= limits.wrong_way:
             word, away = "heating" if heating else "cooling", distance - self._nearest_at_full
             return (
-                f"full {word}, yet the plate moved {away:.1f} °C away from the set-point; "
+                f"full {word}, yet the {self._thing} moved {away:.1f} °C away from the set-point; "
                 "check drive, polarity and sensor"
             )
-        return self._progress(now, elapsed, distance, pwm)
+        return self._progress(now, elapsed, distance, drive)
 
     def _start(self, now: float, distance: float) -> None:
         self._unexplained = 0.0
@@ -89,14 +90,14 @@ class Runaway:
         self._goal = distance - self.limits.gain
         self._deadline = now + self.limits.gain_time
 
-    def _progress(self, now: float, elapsed: float, distance: float, pwm: float) -> str | None:
+    def _progress(self, now: float, elapsed: float, distance: float, drive: float) -> str | None:
         limits = self.limits
         if distance <= limits.hysteresis or distance <= self._goal:
             self._start(now, distance)
             return None
         if now < self._deadline:
             return None
-        pushing = abs(pwm) >= limits.full_drive / 2
+        pushing = abs(drive) >= limits.full_drive / 2
         self._unexplained += (distance - limits.hysteresis) * elapsed if pushing else 0.0
         if self._unexplained < limits.patience:
             return None

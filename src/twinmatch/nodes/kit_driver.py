@@ -1,0 +1,157 @@
+"""The one thread that speaks to a Temperature Control Lab.
+
+Several times a second it sets what the gate lets through, and zero if it lets nothing through, and passes on
+what the kit reads. Whatever ends the thread, its last word is zero; and where it has none, the process that
+holds the port says it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from twinmatch.links.kit_errors import KitAbsentError, KitError, KitSilentError
+from twinmatch.links.kit_link import KitLink, KitReading
+from twinmatch.nodes.diagnostics import Health, Level
+from twinmatch.nodes.output_gate import Decision, OutputGate
+from twinmatch.safety import FaultKind
+
+__all__ = ["KitDriver", "KitPace"]
+
+_LONGEST = 0.3
+"""Wall time after which the kit is asked in any case, s: well within the deadline of who holds its port."""
+
+Tell = Callable[[KitReading | None, int], None]
+
+
+@dataclass(frozen=True)
+class KitPace:
+    """Pace of the thread."""
+
+    repeat: float = 0.25
+    """The kit is asked and told again after so many seconds of the plant's clock."""
+    poll: float = 0.025
+    """Longest sleep between two looks at that clock, s of the wall's."""
+    first_pause: float = 0.1
+    """Wait before a lost kit is looked for again, s; doubled each time …"""
+    longest_pause: float = 2.0
+    """… up to this."""
+
+
+class KitDriver:
+    """Lets the kit at the end of a link do what the gate lets through, and nothing else."""
+
+    def __init__(
+        self,
+        link: KitLink,
+        gate: OutputGate,
+        tell: Tell,
+        health: Health,
+        *,
+        other: float = 0.0,
+        pace: KitPace | None = None,
+    ) -> None:
+        """`tell` is given each reading (None: nobody knows) and the sample whose command was set.
+
+        `other` is what the second heater does while commands pass, %.
+        """
+        self.failure: Exception | None = None
+        """What ended the thread before its time."""
+        self._link, self._gate, self._tell, self._health = link, gate, tell, health
+        self._other, self._pace = other, pace or KitPace()
+        self._ending, self._clear_wanted = threading.Event(), threading.Event()
+        self._known = False  # whether the kit has answered before
+        self._sent: tuple[float, float] | None = None
+        self._sent_at = 0.0
+        self._said_at = 0.0
+        self._attempts = 0
+        self._thread = threading.Thread(target=self._run, name="kit driver", daemon=True)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the kit answered last time."""
+        return self._link.is_open and self._sent is not None
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def clear(self) -> None:
+        """Let the kit be driven again after a silence."""
+        self._clear_wanted.set()
+
+    def close(self, timeout: float = 5.0) -> bool:
+        """Set zero, let go of the port, end the thread; whether it did within the timeout (s)."""
+        self._ending.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.is_set():
+                self._turn()
+        except Exception as error:  # handed to the main thread, which ends the process with it
+            self.failure = error
+        finally:
+            self._let_go()
+
+    def _turn(self) -> None:
+        try:
+            if not self._link.is_open:
+                self._connect()
+            self._serve()
+        except KitAbsentError as error:
+            if not self._known:
+                raise  # nobody waits for a kit that was never there
+            self._lost(error)
+        except KitSilentError as error:
+            self._gate.trip(FaultKind.BOARD, str(error))
+        except KitError as error:
+            self._lost(error)
+
+    def _connect(self) -> None:
+        self._link.open()
+        self._known, self._attempts = True, 0
+        self._health.count("connections")
+        self._health.set("port", self._link.port)
+        self._health.set("firmware", self._link.firmware)
+        self._health.withdraw("link")
+
+    def _serve(self) -> None:
+        if self._clear_wanted.is_set():
+            self._link.clear()
+            self._clear_wanted.clear()
+        decision = self._gate.decide()
+        wanted = (decision.input, self._other) if decision.armed else (0.0, 0.0)
+        # By the wall's clock too: a plant slowed down, or whose clock stands, must not look like our end.
+        due = decision.time - self._sent_at >= self._pace.repeat
+        if due or wanted != self._sent or time.monotonic() - self._said_at >= _LONGEST:
+            self._set(wanted, decision)
+        self._gate.wait(self._pace.poll)
+
+    def _set(self, wanted: tuple[float, float], decision: Decision) -> None:
+        reading = self._link.drive(*wanted)
+        self._sent, self._sent_at, self._said_at = wanted, decision.time, time.monotonic()
+        self._tell(reading, decision.sample)
+
+    def _lost(self, error: KitError) -> None:
+        if self._sent is not None and self._sent != (0.0, 0.0):
+            self._gate.trip(FaultKind.LINK, str(error))
+        self._sent = None
+        self._health.count(type(error).__name__)
+        self._health.complain("link", Level.ERROR, str(error))
+        self._link.close()
+        self._tell(None, 0)
+        pause = min(self._pace.first_pause * 2.0 ** min(self._attempts, 30), self._pace.longest_pause)
+        self._attempts += 1
+        self._ending.wait(pause)
+
+    def _let_go(self) -> None:
+        if self._link.is_open:
+            with contextlib.suppress(Exception):  # the port has to be given back whatever happens
+                self._tell(self._link.drive(0.0, 0.0), 0)
+        self._link.close()

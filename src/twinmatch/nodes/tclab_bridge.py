@@ -1,0 +1,141 @@
+"""Sets the heaters of a Temperature Control Lab, reads its sensors, and sets zero whenever in doubt."""
+
+from __future__ import annotations
+
+import sys
+from typing import ClassVar
+
+from rclpy.qos import qos_profile_sensor_data
+
+from twinmatch.links.kit_link import KitLink, KitReading
+from twinmatch.nodes.gate_parameters import gate_limits, gate_table
+from twinmatch.nodes.gated import KEPT, GatedNode, fault_text
+from twinmatch.nodes.kit_driver import KitDriver, KitPace
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.samples import nanoseconds
+from twinmatch.safety import ClockLimits, GuardLimits, RunawayLimits
+from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
+
+__all__ = ["LIMITS", "TCLabBridge", "main"]
+
+NAN = float("nan")
+SIMULATED_POLL = 0.004
+"""Longest sleep of the driver when the plant's clock may run many times as fast as the wall's, s."""
+
+LIMITS = GuardLimits(
+    commands=(0.0, 100.0),
+    highest=85.0,  # ten degrees above the highest set-point; the kit itself stands 100 °C
+    lowest=-10.0,
+    thing="heater",
+    sensor="kit",
+    # A full heater gains 8 °C in 30 s at first, and 2 °C where it can hardly go higher.
+    runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
+)
+"""When the heaters of a kit have to go off."""
+
+
+class TCLabBridge(GatedNode):
+    """Carries commands to heater 1 while command, temperature, kit and clock are sound.
+
+    Heater 2 does what its parameter says while commands pass, and is the plant's disturbance.
+    """
+
+    NAME = "tclab_bridge"
+    BOARD = "kit"
+    PARAMETERS: ClassVar = (
+        Parameter(
+            "port", "", "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
+        ),
+        Parameter("second", 0.0, "What heater 2 does while heater 1 is driven.", "%", 0.0, 100.0),
+        Parameter("repeat", 0.25, "The kit is told and asked again after this time.", "s", 0.05, 0.5),
+        Parameter(
+            "deadline",
+            1.0,
+            "Zero after this time without a word from this node, by the wall clock.",
+            "s",
+            0.6,
+            5.0,
+        ),
+        Parameter("frame_id", "kit", "Frame of plant/reading and plant/applied."),
+        *gate_table(LIMITS, "%"),
+    )
+    CLOSING: ClassVar = 6
+
+    def read_parameters(self) -> None:
+        """Make of them the link and the guard's limits.
+
+        Raises:
+            TwinmatchError: some do not go together, or the package `tclab` is missing.
+        """
+        values = self.values
+        self._link = KitLink(values["port"], values["deadline"])
+        self.make_gate(gate_limits(LIMITS, values), ClockLimits(values["clock_timeout"]))
+        self._kit_driver: KitDriver | None = None
+
+    def open(self) -> None:
+        """Listen, and connect to the kit."""
+        self.guard(
+            self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
+        )
+        self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
+        self._applied = self.create_publisher(PlantApplied, "plant/applied", KEPT)
+        simulated = bool(self.get_parameter("use_sim_time").value)
+        pace = KitPace(self.values["repeat"], SIMULATED_POLL if simulated else KitPace.poll)
+        self._kit_driver = KitDriver(
+            self._link, self.gate, self._tell, self.health, other=self.values["second"], pace=pace
+        )
+        self.report_on()
+        self._kit_driver.start()
+
+    @property
+    def failure(self) -> Exception | None:
+        """What ended the driver's thread."""
+        return None if self._kit_driver is None else self._kit_driver.failure
+
+    @property
+    def board_there(self) -> bool:
+        """Whether the kit answers."""
+        return self._kit_driver is not None and self._kit_driver.connected
+
+    def clear_board(self) -> None:
+        """Let the kit be driven again after a silence."""
+        if self._kit_driver is not None:
+            self._kit_driver.clear()
+
+    def close(self) -> bool:
+        """Set zero and let go of the kit."""
+        return self._kit_driver is None or self._kit_driver.close()
+
+    def _on_command(self, message: PlantCommand) -> None:
+        self.gate.command(message.input, message.index, nanoseconds(message.header.stamp))
+
+    def _tell(self, reading: KitReading | None, index: int) -> None:
+        """Publish what the kit says; called in the driver's thread."""
+        stamp = self.get_clock().now()
+        applied = PlantApplied(sequence=index, input=NAN)
+        applied.header.stamp, applied.header.frame_id = stamp.to_msg(), self.values["frame_id"]
+        if reading is None:
+            self.health.set("applied", "unknown")
+        else:
+            first, second, power, other = reading
+            self.gate.temperature(first, stamp.nanoseconds)
+            said = PlantReading(output=first, disturbances=[other])
+            said.header = applied.header
+            self._readings.publish(said)
+            applied.input = power
+            self.health.set("applied", power)
+            self.health.set("T1", f"{first:.2f} °C")
+            self.health.set("T2", f"{second:.2f} °C")
+        self.note_fault()
+        applied.fault = fault_text(self.gate.fault)
+        self._applied.publish(applied)
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([TCLabBridge]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,24 @@
+"""Kit and controller of a Temperature Control Lab in one process, as the launch scripts start them.
+
+If one of them fails all end, and the process that holds the kit's port switches the heaters off.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from twinmatch.nodes.controller import ControllerNode
+from twinmatch.nodes.plant_pace import PlantPace
+from twinmatch.nodes.runner import run
+from twinmatch.nodes.tclab_bridge import TCLabBridge
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Console script."""
+    sys.exit(run([TCLabBridge, ControllerNode, PlantPace]))
+
+
+if __name__ == "__main__":
+    main()
