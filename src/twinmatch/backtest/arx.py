@@ -13,11 +13,11 @@ from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Arx"]
+__all__ = ["HIGHEST", "LEAST", "PER_ORDER", "Arx"]
 
-_LEAST = 60
-_HIGHEST = 10
-_PER_ORDER = 15
+LEAST = 60
+HIGHEST = 10
+PER_ORDER = 15
 """Samples that each further order takes; a short past is not fitted with a long memory."""
 
 
@@ -67,14 +67,14 @@ class Arx:
         Raises:
             ForecastError: the past has too few samples.
         """
-        enough(self.name, past, _LEAST)
+        enough(self.name, past, LEAST)
         noise = np.array([self._plant.output.noise, self._plant.drive.noise])
         level = np.array([past.output.mean(), past.input.mean()])
         reference, output = ((x - level[0]) / noise[0] for x in (past.reference, past.output))
         entry = (past.input - level[1]) / noise[1]
         limits = (np.array(self._plant.drive.limits) - level[1]) / noise[1]
         span = (np.array(self._plant.output.span) - level[0]) / noise[0]
-        highest = min(_HIGHEST, len(past) // _PER_ORDER)
+        highest = min(HIGHEST, len(past) // PER_ORDER)
         loop = _chosen([_Loop(*pair) for pair in equations(reference, output, entry, highest)])
         mean, spread = _simulated(
             loop, (reference, output, entry), (ahead - level[0]) / noise[0], limits, span

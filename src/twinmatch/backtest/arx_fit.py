@@ -17,7 +17,7 @@ import numpy as np
 
 from twinmatch.signals import FloatArray
 
-__all__ = ["Equation", "equations"]
+__all__ = ["Equation", "equations", "input_equations"]
 
 _RIDGE = 1e-4
 """Weight of a coefficient among residuals in units of the noise: it decides only what the data leave open,
@@ -31,7 +31,7 @@ class Equation(NamedTuple):
     direct: FloatArray
     """Of r[k] and y[k]; empty in the plant's equation."""
     past: FloatArray
-    """Of y, u and r, one row for each lag, shape (p, 3)."""
+    """Of y, u and, in closed loop, r, one row for each lag, shape (p, signals)."""
     variance: float
     """Of what is left."""
     bic: float
@@ -62,18 +62,28 @@ def equations(
     return list(zip(*found, strict=True))
 
 
-def _nested(columns: FloatArray, target: FloatArray, highest: int, direct: int) -> list[Equation]:
+def input_equations(output: FloatArray, entry: FloatArray, highest: int) -> list[Equation]:
+    """The equation of a plant whose loop is not known, y on the past of y and u alone; see `equations`."""
+    count = output.size - highest
+    lags = [signal[highest - lag :][:count] for lag in range(1, highest + 1) for signal in (output, entry)]
+    columns = np.column_stack([np.ones(count), *lags])
+    return _nested(columns, output[highest:], highest, direct=0, signals=2)
+
+
+def _nested(
+    columns: FloatArray, target: FloatArray, highest: int, direct: int, signals: int = 3
+) -> list[Equation]:
     count = columns.shape[1]
     held = np.vstack([np.column_stack([columns, target]), _RIDGE * np.eye(count, count + 1)])
     factor = np.asarray(np.linalg.qr(held, mode="r"), dtype=np.float64)
     samples = max(target.size, 1)
     found = []
     for order in range(1, highest + 1):
-        m = 1 + direct + 3 * order
+        m = 1 + direct + signals * order
         solved = np.asarray(np.linalg.solve(factor[:m, :m], factor[:m, -1]), dtype=np.float64)
         left = float(np.sum(factor[m:, -1] ** 2))
         variance = max(left / samples, _RIDGE**2)
         bic = samples * math.log(variance) + m * math.log(samples)
         constant, now, past = np.split(solved, [1, 1 + direct])
-        found.append(Equation(float(constant[0]), now, past.reshape(order, 3), variance, bic))
+        found.append(Equation(float(constant[0]), now, past.reshape(order, signals), variance, bic))
     return found

@@ -99,7 +99,8 @@ def _draw_coverage(
         axes.plot(places, [100 * c.coverage_input for _, c in own], marker, color=colour, ms=6, mfc="white")
     axes.axhline(100 * backtest.confidence, color=MODEL, lw=1, ls="--")
     words = words_of(backtest.plant)
-    axes.set_title(f"Held by the band: {words.output} filled, {words.input} hollow")
+    of_both = f"Held by the band: {words.output} filled, {words.input} hollow"
+    axes.set_title(f"Held by the band: {words.output}" if backtest.driven else of_both)
     axes.set_ylim(min(50.0, axes.get_ylim()[0]), 102.0)
     axes.set_ylabel("samples within the band / %")
     _name_horizons(axes, backtest.horizons)
@@ -114,15 +115,16 @@ def _draw_came(output: Axes, entry: Axes, backtest: Backtest) -> None:
     """The session as it came."""
     for number, window in enumerate(backtest.came):
         hidden = "_" if number else ""
-        output.plot(
-            window.time,
-            window.reference,
-            color=SET_POINT,
-            lw=1,
-            ls="--",
-            drawstyle="steps-post",
-            label=f"{hidden}set-point",
-        )
+        if not backtest.driven:
+            output.plot(
+                window.time,
+                window.reference,
+                color=SET_POINT,
+                lw=1,
+                ls="--",
+                drawstyle="steps-post",
+                label=f"{hidden}set-point",
+            )
         output.plot(window.time, window.output, color=PLANT, lw=1, label=f"{hidden}what came")
         entry.plot(window.time, window.input, color=PLANT, lw=0.8)
 
@@ -134,7 +136,8 @@ def _draw_forecast(
     output, left, entry = axes
     hidden = "" if first else "_"
     time = forecast.sample * backtest.period + forecast.time
-    for each, band in ((output, forecast.output), (entry, forecast.input)):
+    shown = ((output, forecast.output), (entry, forecast.input))
+    for each, band in shown if forecast.closed else shown[:1]:
         each.fill_between(time, band.low, band.high, color=CLOSED, alpha=0.25, lw=0, label=f"{hidden}band")
         each.plot(time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast")
     band = forecast.output

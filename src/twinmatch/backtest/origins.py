@@ -26,6 +26,8 @@ class Origin:
     """The unbroken samples around it."""
     count: int
     """How many samples a forecast is made for: the longest horizon, or what the stretch still holds."""
+    driven: bool = False
+    """Whether the loop is not known, so that the inputs that came are given."""
 
     @property
     def past(self) -> Window:
@@ -39,8 +41,15 @@ class Origin:
 
     @property
     def ahead(self) -> FloatArray:
-        """The set-points that came, which a forecast may know."""
-        return self.came.reference
+        """What a forecast may know of what came: the set-points, or the inputs where the loop is not
+        known."""
+        return self.came.input if self.driven else self.came.reference
+
+    @property
+    def disturbances(self) -> FloatArray | None:
+        """Those that came, from the newest sample on, shape (N + 1, d); None without any."""
+        held = self.stretch.part(self.sample, self.sample + self.count).disturbances
+        return held if held.size else None
 
 
 def stretches(samples: Sequence[Sample], period: float) -> tuple[Window, ...]:
@@ -61,13 +70,16 @@ def regular(held: Sequence[Window], every: float) -> list[int]:
     return found
 
 
-def origins(held: Sequence[Window], samples: Iterable[int], horizons: Sequence[float]) -> list[Origin]:
+def origins(
+    held: Sequence[Window], samples: Iterable[int], horizons: Sequence[float], *, driven: bool = False
+) -> list[Origin]:
     """At these samples, where at least the nearest horizon can still be judged.
 
     Args:
         held: the session's stretches.
         samples: indices.
         horizons: how far ahead, s, from near to far.
+        driven: whether the loop is not known.
 
     Raises:
         BacktestError: a horizon is shorter than one sample.
@@ -77,7 +89,7 @@ def origins(held: Sequence[Window], samples: Iterable[int], horizons: Sequence[f
     for stretch in held:
         nearest, farthest = (samples_within(horizons[k], stretch.period) for k in (0, -1))
         found += [
-            Origin(k, stretch, min(farthest, stretch.last - k))
+            Origin(k, stretch, min(farthest, stretch.last - k), driven)
             for k in wanted
             if stretch.first <= k <= stretch.last - nearest
         ]

@@ -26,7 +26,7 @@ class Peer(Protocol):
 
         Args:
             past: all samples up to and including the newest; nothing else is known.
-            ahead: set-points of the samples to come, shape (N,).
+            ahead: set-points of the samples to come, or inputs where the loop is not known, shape (N,).
 
         Raises:
             ForecastError: the past does not suffice.

@@ -54,6 +54,11 @@ class Backtest:
         return cards(self.marked)
 
     @property
+    def driven(self) -> bool:
+        """Whether the loop is not known and inputs were given, of which nothing is said then."""
+        return any(one.marks.input is None for one in self.marked)
+
+    @property
     def origins(self) -> int:
         """At how many samples forecasts were made and judged at some horizon."""
         return len({(one.session, one.sample) for one in self.marked})

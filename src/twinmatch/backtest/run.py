@@ -128,11 +128,15 @@ def graded(
 
     A forecast whose path meets a fault of the plant is left out: nobody can foresee one.
     """
-    plant, period = judgement.settings.plant, judgement.settings.period
+    plant, period, driven = (
+        judgement.settings.plant,
+        judgement.settings.period,
+        judgement.settings.gains is None,
+    )
     held = stretches(judgement.samples, period)
     horizons = choices.ahead(period)
-    found = origins(held, listener.asked, horizons)
-    others, absent = peers(plant, choices.peers)
+    found = origins(held, listener.asked, horizons, driven=driven)
+    others, absent = peers(plant, choices.peers, driven=driven)
     grading = _Grading(judgement, listener, horizons)
     with held_interrupts() as check_interrupt:
         for done, origin in enumerate(found):
@@ -185,7 +189,8 @@ class _Grading:
             return mark(name, who, forecast, origin, horizons=horizons, plant=plant, candidate=candidate)
 
         with one_thread():
-            said = {name: outlook.forecast(origin.ahead) for name, outlook in asked.outlooks.items()}
+            rows = origin.disturbances
+            said = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
             for part, name in asked.who.items():
                 self.marked += add(part, said[name], name)
             if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:

@@ -43,16 +43,21 @@ class Marks:
     """Of a forecast up to a horizon."""
 
     output: SignalMarks
-    input: SignalMarks
+    input: SignalMarks | None
+    """None where it was given."""
 
     @property
     def error(self) -> float:
-        """Both signals together: root of the mean of their mean squared errors."""
+        """Both signals together: root of the mean of their mean squared errors; or of the output alone."""
+        if self.input is None:
+            return self.output.rms
         return math.sqrt((self.output.rms**2 + self.input.rms**2) / 2.0)
 
     @property
     def score(self) -> float:
-        """Both signals together: mean of their interval scores."""
+        """Both signals together: mean of their interval scores; or of the output alone."""
+        if self.input is None:
+            return self.output.score
         return (self.output.score + self.input.score) / 2.0
 
 
@@ -118,7 +123,9 @@ def marks(forecast: Forecast, came: Window, horizon: float, plant: type[Plant]) 
     confidence = forecast.confidence
     return Marks(
         _signal(forecast.output, came.output, count, plant.output.noise, confidence),
-        _signal(forecast.input, came.input, count, plant.drive.noise, confidence),
+        _signal(forecast.input, came.input, count, plant.drive.noise, confidence)
+        if forecast.closed
+        else None,
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twinmatch.backtest.scoring import Marks
+from twinmatch.signals import FloatArray
 
 __all__ = ["HINDSIGHT", "Card", "Marked", "best_in_hindsight", "cards", "common"]
 
@@ -54,6 +55,7 @@ class Card:
     end_output: float
     """Median size of the output's error at the horizon itself."""
     end_input: float
+    """NaN where inputs were given, as for coverage and width."""
     coverage_output: float
     """Share of all output samples that lay within the band."""
     coverage_input: float
@@ -109,10 +111,13 @@ def _card(
     least = np.array([best.get(one.place, np.nan) for one in held])
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(errors == least, 1.0, errors / least)
-    both = [(one.marks.output, one.marks.input) for one in held]
-    ends = np.median(np.abs([[s.end for s in pair] for pair in both]), axis=0)
-    coverages = np.mean([[s.coverage for s in pair] for pair in both], axis=0)
-    widths = np.median([[s.width for s in pair] for pair in both], axis=0)
+    signals = [one.marks.output for one in held], [one.marks.input for one in held]
+    both = [[s for s in pair if s is not None] for pair in zip(*signals, strict=True)]
+    if None in signals[1]:  # the input was given, at least to some
+        both = [[output] for output in signals[0]]
+    ends = _pair(np.median(np.abs([[s.end for s in pair] for pair in both]), axis=0))
+    coverages = _pair(np.mean([[s.coverage for s in pair] for pair in both], axis=0))
+    widths = _pair(np.median([[s.width for s in pair] for pair in both], axis=0))
     return Card(
         who=who,
         horizon=horizon,
@@ -128,3 +133,9 @@ def _card(
         width_input=float(widths[1]),
         score=float(np.mean([one.marks.score for one in held])),
     )
+
+
+def _pair(figures: FloatArray) -> tuple[float, float]:
+    """Of output and input; NaN for an input that was given."""
+    output, entry = [*figures.tolist(), float("nan")][:2]
+    return output, entry

@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 __all__ = ["at_horizon", "cells", "columns", "sentences", "tables"]
 
 
-def columns(plant: type[Plant]) -> tuple[str, ...]:
+_OF_INPUT = (5, 7, 9)
+"""Which columns are left out where inputs were given."""
+
+
+def columns(plant: type[Plant], *, driven: bool = False) -> tuple[str, ...]:
     """The names of what `cells` gives."""
     w = words_of(plant)
     if w.output_unit == w.input_unit:
@@ -26,19 +30,24 @@ def columns(plant: type[Plant]) -> tuple[str, ...]:
     else:
         called = (f" {w.output_unit or w.output}", f" {w.input_unit or w.input}")
         in_unit = tuple(f" /{unit}" for unit in called)
-    return (
+    names = (
         *("who", "error", "9 in 10", "× best"),
         *(f"{figure}{name}" for figure, names in (("end", in_unit), ("held", called)) for name in names),
         *(f"width{name}" for name in in_unit),
         "score",
     )
+    return _shown(names, driven=driven)
 
 
-def cells(card: Card, plant: type[Plant]) -> tuple[str, ...]:
+def _shown(row: Sequence[str], *, driven: bool) -> tuple[str, ...]:
+    return tuple(text for k, text in enumerate(row) if not (driven and k in _OF_INPUT))
+
+
+def cells(card: Card, plant: type[Plant], *, driven: bool = False) -> tuple[str, ...]:
     """One forecaster's figures; ends and widths in the plant's units, the others in units of its noise."""
     y, u = plant.output.noise, plant.drive.noise
     fine_y, fine_u = plant.output.decimals + 1, plant.drive.decimals + 1
-    return (
+    row = (
         card.who,
         number(card.median),
         number(card.nine_in_ten),
@@ -51,6 +60,7 @@ def cells(card: Card, plant: type[Plant]) -> tuple[str, ...]:
         number(card.width_input * u, fine_u),
         number(card.score, 1),
     )
+    return _shown(row, driven=driven)
 
 
 def at_horizon(cards: Sequence[Card], horizon: float) -> list[Card]:
@@ -69,11 +79,11 @@ def tables(backtest: Backtest) -> list[Table]:
             continue
         title = f"{backtest.name}: {horizon:g} s ahead, {held[0].count} forecasts"
         table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-        for k, name in enumerate(columns(backtest.plant)):
+        for k, name in enumerate(columns(backtest.plant, driven=backtest.driven)):
             table.add_column(name, justify="right" if k else "left", no_wrap=True)
         for card in held:
             style = "bold" if card.who == LEADER else "" if card.who in TWINS else "dim"
-            table.add_row(*cells(card, backtest.plant), style=style)
+            table.add_row(*cells(card, backtest.plant, driven=backtest.driven), style=style)
         found.append(table)
     return found
 

@@ -17,12 +17,12 @@ def forecast_tables(tested: Backtest) -> list[Table]:
         held = at_horizon(tested.cards, horizon)
         if not held:
             continue
-        names = columns(tested.plant)
+        names = columns(tested.plant, driven=tested.driven)
         error = names.index("error")
         real = [card.median for card in held if card.who not in TWINS or card.who == LEADER]
         rows = []
         for card in held:
-            who, *rest = cells(card, tested.plant)
+            who, *rest = cells(card, tested.plant, driven=tested.driven)
             best = card.who not in TWINS[1:] and card.median == min(real, default=card.median)
             rows.append(
                 (head(who), *(Cell(text, best=best and k == error) for k, text in enumerate(rest, 1)))
