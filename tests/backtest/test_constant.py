@@ -23,9 +23,8 @@ def test_the_band_is_that_of_the_residuals_so_far() -> None:
     random = np.random.default_rng(6)
     y = run.output + 0.5 * random.standard_normal(2000) * (np.arange(2000) > 5)
     u = run.input + 4.0 * random.standard_normal(2000) * (np.arange(2000) > 5)
-    made = with_constant_band(
-        forecast_of(1999, np.full(300, 50.0), np.full(300, 253.0)), rig, Window(reference, y, u), None
-    )
+    forecast = forecast_of(1999, np.full(300, 50.0), np.full(300, 253.0))
+    made = with_constant_band(forecast, rig, Window(reference, y, u), Peltier.loop)
     np.testing.assert_array_equal(made.output.mean, np.full(300, 50.0))
     assert np.ptp(made.output.low) == np.ptp(made.output.high) == 0.0
     assert made.output.high[0] - 50.0 == pytest.approx(0.5 * 1.645, rel=0.1)

@@ -1,4 +1,4 @@
-"""Plants for tests, none of them thermal."""
+"""Plants for tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twinmatch.dynamics import (
     magnitude,
 )
 
-__all__ = ["Lag", "Motor", "Tank"]
+__all__ = ["Box", "Lag", "Motor", "Tank"]
 
 
 class Lag(Plant, name="lag"):
@@ -92,4 +92,35 @@ class Tank(Plant, name="tank"):
             rates={self.level: (self.inflow - leaving) / self.area},
             output=leaving,
             start={self.level: (self.outflow / self.hole) ** 2},
+        )
+
+
+class Box(Plant, name="box"):
+    """Air warmed by a bed that no sensor shows, in a room whose temperature is measured; no loop is known."""
+
+    temperature = Output(unit="°C", noise=0.05, span=(0.0, 80.0), set_points=(20.0, 50.0))
+    heater = Drive(unit="", limits=(0.0, 1.0), noise=0.05)
+    room = Disturbance(unit="°C", default=21.0, text="room")
+    air = State(unit="°C", span=(0.0, 80.0))
+    bed = State(unit="°C", span=(0.0, 150.0))
+    power = Parameter(unit="W", default=100.0, bounds=(20.0, 500.0), positive=True)
+    air_capacity = Parameter(unit="J/K", default=500.0, bounds=(50.0, 5000.0), positive=True)
+    bed_capacity = Parameter(unit="J/K", default=300.0, bounds=(30.0, 3000.0), positive=True)
+    bed_conductance = Parameter(unit="W/K", default=1.5, bounds=(0.1, 20.0), positive=True)
+    box_conductance = Parameter(unit="W/K", default=0.8, bounds=(0.05, 10.0), positive=True)
+    structures = {  # noqa: RUF012
+        "box": Structure(free=("air_capacity", "bed_conductance", "box_conductance"), free_starts=("bed",))
+    }
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """Heat goes from the bed to the air and from there to the room."""
+        given = self.bed_conductance * (self.bed - self.air)
+        lost = self.box_conductance * (self.air - self.room)
+        return Equations(
+            rates={
+                self.air: (given - lost) / self.air_capacity,
+                self.bed: (self.power * self.heater - given) / self.bed_capacity,
+            },
+            output=self.air,
+            start={self.air: self.temperature, self.bed: self.temperature},
         )

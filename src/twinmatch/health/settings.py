@@ -22,7 +22,8 @@ _JUMP: Final = 80.0
 
 
 def _typical(plant: type[Plant] = Peltier) -> Parameters:
-    return plant.model().parameters(**plant.typical)
+    model = plant.model()
+    return model.parameters(**{k: v for k, v in plant.typical.items() if k in model.declared})
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,13 @@ Nobody says there what the plant is to do, so that no step of a set-point can be
 input have to be served by one rule: a step test, whose input stands still for minutes between two levels, and
 a controller that switches the drive on and off all the time.
 
-A movement of the input by `min_input_step` or more begins a regime, which is judged `span` samples later;
-whatever moves meanwhile belongs to it, and the next movement after that begins the next one. A driven twin
-needs no levels that a loop holds, and every sample that is still remembered tells it something, so the window
-reaches back as far as `capacity` allows. It prefers to begin `lead` samples before a movement out of rest,
-where the plant stood as still as its input: the twin starts there from rest. An input that never rests gives
-the newest `capacity` samples.
+A movement of the input by `min_input_step` or more begins a regime. As with set-points, it is judged when the
+next movement ends it, if the input had come to rest before (`min_span` samples without a movement), or else
+`span` samples after it began; what moves meanwhile belongs to it. A driven twin needs no levels that a loop
+holds, and every sample that is still remembered tells it something, so the window reaches back as far as
+`capacity` allows. It prefers to begin `lead` samples before a movement out of rest, where the plant stood as
+still as its input: the twin starts there from rest. An input that never rests gives the newest `capacity`
+samples.
 """
 
 from __future__ import annotations
@@ -56,12 +57,15 @@ class InputSchedule(Schedule):
         return self.settings.min_input_step
 
     def _on_step(self, sample: Sample) -> Trigger | None:
-        if sample.index - self._newest >= self.settings.min_span:
+        rested = sample.index - self._newest >= self.settings.min_span
+        waits = self._step is not None and not self._judged
+        trigger = self._excited(sample.index, sample.index - 1) if rested and waits else None
+        if rested:
             self._rested.append(sample.index)
         self._anchor, self._newest = sample.input, sample.index
-        if self._step is None or self._judged:
+        if trigger is not None or not waits:
             self._step, self._judged = sample.index, False
-        return None
+        return trigger
 
     def _quiet(self) -> str:
         waits = self._step is not None and not self._judged

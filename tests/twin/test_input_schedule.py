@@ -1,0 +1,126 @@
+"""When a plant whose loop is not known is looked at: by the steps of its input."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.plants import Box, Lag
+from twinmatch.dynamics import Drive
+from twinmatch.signals import Sample
+from twinmatch.twin import ScheduleSettings, Trigger, TwinSettings
+from twinmatch.twin.input_schedule import InputSchedule
+
+SETTINGS = ScheduleSettings(min_input_step=10.0)
+CAPACITY, SPAN, LEAD = SETTINGS.capacity, SETTINGS.span, SETTINGS.lead
+
+
+def run(heater: np.ndarray, output: np.ndarray | None = None, first: int = 0) -> list[Trigger]:
+    schedule = InputSchedule(SETTINGS, width=5.0)
+    output = np.zeros(heater.size) if output is None else output
+    pushed = (
+        schedule.push(Sample(first + k, k, 0.0, float(y), float(u)))
+        for k, (u, y) in enumerate(zip(heater, output, strict=True))
+    )
+    return [t for t in pushed if t is not None]
+
+
+def excited(heater: np.ndarray) -> list[Trigger]:
+    return [t for t in run(heater) if t.excited]
+
+
+def steps(*levels_and_lengths: tuple[float, int]) -> np.ndarray:
+    return np.concatenate([np.full(n, level) for level, n in levels_and_lengths])
+
+
+def test_an_input_that_stands_still_gives_quiet_triggers_only() -> None:
+    triggers = run(steps((50.0, 300)))
+    assert [t.sample for t in triggers] == [59, 119, 179, 239, 299]
+    assert {t.reason for t in triggers} == {"the input did not move"}
+
+
+def test_a_step_test_is_judged_as_set_points_are() -> None:
+    """When the next step ends a level, or `span` samples after it began; from the session's start on."""
+    found = excited(steps((0.0, 100), (50.0, 130), (20.0, 300), (80.0, 10)))
+    assert [t.sample for t in found] == [230, 230 + SPAN]
+    assert [(t.window.first, t.window.last) for t in found] == [(0, 229), (0, 230 + SPAN)]
+
+
+def test_a_window_begins_where_the_input_had_rested() -> None:
+    """At 1000 and more samples the first steps are out of reach: it begins before the oldest that is not."""
+    found = excited(steps((0.0, 300), *((50.0, 350), (20.0, 350)) * 2, (80.0, 300)))
+    # The steps come at 300, 650, 1000, 1350 and 1700.
+    assert [t.sample for t in found] == [540, 890, 1240, 1590, 1940]
+    assert [t.window.first for t in found] == [0, 280, 630, 980, 1330]
+
+
+def test_an_input_that_switches_all_the_time_is_judged_every_span() -> None:
+    """On for 7 samples and off for 10: nobody can wait for a rest."""
+    found = excited(np.tile(steps((100.0, 7), (0.0, 10)), 150))
+    gaps = np.diff([t.sample for t in found])
+    assert gaps.min() >= SPAN
+    assert gaps.max() <= SPAN + 10  # the next regime begins with the next switch
+    assert {len(t.window) for t in found[3:]} == {CAPACITY}
+
+
+def test_noise_is_no_step() -> None:
+    """A controller's output that trembles: 20 units of noise are never reached."""
+    tremble = 50.0 + 0.5 * np.random.default_rng(4).standard_normal(2000)
+    assert Drive(unit="%", limits=(0.0, 100.0), noise=0.5).least_step == SETTINGS.min_input_step
+    assert excited(tremble) == []
+
+
+def test_a_noisy_drive_still_switches() -> None:
+    """However noisy a drive is said to be, a quarter of what it can do is a movement."""
+    assert TwinSettings.of(Box).schedule.min_input_step == 0.25
+    assert TwinSettings.of(Lag).schedule.min_input_step == 2.0
+    assert Drive(unit="", limits=(0.0, 1.0), noise=10.0).least_step == 0.25
+
+
+@pytest.mark.parametrize(("width", "point"), [(5.0, 37.2), (50.0, 37.0), (100.0, 40.0)])
+def test_the_operating_point_is_where_the_output_came_to(width: float, point: float) -> None:
+    schedule = InputSchedule(SETTINGS, width=width)
+    heater, output = steps((0.0, 100), (50.0, 300)), np.linspace(20.0, 37.2, 400)
+    output[280:] = 37.2
+    pushed = [schedule.push(Sample(k, k, 0.0, output[k], heater[k])) for k in range(400)]
+    assert [t.operating_point for t in pushed if t is not None and t.excited] == [point]
+
+
+def test_a_gap_starts_anew() -> None:
+    schedule = InputSchedule(SETTINGS)
+    for k in range(200):
+        schedule.push(Sample(k, k, 0.0, 0.0, 50.0 * (k >= 100)))
+    later = [schedule.push(Sample(1000 + k, k, 0.0, 0.0, 20.0 * (k >= 50))) for k in range(400)]
+    found = [t for t in later if t is not None]
+    assert min(t.window.first for t in found) == 1000
+    assert [t.sample for t in found if t.excited] == [1050 + SPAN]
+
+
+REGIMES = st.lists(st.tuples(st.sampled_from([0.0, 4.0, 50.0, 100.0]), st.integers(1, 400)), max_size=12)
+
+
+@given(regimes=REGIMES, cut=st.integers(1, 2000))
+def test_triggers_depend_on_the_samples_before_them_alone(regimes: list[tuple[float, int]], cut: int) -> None:
+    heater = steps((0.0, 50), *regimes)
+    whole, part = run(heater), run(heater[:cut])
+    assert [t.sample for t in part] == [t.sample for t in whole if t.sample < cut]
+    for mine, other in zip(part, whole, strict=False):
+        assert (mine.excited, mine.window.first) == (other.excited, other.window.first)
+        np.testing.assert_array_equal(mine.window.input, other.window.input)
+
+
+@given(regimes=REGIMES)
+def test_excited_windows_hold_a_movement_and_do_not_come_too_often(
+    regimes: list[tuple[float, int]],
+) -> None:
+    found = excited(steps((0.0, 50), *regimes))
+    for trigger in found:
+        assert np.ptp(trigger.window.input) >= SETTINGS.min_input_step
+        assert len(trigger.window) <= CAPACITY
+        assert trigger.window.last in {trigger.sample, trigger.sample - 1}
+    ends = [t.window.last for t in found]
+    assert all(b - a >= SETTINGS.min_span for a, b in itertools.pairwise(ends))

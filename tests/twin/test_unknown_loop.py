@@ -1,0 +1,149 @@
+"""Plants whose loop nobody tells, judged by everything that judges a plant in its loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.box_runs import PERIOD, TRUTH, step_test, switched
+from tests.support.plants import Box, Motor
+from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.dynamics import PlantError, begin, simulate_closed_loop
+from twinmatch.forecasting import Question, what_if
+from twinmatch.judging.judgement import Judgement, judge_samples
+from twinmatch.record import tree_of
+from twinmatch.sessions import SessionWriter, open_any
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.topics import SAMPLE
+from twinmatch.signals import Sample
+from twinmatch.twin import Twin, TwinSettings
+
+SETTINGS = TwinSettings.of(Box, period=PERIOD)
+RECORDINGS = {"step test": step_test(2400, 2), "switched": switched(1600, 1)}
+
+
+@pytest.fixture(scope="module", params=list(RECORDINGS))
+def judged(request: pytest.FixtureRequest) -> Judgement:
+    """A simulated recording and all that came out of it."""
+    return judge_samples(request.param, RECORDINGS[request.param], SETTINGS)
+
+
+def scored(judgement: Judgement) -> list[Verdict]:
+    return [v for v in judgement.verdicts if not v.stands]
+
+
+def test_nobody_has_to_know_a_controller() -> None:
+    assert Box.loop is None
+    assert SETTINGS.gains is None
+    assert TwinSettings.of(Motor, period=0.05).gains == Motor.loop
+    assert TwinSettings.of(Motor, period=0.05, gains=None).gains is None
+    with pytest.raises(PlantError, match="its controller is not known"):
+        simulate_closed_loop(TRUTH, [35.0] * 5, states=begin(TRUTH, 21.0))
+
+
+def test_parameters_are_found(judged: Judgement) -> None:
+    accepted = [m.match for m in judged.matches if m.match.accepted]
+    assert len(accepted) >= 4
+    for found in accepted:
+        for name, error in zip(found.free, found.standard_errors, strict=True):
+            if name in TRUTH.model.names:
+                # Of two dozen figures one in 700 lies beyond four and a half standard errors by chance.
+                assert abs(found.parameters[name] - TRUTH[name]) < 4.5 * error, name
+        assert np.isnan(found.fit.u)
+
+
+def test_a_family_is_judged_on_what_can_be_told(judged: Judgement) -> None:
+    last = judged.verdicts[-1]
+    assert last.level is TrustLevel.TRUSTED
+    assert last.leader is not None
+    assert last.nominal is not None
+    assert all(v.fault == "" for v in judged.verdicts)
+    for verdict in scored(judged):
+        assert all(c.margin is None and c.plant_gap_to_nominal is None for c in verdict.candidates)
+        assert all(o.u is None and o.total == o.y for c in verdict.modelled for o in c.orders)
+        assert np.isnan([verdict.closed_rms_u, verdict.miss_u, verdict.inside_u]).all()
+        assert "controller" not in verdict.certainty
+        assert verdict.nu_gap_points
+        # Twins of one plant answer alike: what the matches leave open is less than a tenth.
+        assert np.max(verdict.nu_gap) < 0.1
+
+
+def test_the_band_holds_what_it_promises(judged: Judgement) -> None:
+    """Nine readings in ten, under the inputs that came."""
+    inside = [v.inside_y for v in judged.verdicts[6:] if np.isfinite(v.inside_y)]
+    # Errors last: of two dozen minutes the mean share is known to a few per cent.
+    assert np.mean(inside) == pytest.approx(0.93, abs=0.06)
+
+
+@pytest.mark.parametrize("kind", list(RECORDINGS))
+def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
+    """Forecasts of the leader five minutes ahead, against what came of the same plant another day.
+
+    For the first hour bands are too wide, since a twin that has not been held against anything yet is not
+    trusted; then they hold about nine readings in ten.
+    """
+    fresh = step_test(4000, 12) if kind == "step test" else switched(4000, 11)
+    twin, held = Twin(SETTINGS), []
+    for sample in fresh[:-100]:
+        twin.push(sample)
+        forecaster = twin.discriminator.forecaster
+        if forecaster.names and sample.index > 1500 and sample.index % 100 == 0:
+            rest = fresh[sample.index : sample.index + 101]
+            rows = np.array([s.disturbances for s in rest])
+            forecast = forecaster.outlook().forecast([s.input for s in rest[1:]], rows)
+            came = np.array([s.output for s in rest[1:]])
+            held.append(np.mean((forecast.output.low <= came) & (came <= forecast.output.high)))
+    assert len(held) >= 20
+    assert np.mean(held) == pytest.approx(0.9, abs=0.07)
+
+
+def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, tmp_path: Path) -> None:
+    samples = judged.samples
+    with SessionWriter(tmp_path / "run") as writer:
+        writer.add_topic(SAMPLE)
+        for sample in samples:
+            writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
+    session = open_any(tmp_path / "run")
+    again = judge_samples("again", session.samples, SETTINGS)
+    assert [repr(tree_of(v)) for v in again.verdicts] == [repr(tree_of(v)) for v in judged.verdicts]
+    assert [repr(tree_of(m)) for m in again.matches] == [repr(tree_of(m)) for m in judged.matches]
+
+
+def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
+    twin = Twin(SETTINGS)
+    for sample in RECORDINGS["step test"][:900]:
+        twin.push(sample)
+    outlook = twin.discriminator.forecaster.outlook()
+    held, off = what_if(outlook, Question()), what_if(outlook, Question(times=(0.0,), levels=(0.0,)))
+    assert np.isnan(held.forecast.reference).all()
+    np.testing.assert_array_equal(held.forecast.input.mean, 0.15)
+    np.testing.assert_array_equal(held.forecast.input.high, held.forecast.input.low)
+    assert off.forecast.output.mean[-1] < held.forecast.output.mean[-1]
+    assert "the loop is not known: it holds for an input that stays at 0.15" in held.forecast.notes
+    assert "the loop is not known: it holds for the inputs that were given" in off.forecast.notes
+    assert any("(room) stays as it is" in note for note in held.forecast.notes)
+    # The output is waited for that these inputs lead to.
+    assert held.level == held.forecast.output.mean[-1]
+    assert held.reached.expected is not None
+
+
+def test_a_known_loop_may_be_taken_as_unknown() -> None:
+    """A motor in its loop, judged without its controller: its input is all that is looked at."""
+    truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
+    reference = np.repeat([50.0, 150.0, 90.0, -60.0, 120.0], 240)
+    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), gains=Motor.loop)
+    rng = np.random.default_rng(5)
+    output = run.output + Motor.output.noise * rng.standard_normal(reference.size)
+    twin = Twin(TwinSettings.of(Motor, period=0.05, gains=None))
+    matches, verdicts = [], []
+    for k in range(reference.size):
+        sample = Sample(k, k * 50_000_000, float(reference[k]), float(output[k]), float(run.input[k]), (0.0,))
+        found = twin.push(sample)
+        matches += [found.match.match] if found.match else []
+        verdicts += found.verdicts
+    best = [m for m in matches if m.accepted]
+    assert best
+    assert best[-1].parameters["k"] == pytest.approx(truth["k"], rel=0.05)
+    assert all(np.isnan(v.miss_u) for v in verdicts)
