@@ -1,0 +1,56 @@
+"""Whether what paces the samples comes as often as it is said to."""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+from typing import Final
+
+import numpy as np
+
+__all__ = ["Rate"]
+
+_FEWEST: Final = 5
+"""Intervals before anything is said."""
+_MOST: Final = 100
+_REGULAR: Final = 0.5
+"""Part of the usual interval by which another may differ and still be one: no gap, no burst."""
+_TOLERATED: Final = 0.01
+"""Part by which the period may be wrong: a twin's time constants are wrong by as much."""
+
+
+class Rate:
+    """The newest intervals between ticks."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._intervals: deque[float] = deque(maxlen=_MOST)
+        self._last: int | None = None
+
+    def push(self, now: int) -> None:
+        """Take the time of a tick, ns."""
+        if self._last is not None:
+            self._intervals.append((now - self._last) / 1e9)
+        self._last = now
+
+    @property
+    def period(self) -> float | None:
+        """Mean of the intervals without gaps and bursts, s; None while there are too few."""
+        regular = self._regular()
+        return float(regular.mean()) if regular.size >= _FEWEST else None
+
+    def differs_from(self, period: float) -> bool:
+        """Whether the intervals are surely not those of a period (s)."""
+        regular = self._regular()
+        if regular.size < _FEWEST:
+            return False
+        # Lateness of single ticks cancels in a mean, but for the first and the last.
+        unsure = 2.0 * float(regular.std()) / regular.size
+        return bool(abs(regular.mean() - period) > _TOLERATED * period + unsure)
+
+    def _regular(self) -> np.ndarray:
+        if not self._intervals:
+            return np.empty(0)
+        usual = median(self._intervals)
+        found = np.array(self._intervals)
+        return found[np.abs(found - usual) <= _REGULAR * usual]
