@@ -111,6 +111,15 @@ def test_a_value_beyond_what_the_plant_can_be_given_makes_no_sample() -> None:
     assert sampler.troubles["input"] == "input is 101, beyond 0 to 97.5"
 
 
+def test_a_reading_beyond_the_span_is_another_unit_at_first_and_a_failed_sensor_later() -> None:
+    signals = {**SIGNALS, "output": Limits(2.0, -20.0, 25.0, lenient=True)}
+    kelvin = [(at, name, value + 273.15 * (name == "output")) for at, name, value in loop(10)]
+    sampler = Sampler(signals, 1.0)
+    assert not run(sampler, kelvin, 12.0)
+    assert "beyond -20 to 25" in sampler.troubles["output"]
+    assert len(run(Sampler(signals, 1.0), loop(10), 12.0)) == 10  # up to 29
+
+
 def test_no_sample_is_made_with_a_wrong_period() -> None:
     sampler = Sampler(SIGNALS, 0.9)
     samples = run(sampler, loop(30), 32.0)

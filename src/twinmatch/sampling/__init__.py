@@ -8,9 +8,14 @@ from twinmatch.sampling.errors import SamplingError
 from twinmatch.sampling.fields import Channel, Field, check_path, fields_below, follow, parse_channel
 from twinmatch.sampling.grid import Grid
 from twinmatch.sampling.rate import Rate
-from twinmatch.sampling.sampler import Limits, Sampler
+from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE, TIMER, Limits, Sampler
+from twinmatch.sampling.wires import Wire
 
 __all__ = [
+    "INPUT",
+    "OUTPUT",
+    "REFERENCE",
+    "TIMER",
     "Channel",
     "Field",
     "Grid",
@@ -18,6 +23,7 @@ __all__ = [
     "Rate",
     "Sampler",
     "SamplingError",
+    "Wire",
     "check_path",
     "fields_below",
     "follow",

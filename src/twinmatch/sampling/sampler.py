@@ -43,7 +43,9 @@ class Limits:
     """Age from which a value is not used any more, s; 0: any age will do."""
     low: float = -math.inf
     high: float = math.inf
-    """What the plant can be given, in its unit; a tick with a value beyond has no sample."""
+    """In the plant's unit; a tick with a value beyond has no sample."""
+    lenient: bool = False
+    """Whether values beyond are taken once one was within: a sensor that fails is not one in another unit."""
 
 
 @dataclass
@@ -115,6 +117,7 @@ class Sampler:
         self._settle = round(settle * self._step)
         self._disturbances = disturbances
         self._ticks: deque[_Tick] = deque()
+        self._within: set[str] = set()
         self._first: int | None = None
         self._reference: float | None = None
 
@@ -208,7 +211,9 @@ class Sampler:
             troubles[name] = (
                 f"{name} is of {-age:.1f} s after the tick: a clock was set, or this machine slept"
             )
-        elif not limits.low <= value <= limits.high:
+        elif limits.low <= value <= limits.high:
+            self._within.add(name)
+        elif not (limits.lenient and name in self._within):
             counts.beyond += 1
             troubles[name] = f"{name} is {value:g}, beyond {limits.low:g} to {limits.high:g}"
         return value

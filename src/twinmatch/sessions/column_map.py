@@ -29,7 +29,7 @@ from typing import Any, Final
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError, RecordingError
 
-__all__ = ["ColumnMap", "Source", "parse_map", "read_map"]
+__all__ = ["ColumnMap", "Source", "parse_map", "parse_source", "read_map"]
 
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
 
@@ -86,17 +86,32 @@ def parse_map(entries: Sequence[str]) -> ColumnMap:
     for entry in entries:
         signal, equals, text = entry.partition("=")
         signal = signal.strip()
-        column, *settings = (part.strip() for part in text.split(";"))
-        if not (equals and signal and column):
+        if not (equals and signal):
             raise RecordingError(f"--map {entry!r}: {_FORM}")
         if signal in sources:
             raise RecordingError(f"--map {entry!r}: {signal} is given twice; name each signal once")
-        given: dict[str, Any] = {"column": column}
-        for setting in settings:
-            name, _, value = (part.strip() for part in setting.partition("="))
-            given[name] = value if name == "unit" else _plain_number(value)
-        sources[signal] = _source(f"--map {entry!r}", given)
+        sources[signal] = parse_source(f"--map {entry!r}", text)
     return ColumnMap(sources)
+
+
+def parse_source(place: str, text: str) -> Source:
+    """What stands behind the `=` of an entry, such as `T; unit=K`.
+
+    Args:
+        place: begins the message of an error.
+        text: the column, and what is to be known of it.
+
+    Raises:
+        RecordingError: it names no column, or something that is not known.
+    """
+    column, *settings = (part.strip() for part in text.split(";"))
+    if not column:
+        raise RecordingError(f"{place}: {_FORM}")
+    given: dict[str, Any] = {"column": column}
+    for setting in settings:
+        name, _, value = (part.strip() for part in setting.partition("="))
+        given[name] = value if name == "unit" else _plain_number(value)
+    return _source(place, given)
 
 
 def read_map(path: Path) -> ColumnMap:

@@ -1,0 +1,201 @@
+"""The sampler beside a rig that is not ours, in a process of its own."""
+
+from __future__ import annotations
+
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile
+
+from tests.support.oven import MAP, PERIOD, RIG, oven_file
+from tests.support.processes import Process, Processes
+from tests.support.ros import Listener
+from twinmatch.nodes.message_types import MessageTypeError, fields_of, message_class
+from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.sampling import Field
+from twinmatch_msgs.msg import LoopSample
+
+pytestmark = pytest.mark.ros
+
+
+class Beside:
+    """A rig, a sampler, and what is heard of them."""
+
+    def __init__(self, processes: Processes, listener: Listener, folder: Path) -> None:
+        self.listener = listener
+        self._processes = processes
+        self._plant = oven_file(folder)
+        self.samples: list[LoopSample] = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+        self.health: list[DiagnosticArray] = listener.hear(
+            DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
+        )
+
+    def rig(self, *options: str) -> Process:
+        return self._processes.python(RIG, "--period", f"{PERIOD}", *options)
+
+    def sampler(self, **given: str) -> Process:
+        words = [f"plant:={self._plant}", f"period:={PERIOD}"]
+        words += [f"map.{name}:='{text}'" for name, text in MAP.items() if name not in given]
+        words += [f"{name.replace('__', '.')}:={text}" for name, text in given.items() if name not in MAP]
+        words += [f"map.{name}:='{text}'" for name, text in given.items() if name in MAP and text]
+        options = [option for word in words for option in ("-p", word)]
+        return self._processes.python("-m", "twinmatch.nodes.sampler", "--ros-args", *options)
+
+    def wait_for_samples(self, more: int) -> None:
+        wanted = len(self.samples) + more
+        self.listener.spin_until(lambda: len(self.samples) >= wanted, self.said)
+
+    def wait_for_word(self, words: str) -> None:
+        begun = len(self.health)
+        self.listener.spin_until(
+            lambda: any(words in s.message for m in self.health[begun:] for s in m.status), self.said
+        )
+
+    def said(self) -> str:
+        return f"{len(self.samples)} samples; {[s.message for m in self.health[-3:] for s in m.status]}"
+
+    @property
+    def gaps(self) -> list[int]:
+        indices = [message.index for message in self.samples]
+        return [b - a for a, b in pairwise(indices) if b != a + 1]
+
+
+@pytest.fixture
+def beside(processes: Processes, listener: Listener, tmp_path: Path) -> Beside:
+    return Beside(processes, listener, tmp_path)
+
+
+def taken(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
+    return [(m.reference[0], m.output[0], m.input[0]) for m in messages]
+
+
+@pytest.mark.parametrize("options", [(), ("--stamped",)])
+def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(
+    beside: Beside, options: tuple[str, ...]
+) -> None:
+    rig = beside.rig(*options)
+    beside.sampler(output="/oven/temperature:temperature" if options else MAP["output"])
+    beside.wait_for_samples(100)
+    said = {tuple(line) for line in rig.json}
+    pairs = taken(beside.samples)
+    # A busy machine may deliver one message late; never may the mass of them be of different ticks.
+    assert sum(pair in said for pair in pairs) >= 0.95 * len(pairs)
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in beside.samples]
+    assert all(a < b for a, b in pairwise(stamps))
+    publishers = beside.listener.node.get_publishers_info_by_topic("/oven/heater")
+    assert [info.node_name for info in publishers] == ["oven_rig"]
+
+
+def test_pause_end_and_restart_of_the_rig_are_told_and_leave_gaps_of_their_length(beside: Beside) -> None:
+    rig = beside.rig()
+    sampler = beside.sampler()
+    beside.wait_for_samples(60)
+    before = len(beside.gaps)
+    rig.freeze()
+    begun = time.monotonic()
+    beside.wait_for_word("input: nothing of /oven/heater for")
+    rig.thaw()
+    frozen = time.monotonic() - begun
+    beside.wait_for_word("the loop paused: ticks were missed")
+    beside.wait_for_samples(30)
+    assert len(beside.gaps) == before + 1
+    assert beside.gaps[-1] == pytest.approx(frozen / PERIOD, rel=0.2, abs=10)
+    rig.kill()
+    beside.wait_for_word("nobody publishes /oven/heater any more")
+    begun = len(beside.samples)
+    rig = beside.rig()
+    beside.wait_for_samples(60)
+    assert len(beside.gaps) == before + 2
+    assert sampler.running
+    # The new rig begins cold, at its first set-point; nothing of the old one is mixed in.
+    said = {tuple(line) for line in rig.json}
+    pairs = taken(beside.samples[begun + 1 :])
+    assert sum(pair in said for pair in pairs) >= 0.95 * len(pairs)
+
+
+def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Beside) -> None:
+    """The sampler's own clock, at a period the rig does not have: no tick is one of the rig's."""
+    rig = beside.rig()
+    beside.sampler(paced_by="timer", period="0.12")
+    beside.wait_for_samples(60)
+    said = rig.json
+    readings, commands = {line[1] for line in said}, [line[2] for line in said]
+    assert {m.output[0] for m in beside.samples} <= readings
+    assert all(min(commands) <= m.input[0] <= max(commands) for m in beside.samples)
+    assert not {m.input[0] for m in beside.samples} <= set(commands)
+
+
+def test_without_a_set_point_there_is_one_that_stands(beside: Beside) -> None:
+    beside.rig("--no-set-point")
+    beside.sampler(reference="")
+    beside.wait_for_samples(30)
+    assert len({m.reference[0] for m in beside.samples}) == 1
+
+
+def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(beside: Beside) -> None:
+    beside.rig("--kelvin")
+    wrong = beside.sampler()
+    beside.wait_for_word("beyond -10 to 120 °C: no samples; if /oven/temperature is in another unit")
+    assert not beside.samples
+    wrong.end()
+    beside.sampler(output="/oven/temperature; unit=K")
+    beside.wait_for_samples(20)
+    assert all(15.0 < m.output[0] < 60.0 for m in beside.samples)
+
+
+def test_stamps_of_a_clock_that_is_behind_are_told(beside: Beside) -> None:
+    beside.rig("--stamped", "--behind", "100")
+    beside.sampler(output="/oven/temperature:temperature")
+    beside.wait_for_word("the stamps of /oven/temperature:temperature are behind this machine's clock")
+    assert not beside.samples
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"output": "/oven/temp"}, "nobody publishes /oven/temp, for 2 s now; there are .*/oven/temperature"),
+        (
+            {"output": "/oven/temperature:value"},
+            "std_msgs/msg/Float64 has no field 'value'; numbers there are",
+        ),
+        (
+            {"output": "/oven/temperature; unit=Pa"},
+            "output: /oven/temperature:data is in Pa, the plant's output",
+        ),
+        ({"input": "/oven/heater; unit=wibble"}, "'wibble' is no unit that is known"),
+        ({"input": ""}, "there is no map.input"),
+        (
+            {"paced_by": "timr"},
+            "parameter paced_by is 'timr'; allowed is one of: reference, output, input, timer",
+        ),
+        ({"input": "/oven/heater; gain=3"}, "'gain' is not known; there are unit, scale and offset"),
+        ({"max_age__room": "3.0"}, "there is no parameter max_age.room"),
+        ({"types": "'/oven/heater lab_msgs/msg/Drive'"}, "lab_msgs/msg/Drive is not installed here"),
+    ],
+)
+def test_what_does_not_fit_is_one_line_and_exit_code_2(
+    beside: Beside, given: dict[str, str], words: str
+) -> None:
+    beside.rig()
+    sampler = beside.sampler(wait_timeout="2.0", **given)
+    sampler.said(words)
+    assert sampler.wait() == 2
+    assert len(sampler.lines) == 1
+    assert not beside.samples
+
+
+def test_fields_of_installed_types_are_known() -> None:
+    assert fields_of("sensor_msgs/msg/Temperature") == {
+        "header": Field("std_msgs/msg/Header"),
+        "temperature": Field("double"),
+        "variance": Field("double"),
+    }
+    found: dict[str, Any] = dict(fields_of("sensor_msgs/msg/Imu"))
+    assert found["orientation_covariance"] == Field("double", array=True, length=9)
+    assert dict(fields_of("sensor_msgs/msg/JointState"))["name"] == Field("string", array=True)
+    with pytest.raises(MessageTypeError, match="lab_msgs/msg/Rack is not installed here"):
+        message_class("lab_msgs/msg/Rack")

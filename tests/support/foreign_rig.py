@@ -1,0 +1,74 @@
+"""A rig of somebody else: an oven under PI control that knows rclpy and standard messages, nothing of ours.
+
+    python foreign_rig.py [--period 0.05] [--stamped] [--kelvin] [--no-set-point]
+
+It says each tick it took as a line of JSON: set-point, reading, command.
+"""
+
+import argparse
+import json
+import random
+import time
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Float64
+
+GAIN, LOSS, CAPACITY, ROOM = 0.5, 1.0, 4.0, 20.0  # W/%, W/K, J/K, °C
+PROPORTIONAL, INTEGRAL = 4.0, 2.0  # %/K, %/(K s)
+LEVELS, HOLD = (30.0, 40.0), 240  # °C, ticks
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--period", type=float, default=0.05)
+    parser.add_argument("--stamped", action="store_true", help="sensor_msgs/Temperature, best effort")
+    parser.add_argument("--kelvin", action="store_true")
+    parser.add_argument("--no-set-point", action="store_true")
+    parser.add_argument("--behind", type=float, default=0.0, help="s that the clock of the stamps is behind")
+    options = parser.parse_args()
+    rclpy.init()
+    node = rclpy.create_node("oven_rig")
+    kind = Temperature if options.stamped else Float64
+    sensor = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    readings = node.create_publisher(kind, "/oven/temperature", sensor if options.stamped else 10)
+    commands = node.create_publisher(Float64, "/oven/heater", 10)
+    set_points = node.create_publisher(Float64, "/oven/set_point", 10)
+    noise = random.Random(7)
+    oven = ROOM
+    integral = 0.0
+    tick = 0
+    due = time.monotonic()
+    try:
+        while rclpy.ok():
+            wanted = LEVELS[tick // HOLD % 2]
+            reading = oven + noise.gauss(0.0, 0.02) + 273.15 * options.kelvin
+            error = wanted - reading + 273.15 * options.kelvin
+            integral += INTEGRAL * options.period * error
+            heater = min(max(PROPORTIONAL * error + integral, 0.0), 100.0)
+            message = kind()
+            if options.stamped:
+                message.temperature = reading
+                message.header.stamp = node.get_clock().now().to_msg()
+                message.header.stamp.sec -= round(options.behind)
+            else:
+                message.data = reading
+            readings.publish(message)
+            if not options.no_set_point:
+                set_points.publish(Float64(data=wanted))
+            commands.publish(Float64(data=heater))
+            print(json.dumps([wanted, reading, heater]), flush=True)
+            for _ in range(10):
+                rate = (GAIN * heater - LOSS * (oven - ROOM)) / CAPACITY
+                oven += 0.1 * options.period * rate
+            tick += 1
+            due = max(due + options.period, time.monotonic() - options.period)
+            time.sleep(max(due - time.monotonic(), 0.0))
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    main()
