@@ -136,6 +136,21 @@ def test_a_match_finds_the_same_parameters(model: Model) -> None:
 
 
 @pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
+def test_a_match_to_a_recorded_step_finds_the_same_parameters(
+    model: Model, recorded_hour: Callable[[int], Window]
+) -> None:
+    hour = recorded_hour(1)
+    steps = np.flatnonzero(np.abs(np.diff(hour.reference)) > 1.0)
+    step = int(steps[steps > 60][0]) + hour.first
+    window = hour.part(step - 40, step + 160)
+    native = match(window, start=NATIVE.parameters())
+    found = match(window, start=model.parameters())
+    assert found.status is native.status
+    for name in native.free:
+        assert found.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+
+
+@pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
 def test_a_structure_is_fitted_alike(model: Model) -> None:
     window = a_window(200)
     native, found = (fit_structure([window], one, thorough=False, informed=True) for one in (NATIVE, model))
