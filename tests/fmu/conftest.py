@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.fmus import build_c_fmu, build_python_fmu, write_map
+from tests.support.fmus import build_c_fmu, build_c_fmu_3, build_python_fmu, write_map
 from twinmatch.dynamics import Model
 from twinmatch.fmu import adopt_fmus, is_fmu
 from twinmatch.plants import Peltier
@@ -16,6 +16,12 @@ from twinmatch.plants import Peltier
 @pytest.fixture(scope="session")
 def exchange_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_c_fmu(tmp_path_factory.mktemp("exchange"))
+
+
+@pytest.fixture(scope="session")
+def third_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of FMI 3, for model exchange and co-simulation."""
+    return build_c_fmu_3(tmp_path_factory.mktemp("third"))
 
 
 @pytest.fixture(scope="session")

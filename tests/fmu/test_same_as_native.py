@@ -27,7 +27,7 @@ from twinmatch.matching import fit_structure, match
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
-KINDS = ("exchange_fmu", "switching_fmu", "python_fmu")
+KINDS = ("exchange_fmu", "switching_fmu", "third_fmu", "third_fmu co-simulation", "python_fmu")
 TRUTH = {"seebeck": 0.06, "conductance": 0.7, "heat_capacity": 28.0}
 NATIVE = Peltier.model("held sink")
 
@@ -47,7 +47,8 @@ def a_window(samples: int = 150, seed: int = 3) -> Window:
 
 @pytest.fixture
 def model(request: pytest.FixtureRequest, adopted: Callable[..., Model]) -> Model:
-    return adopted(request.getfixturevalue(request.param))
+    name, _, kind = request.param.partition(" ")
+    return adopted(request.getfixturevalue(name), **({"kind": kind} if kind else {}))
 
 
 @pytest.mark.parametrize("model", KINDS, indirect=True)

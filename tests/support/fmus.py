@@ -10,7 +10,7 @@ from pathlib import Path
 
 import yaml
 
-__all__ = ["CULPRITS", "build_c_fmu", "build_python_fmu", "python_slave", "write_map"]
+__all__ = ["CULPRITS", "build_c_fmu", "build_c_fmu_3", "build_python_fmu", "python_slave", "write_map"]
 
 PARAMETERS = {
     "seebeck": 0.075,
@@ -156,6 +156,21 @@ _XML = """<?xml version="1.0" encoding="UTF-8"?>
 </fmiModelDescription>
 """
 
+_XML_3 = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="plate" instantiationToken="{{held-sink}}">
+  <ModelExchange modelIdentifier="plate"/>
+  <CoSimulation modelIdentifier="plate" canHandleVariableCommunicationStepSize="true"/>
+  <ModelVariables>
+    <Float64 name="time" valueReference="99" causality="independent" variability="continuous"/>
+{variables}
+  </ModelVariables>
+  <ModelStructure>
+    <Output valueReference="3"/>
+    <ContinuousStateDerivative valueReference="2"/>
+  </ModelStructure>
+</fmiModelDescription>
+"""
+
 
 def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True) -> Path:
     """A model-exchange FMU (FMI 2) of the same equations, compiled.
@@ -164,57 +179,70 @@ def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True) -> Pa
     """
     import fmpy.fmi2
 
-    build = folder / "build"
-    library = build / "binaries" / "linux64" / "plate.so"
-    library.parent.mkdir(parents=True, exist_ok=True)
-    names = list(PARAMETERS)
-    code = (Path(__file__).parent / "plate.c").read_text(encoding="utf-8")
-    code = code.replace("@values@", ", ".join(map(str, PARAMETERS.values()))).replace(
-        "@names@", ", ".join(names)
-    )
+    code = _source("plate.c")
     if not joule:
         code = code.replace("- current * current * m->p[resistance] / 2", "")
-    source = build / "plate.c"
-    source.write_text(code, encoding="utf-8")
-    others = build / "others.c"
-    others.write_text(_left_out(code, fmpy.fmi2.FMU2Model), encoding="utf-8")
-    headers = Path(fmpy.__file__).parent / "c-code"
-    subprocess.run(
-        [
-            "gcc",
-            "-shared",
-            "-fPIC",
-            "-O2",
-            "-w",
-            f"-I{headers}",
-            str(source),
-            str(others),
-            "-o",
-            str(library),
-        ],
-        check=True,
-    )
-    variables = [
+    lines = [
+        f'    <ScalarVariable name="{name}" valueReference="{k}" {what}><Real {more}/></ScalarVariable>'
+        for k, (name, what, more) in enumerate(_variables())
+    ]
+    xml = _XML.format(variables="\n".join(lines), output=4, derivative=3, indicators=2 if events else 0)
+    return _compiled(folder, code, _left_out(code, fmpy.fmi2.FMU2Model), xml, "linux64")
+
+
+def build_c_fmu_3(folder: Path) -> Path:
+    """An FMU of FMI 3 of the same equations, for model exchange and co-simulation."""
+    import fmpy.fmi3
+
+    code = _source("plate3.c")
+    lines = [
+        f'    <Float64 name="{name}" valueReference="{k}" {what} {more}/>'
+        for k, (name, what, more) in enumerate(_variables())
+    ]
+    xml = _XML_3.format(variables="\n".join(lines).replace('derivative="2"', 'derivative="1"'))
+    others = _left_out(code, fmpy.fmi3.FMU3Model, fmpy.fmi3.FMU3Slave)
+    return _compiled(folder, code, others, xml, "x86_64-linux")
+
+
+def _source(name: str) -> str:
+    code = (Path(__file__).parent / name).read_text(encoding="utf-8")
+    values = ", ".join(map(str, PARAMETERS.values()))
+    return code.replace("@values@", values).replace("@names@", ", ".join(PARAMETERS))
+
+
+def _variables() -> list[tuple[str, str, str]]:
+    return [
         ("pwm", 'causality="input"', 'start="0"'),
         ("plate", 'causality="local" variability="continuous" initial="exact"', 'start="298.15"'),
         ("der(plate)", 'causality="local" variability="continuous"', 'derivative="2"'),
         ("celsius", 'causality="output" variability="continuous"', ""),
         *((n, 'causality="parameter" variability="fixed"', f'start="{v}"') for n, v in PARAMETERS.items()),
     ]
-    lines = [
-        f'    <ScalarVariable name="{name}" valueReference="{k}" {what}><Real {more}/></ScalarVariable>'
-        for k, (name, what, more) in enumerate(variables)
-    ]
-    xml = _XML.format(variables="\n".join(lines), output=4, derivative=3, indicators=2 if events else 0)
+
+
+def _compiled(folder: Path, code: str, others: str, xml: str, platform: str) -> Path:
+    """The FMU of some sources and a description."""
+    import fmpy
+
+    build = folder / "build"
+    build.mkdir(parents=True)
+    for name, text in (("plate.c", code), ("others.c", others)):
+        (build / name).write_text(text, encoding="utf-8")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    subprocess.run(
+        ["gcc", "-shared", "-fPIC", "-O2", "-w", f"-I{headers}", "plate.c", "others.c", "-o", "plate.so"],
+        cwd=build,
+        check=True,
+    )
     file = folder / "plate.fmu"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", xml)
-        archive.write(library, "binaries/linux64/plate.so")
+        archive.write(build / "plate.so", f"binaries/{platform}/plate.so")
     shutil.rmtree(build)
     return file
 
 
-def _left_out(code: str, of: type) -> str:
+def _left_out(code: str, *of: type) -> str:
     """Functions that FMPy wants to find, and that say that they cannot do it."""
-    names = [name for name in dir(of) if name.startswith(("fmi2", "fmi3")) and f"{name}(" not in code]
-    return "".join(f"int {name}(void) {{ return 3; }}\n" for name in names)
+    names = {name for one in of for name in dir(one) if name.startswith(("fmi2", "fmi3"))}
+    return "".join(f"int {name}(void) {{ return 3; }}\n" for name in sorted(names) if f"{name}(" not in code)
