@@ -51,5 +51,6 @@ def adopted(tmp_path: Path) -> Iterator[Callable[..., Model]]:
     yield adopt
     for name in [name for name in Peltier.structures if is_fmu(name)]:
         source = Peltier.structures[name].elsewhere
-        source.runner.close()  # type: ignore[union-attr]
+        if hasattr(source, "runner"):
+            source.runner.close()
         Peltier.disown(name)

@@ -11,14 +11,16 @@ import pytest
 import yaml
 
 from tests.support.fmus import build_python_fmu, write_map
-from twinmatch.dynamics import Model, Structure, begin, simulate_closed_loop
+from twinmatch.dynamics import Model, PlantError, Structure, StructureLostError, begin, simulate_closed_loop
 from twinmatch.fmu import is_fmu
 from twinmatch.judging.foreign import ForeignError, check_fmus
 from twinmatch.judging.judgement import Judgement, judge_samples
 from twinmatch.nodes.twin_parameters import ParameterError, read_settings, recorded_values
 from twinmatch.plants import Peltier
+from twinmatch.record.named import parameters_of, parameters_tree
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Twin, TwinSettings
+from twinmatch.twin.structure_watch import watched
 from twinmatch.twin.structures import choose_structure
 
 NATIVE = Peltier.model("held sink")
@@ -156,3 +158,22 @@ def test_a_session_is_verified_with_its_own_fmu_only(
     assert then not in Peltier.structures
     with pytest.raises(ForeignError, match=r"the one given is .* another FMU or another map"):
         check_fmus("x", Peltier, (*native, then))
+
+
+def test_a_page_shows_an_fmu_that_it_does_not_have(adopted: Callable[..., Model], exchange_fmu: Path) -> None:
+    parameters = adopted(exchange_fmu).parameters(seebeck=0.06)
+    tree = parameters_tree(parameters)
+    Peltier.disown(parameters.model.structure_name)
+    found = parameters_of(tree)
+    assert found is not None
+    assert found.model.structure_name == parameters.model.structure_name
+    assert dict(found) == dict(parameters)
+    assert found.model not in watched(Peltier)
+    with pytest.raises(StructureLostError, match="is not in this process"):
+        begin(found, 30.0)
+    with pytest.raises(ForeignError, match="give the one it was"):
+        check_fmus("x", Peltier, [found.model.structure_name])
+    again = adopted(exchange_fmu)
+    assert not again.lost
+    with pytest.raises(PlantError, match="no structure 'nobody knows it'"):
+        parameters_of({**tree, "structure": "nobody knows it"})

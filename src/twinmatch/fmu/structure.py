@@ -7,11 +7,10 @@ verdict knows which program it was, and the same name means the same program.
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from twinmatch.dynamics import Model, Parameter, State, Structure
 from twinmatch.fmu.archive import MOST_BYTES, digest_of
@@ -21,10 +20,9 @@ from twinmatch.fmu.mapping import FmuMap, read_maps
 from twinmatch.fmu.places import Places
 from twinmatch.fmu.runner import Runner
 from twinmatch.fmu.trial import tried
+from twinmatch.plants.absent import MARK, is_marked
 
 __all__ = ["FmuSource", "adopt_fmus", "is_fmu", "unmarked"]
-
-_MARK: Final = re.compile(r" \(FMU [0-9a-f]{8}\)$")
 
 
 class FmuSource:
@@ -65,12 +63,12 @@ class FmuSource:
 
 def is_fmu(structure: str) -> bool:
     """Whether the name of a structure is that of an FMU."""
-    return _MARK.search(structure) is not None
+    return is_marked(structure)
 
 
 def unmarked(structure: str) -> str:
     """The name of a structure as its map has it."""
-    return _MARK.sub("", structure)
+    return MARK.sub("", structure)
 
 
 def adopt_fmus(file: Path) -> tuple[Model, ...]:

@@ -25,7 +25,8 @@ def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
     Raises:
         ForeignError: they are not the same.
     """
-    then, now = ([s for s in those if is_fmu(s)] for those in (recorded, plant.structures))
+    able = [name for name, held in plant.structures.items() if held.elsewhere and not held.elsewhere.lost]
+    then, now = ([s for s in those if is_fmu(s)] for those in (recorded, able))
     missing, more = [s for s in then if s not in now], [s for s in now if s not in then]
     if missing:
         other = [s for s in more if unmarked(s) == unmarked(missing[0])]

@@ -8,6 +8,7 @@ from typing import Final
 
 from twinmatch.dynamics import Parameters, Plant
 from twinmatch.plants import Peltier, plant_named
+from twinmatch.plants.absent import is_marked, stand_in
 
 __all__ = ["parameters_from", "structure_of"]
 
@@ -23,13 +24,16 @@ def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> 
     """The parameters that were written down, by name.
 
     Where no structure is named, the values say which parts there are: so it was before plants had
-    structures, when there was but the Peltier rig, and so it is in short files.
+    structures, when there was but the Peltier rig, and so it is in short files. A structure that is an FMU
+    need not be in this process: then its parameters have names and values, and cannot be run.
 
     Raises:
         PlantError: no such plant, structure or parameter, or values that no plant has.
     """
     kind = plant_named(plant or Peltier.name)
     if structure:
+        if structure not in kind.structures and is_marked(structure):
+            stand_in(kind, structure, tuple(values))
         return kind.model(structure).parameters(**values)
     model = kind.model(structure_of(kind, values))
     kept = {n: v for n, v in values.items() if n in model.declared or n not in kind.parameters}
