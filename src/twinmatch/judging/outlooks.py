@@ -120,7 +120,9 @@ def _nobody(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:
         twin.push(sample)
         if twin.discriminator.forecaster.names:
             return ForecastError(f"{asked}; from sample {sample.index} on there is one")
+    needed = "The loop needs set-point steps of a few degrees, some minutes apart,"
+    if twin.settings.gains is None:
+        needed = "The input has to move far above its noise, for some minutes in all,"
     return ForecastError(
-        f"{asked}, nor at any later one: no match was accepted. The loop needs set-point steps of a few "
-        "degrees, some minutes apart, or candidates given with --candidates"
+        f"{asked}, nor at any later one: no match was accepted. {needed} or candidates given with --candidates"
     )

@@ -76,7 +76,7 @@ def structure_table(verdict: Verdict) -> Table | None:
 
 def family_table(members: Sequence[Member]) -> Table:
     """Parameters of every candidate with their 95 % half-widths."""
-    shown = _shown(members)
+    shown, closed = _shown(members), any(m.settings.gains is not None for m in members)
     rows = []
     for m in members:
         cells = []
@@ -94,7 +94,7 @@ def family_table(members: Sequence[Member]) -> Table:
                 Cell(f"{m.score.first} to {m.score.last}" if m.match else "given"),
                 *cells,
                 Cell(_percent(m.match.fit.y) if m.match else "–"),
-                Cell(_percent(m.match.fit.u) if m.match else "–"),
+                *([Cell(_percent(m.match.fit.u) if m.match else "–")] if closed else []),
             )
         )
     columns = (
@@ -102,7 +102,7 @@ def family_table(members: Sequence[Member]) -> Table:
         "samples",
         *(q.label for q in shown),
         "fit of y / %",
-        "fit of u / %",
+        *(["fit of u / %"] if closed else []),
     )
     marked = frozenset(k for k, m in enumerate(members) if m.nominal)
     return Table("Parameters of the family, with 95 % intervals", columns, tuple(rows), marked)
@@ -118,8 +118,10 @@ def _shown(members: Sequence[Member]) -> list[Quantity]:
     return [quantity(plant, name) for name in in_order(plant, {name for names in free for name in names})]
 
 
-def match_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float) -> Table:
-    """Every match, admitted or refused, with why."""
+def match_table(
+    matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float, *, closed: bool = True
+) -> Table:
+    """Every match, admitted or refused, with why; `closed`: whether it was made in the loop."""
     said = {v.sample: v.reason.removeprefix("match refused: ") for v in verdicts if v.match == REFUSED}
     shown = []
     if matches:
@@ -141,17 +143,17 @@ def match_table(matches: Sequence[MatchReport], verdicts: Sequence[Verdict], per
                 words(word, mark=word.partition(":")[0]),
                 *cells,
                 Cell(_percent(report.match.fit.y)),
-                Cell(_percent(report.match.fit.u)),
+                *([Cell(_percent(report.match.fit.u))] if closed else []),
                 words(said.get(report.sample, report.match.reason)),
             )
         )
     columns = (
         "t / s",
-        "set-point",
+        "set-point" if closed else "operating point",
         "match",
         *(q.label for q in shown),
         "fit y / %",
-        "fit u / %",
+        *(["fit u / %"] if closed else []),
         "why",
     )
     return Table("Every match of the session", columns, tuple(rows))

@@ -160,13 +160,18 @@ def _session_alt(j: Judgement) -> str:
     low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
     words = words_of(j.settings.plant)
     span = f"{low:.{words.output_decimals}f} to {high:.{words.output_decimals}f} {words.output_unit}"
-    base = f"Time series of set-point, measured {words.output} ({span}) and {words.input}"
+    closed = j.settings.gains is not None
+    set_point = "set-point, " if closed else ""
+    base = f"Time series of {set_point}measured {words.output} ({span}) and {words.input}"
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
     if shown is None:
         return f"{base}; there is no twin to compare them with."
+    twins, fitted = "the driven twin", "driven"
+    if closed:
+        twins, fitted = "the closed-loop and the driven twin", "closed-loop"
     return (
-        f"{base}, with the closed-loop and the driven twin of {shown.name}; below, what is left "
-        f"between plant and twin. The closed-loop twin fits the {words.output} to "
+        f"{base}, with {twins} of {shown.name}; below, what is left "
+        f"between plant and twin. The {fitted} twin fits the {words.output} to "
         f"{100 * j.summary.fit_y:.1f} %."
     )
 

@@ -83,6 +83,7 @@ class Report:
         judged, judgement = self.judged, self.judged.judgement
         last, nominal = last_verdict(judgement.verdicts), self.nominal
         period, level = judgement.settings.period, judgement.summary.level
+        closed = judgement.settings.gains is not None
         plant, matched = judgement.settings.plant, judgement.settings.start.model.structure_name
         return {
             "name": self.name,
@@ -107,7 +108,7 @@ class Report:
             "match": nominal.match if nominal else None,
             "nominal_parameters": nominal_table(nominal.score, nominal.match) if nominal else None,
             "family": family_table(self.members) if self.members else None,
-            "matches": match_table(judgement.matches, judgement.verdicts, period)
+            "matches": match_table(judgement.matches, judgement.verdicts, period, closed=closed)
             if judgement.matches
             else None,
             "verdict": last,
@@ -123,6 +124,8 @@ class Report:
             "judged": self.judged,
             "plant": plant,
             "called": words_of(plant),
+            "closed": closed,
+            "asked": "set-point" if closed else "input",
             "others": ", ".join(n for n in plant.structures if n != matched),
             "provenance": self.provenance,
         }

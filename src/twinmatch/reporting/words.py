@@ -38,10 +38,11 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     given = [s.input for s in samples]
     y, u = _words(judgement), _plant(judgement).drive
     a, b = y.output_decimals, y.input_decimals
+    asked = f"{number(min(reference), a)} to {number(max(reference), a)} {y.output_unit}"
     facts = [
         ("samples", f"{len(samples)}, one every {period:g} s"),
         ("duration", duration((samples[-1].index - samples[0].index + 1) * period)),
-        ("set-point", f"{number(min(reference), a)} to {number(max(reference), a)} {y.output_unit}"),
+        *([("set-point", asked)] if judgement.settings.gains is not None else []),
         (y.output, f"{number(min(measured), a)} to {number(max(measured), a)} {y.output_unit}"),
         (
             y.input,
@@ -86,8 +87,10 @@ def plain_words(judgement: Judgement) -> list[str]:
 
 def _what(judgement: Judgement) -> str:
     samples, period = judgement.samples, judgement.settings.period
-    low, high = min(s.reference for s in samples), max(s.reference for s in samples)
     plant, words = _plant(judgement), _words(judgement)
+    if judgement.settings.gains is None:
+        return _what_is_known(judgement)
+    low, high = min(s.reference for s in samples), max(s.reference for s in samples)
     unit = words.output_unit
     asked = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     time = duration((samples[-1].index - samples[0].index + 1) * period)
@@ -98,17 +101,32 @@ def _what(judgement: Judgement) -> str:
     )
 
 
+def _what_is_known(judgement: Judgement) -> str:
+    """The same where nobody tells of a loop."""
+    samples, period, plant = judgement.samples, judgement.settings.period, _plant(judgement)
+    time = duration((samples[-1].index - samples[0].index + 1) * period)
+    beside = "".join(f" and {d.text or d.name}" for d in plant.disturbances.values())
+    return (
+        f"For {time} the {_words(judgement).output} of a plant ({plant.title}), its control "
+        f"({plant.drive.text or plant.drive.name}){beside} were recorded every {period:g} s, {len(samples)} "
+        "times in all; what controlled it is not known."
+    )
+
+
 def _matching(judgement: Judgement) -> str:
     count = sum(1 for v in judgement.verdicts if v.match)
+    closed = judgement.settings.gains is not None
+    kind = "set-point" if closed else "control"
+    twin = "of the plant with its controller" if closed else "of the plant under the recorded control"
     if not count:
         return (
-            "No set-point step was found that a digital twin could be fitted to, so there was no match and "
+            f"No {kind} step was found that a digital twin could be fitted to, so there was no match and "
             "no candidate."
         )
     joined = len(admitted(judgement.verdicts))
     refused = count - joined
     return (
-        f"After set-point steps a digital twin, a simulation of the plant with its controller, is fitted to "
+        f"After {kind} steps a digital twin, a simulation {twin}, is fitted to "
         f"what was measured: of {count} window{_s(count)}, {joined} "
         f"{'was' if joined == 1 else 'were'} admitted to the family"
         + (f" and {refused} refused (section 2 says why)." if refused else ".")
@@ -118,6 +136,9 @@ def _matching(judgement: Judgement) -> str:
 def _nothing(judgement: Judgement) -> str:
     if any(v.match for v in judgement.verdicts):
         return "No fit stands, so there is no twin to trust."
+    if judgement.settings.gains is None:
+        unit, least = _plant(judgement).drive.unit, judgement.settings.least_movement
+        return f"The control has to move by {f'{least:g} {unit}'.rstrip()} or more, for some minutes in all."
     return (
         f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} "
         f"{_words(judgement).output_unit} or more, some "

@@ -50,6 +50,8 @@ class Summary:
     """The twin to ask what comes next."""
     leader_confidence: float = math.nan
     """How often its error was within 3 % of the best candidate's."""
+    closed: bool = True
+    """Whether the loop is known; otherwise the fit is that of the driven twin."""
 
 
 def summarise(
@@ -89,6 +91,7 @@ def summarise(
         fault=last.fault if last else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
+        closed=gains is not None,
     )
 
 
@@ -97,10 +100,12 @@ def sentence(summary: Summary) -> str:
     if summary.leader is None and summary.nominal is None:
         if summary.level is TrustLevel.FAULT:
             return f"No nominal twin: {_trouble(summary)}. Look at the plant first."
-        return (
-            f"No nominal twin: {summary.verdicts} verdicts, but no match stands. "
+        needed = (
             "The loop needs set-point steps of a few degrees, some minutes apart."
+            if summary.closed
+            else "The input has to move far above its noise, for some minutes in all."
         )
+        return f"No nominal twin: {summary.verdicts} verdicts, but no match stands. {needed}"
     parts = [_who(summary)]
     if math.isfinite(summary.fit_y):
         output = words_of(summary.parameters.model.plant).output if summary.parameters else "output"

@@ -55,8 +55,8 @@ def missed(verdict: Verdict) -> str:
     of = verdict.forecasts[0].parameters if verdict.forecasts else None
     words = words_of(of.model.plant) if of else None
     names = (words.output, words.input) if words else ("output", "control")
-    misses = (number(verdict.miss_y, 1), number(verdict.miss_u, 1))
-    told = " and ".join(f"{name} {miss}" for name, miss in zip(names, misses, strict=True))
+    misses = zip(names, (verdict.miss_y, verdict.miss_u), strict=True)
+    told = " and ".join(f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss))
     return f"{told} half widths of the band from what was foretold"
 
 

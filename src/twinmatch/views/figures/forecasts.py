@@ -74,11 +74,12 @@ def _explain(figure: Figure) -> None:
 def _draw(output: Axes, control: Axes, fan: Fan) -> None:
     forecast, past, came = fan.forecast, fan.past, fan.came
     known = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
-    set_points = np.concatenate([past.reference, forecast.reference])
-    around = np.concatenate([known, forecast.time])
-    output.plot(
-        around, set_points, color=SET_POINT, lw=0.9, ls="--", drawstyle="steps-post", label="set-point"
-    )
+    if forecast.closed:
+        set_points = np.concatenate([past.reference, forecast.reference])
+        around = np.concatenate([known, forecast.time])
+        output.plot(
+            around, set_points, color=SET_POINT, lw=0.9, ls="--", drawstyle="steps-post", label="set-point"
+        )
     for axes, band, before, after in (
         (output, forecast.output, past.output, None if came is None else came.output),
         (control, forecast.input, past.input, None if came is None else came.input),

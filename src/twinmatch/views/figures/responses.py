@@ -52,13 +52,16 @@ def _draw_member(temperature: Axes, control: Axes, member: Member) -> None:
     window, order = member.window, member.score.chosen_order
     twin, model = member.quiet_twin, member.simulated(order)
     time = window.time[_SKIPPED:]
-    _draw_set_point(temperature, window)
+    closed = member.settings.gains is not None
+    if closed:
+        _draw_set_point(temperature, window)
     temperature.plot(window.time, window.output, color=PLANT, lw=1.4, label="plant")
     temperature.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
     temperature.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
     control.plot(window.time, window.input, color=PLANT, lw=0.9)
-    control.plot(time, twin.input, color=CLOSED, lw=0.9)
-    control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
+    if closed:
+        control.plot(time, twin.input, color=CLOSED, lw=0.9)
+        control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
     mark = ", nominal" if member.nominal else ""
     temperature.set_title(
         f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None
@@ -76,7 +79,8 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     figure = new_figure(10, 6.2)
     axes = stack(figure, (3, 2, 1.5, 1.5))
     time = window.time[_SKIPPED:]
-    _draw_set_point(axes[0], window)
+    if nominal.settings.gains is not None:
+        _draw_set_point(axes[0], window)
     axes[0].plot(window.time, window.output, color=PLANT, lw=2, label="plant")
     axes[1].plot(window.time, window.input, color=PLANT, lw=1.6)
     for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):

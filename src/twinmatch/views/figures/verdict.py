@@ -65,9 +65,10 @@ def _draw_signals(
     """One unbroken stretch of plant and twin."""
     time, hidden = window.time, "_"  # matplotlib leaves such labels out of the legend
     names = ("set-point", "plant") if label else (hidden, hidden)
-    temperature.plot(
-        time, window.reference, color=SET_POINT, lw=1, ls="--", drawstyle="steps-post", label=names[0]
-    )
+    if settings.gains is not None:
+        temperature.plot(
+            time, window.reference, color=SET_POINT, lw=1, ls="--", drawstyle="steps-post", label=names[0]
+        )
     temperature.plot(time, window.output, color=PLANT, lw=1.2, label=names[1])
     control.plot(time, window.input, color=PLANT, lw=0.9)
     if shown is None or len(window) < 4:
@@ -75,7 +76,8 @@ def _draw_signals(
     twin = simulate_window(shown.parameters, window, gains=settings.gains)
     name = f"twin of {shown.name}" if label else hidden
     temperature.plot(time[2:], twin.output, color=CLOSED, lw=1, label=name)
-    control.plot(time[2:], twin.input, color=CLOSED, lw=0.8)
+    if settings.gains is not None:
+        control.plot(time[2:], twin.input, color=CLOSED, lw=0.8)
 
 
 def _title(shown: Shown, nominal: CandidateScore | None) -> str:
