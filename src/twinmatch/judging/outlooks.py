@@ -124,5 +124,6 @@ def _nobody(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:
     if twin.settings.gains is None:
         needed = "The input has to move far above its noise, for some minutes in all,"
     return ForecastError(
-        f"{asked}, nor at any later one: no match was accepted. {needed} or candidates given with --candidates"
+        f"{asked}, nor at any later one: no match was accepted. {needed} or candidates given with "
+        "--candidates"
     )
