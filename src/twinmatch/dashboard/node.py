@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +35,15 @@ from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.named import description_of
 from twinmatch.twin import TwinSettings
-from twinmatch_msgs.msg import Forecast, LoopSample, ModelScore, PlantDescription, PwmApplied, TwinState
+from twinmatch_msgs.msg import (
+    Forecast,
+    LoopSample,
+    ModelScore,
+    PlantApplied,
+    PlantDescription,
+    PwmApplied,
+    TwinState,
+)
 
 __all__ = ["Dashboard"]
 
@@ -92,7 +101,8 @@ class Dashboard(TwinmatchNode):
         self._hear(TwinState, "twin/state", self._on_twin, ALL)
         self._hear(Forecast, "twin/forecast", self._on_forecast, ALL)
         self._hear(ModelScore, "twin/model_score", self._on_score, ALL)
-        self._hear(PwmApplied, "plant/pwm_applied", self._on_applied, ALL)
+        self._hear(PwmApplied, "plant/pwm_applied", self._on_pwm, ALL)
+        self._hear(PlantApplied, "plant/applied", self._on_applied, ALL)
         self._hear(DiagnosticArray, "/diagnostics", self._on_health, ALL)
         self._hear(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
         self._summed_up = 0
@@ -157,7 +167,10 @@ class Dashboard(TwinmatchNode):
     def _on_score(self, message: ModelScore) -> None:
         self.state.push_verdict(verdict_from(message))
 
-    def _on_applied(self, message: PwmApplied) -> None:
+    def _on_applied(self, message: PlantApplied) -> None:
+        self.state.push_drive(Drive(message.input, math.nan, message.fault))
+
+    def _on_pwm(self, message: PwmApplied) -> None:
         self.state.push_drive(Drive(message.pwm, message.current, message.fault))
 
     def _on_health(self, message: DiagnosticArray) -> None:

@@ -88,8 +88,9 @@ def tiles(state: DashboardState) -> str:
         (f"twin's {said.input.label}", number(twin.get("closed_input"), u)),
     ]
     if state.drive is not None:
-        entries.append((with_unit("applied", said.input.unit), number(state.drive.pwm, u)))
-        entries.append(("current / A", number(state.drive.current, 2)))
+        entries.append((with_unit("applied", said.input.unit), number(state.drive.input, u)))
+        if not math.isnan(state.drive.current):
+            entries.append(("current / A", number(state.drive.current, 2)))
     return _tiles(entries, "tiles now")
 
 

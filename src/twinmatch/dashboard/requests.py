@@ -49,8 +49,8 @@ class Requests:
         self._rate = node.create_client(SetParameters, "player/set_parameters")
         self._ahead = node.create_client(WhatIf, "twin/what_if")
         if control:
-            self._clear = node.create_client(Trigger, "pwm_bridge/clear_fault")
-            self._stop = node.create_client(Trigger, "pwm_bridge/stop")
+            self._clear = node.create_client(Trigger, "plant/clear_fault")
+            self._stop = node.create_client(Trigger, "plant/stop")
             self._limits = node.create_client(GetParameters, "controller/get_parameters")
             # Not latched: a controller that is started again must not find an old wish of ours.
             quiet = PublisherEventCallbacks(use_default_callbacks=False)
@@ -99,12 +99,12 @@ class Requests:
     def clear_fault(self) -> None:
         """Let the output be driven again after a fault."""
         if self._control:
-            self._call(self._clear, Trigger.Request(), "pwm_bridge", self._tell_answer)
+            self._call(self._clear, Trigger.Request(), "what drives the plant", self._tell_answer)
 
     def stop(self) -> None:
         """Hold the output at zero."""
         if self._control:
-            self._call(self._stop, Trigger.Request(), "pwm_bridge", self._tell_answer)
+            self._call(self._stop, Trigger.Request(), "what drives the plant", self._tell_answer)
 
     def set_point(self, level: float) -> None:
         """Ask the controller for a set-point, once it has said that it would follow one."""

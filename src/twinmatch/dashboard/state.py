@@ -49,9 +49,10 @@ class TwinRow(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What the board of the driver reported last."""
+    """What drives the plant reported last."""
 
-    pwm: float
+    input: float
+    """Applied, in the input's unit; NaN: not known."""
     current: float
     """A; NaN: not measured."""
     fault: str

@@ -7,6 +7,9 @@ __all__ = ["ELSEWHERE", "TOPICS"]
 TOPICS = {
     "plant/description": "twinmatch_msgs/msg/PlantDescription",
     "plant/sample": "twinmatch_msgs/msg/LoopSample",
+    "plant/reading": "twinmatch_msgs/msg/PlantReading",
+    "plant/command": "twinmatch_msgs/msg/PlantCommand",
+    "plant/applied": "twinmatch_msgs/msg/PlantApplied",
     "plant/temperature": "sensor_msgs/msg/Temperature",
     "plant/reference": "std_msgs/msg/Float64",
     "plant/uniformity": "std_msgs/msg/Float64",

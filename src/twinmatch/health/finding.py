@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from twinmatch.dynamics import Plant
+from twinmatch.health.answer import Answer
 from twinmatch.health.record import Fault
 from twinmatch.health.traces import Effect, Repeats
 from twinmatch.signals import Sample
@@ -62,12 +63,12 @@ class Words:
         )
         return Finding(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
 
-    def late(self, index: int, effect: Effect, lag: float, *, sure: bool) -> Finding:
+    def late(self, index: int, effect: Effect | Answer, lag: float, *, sure: bool) -> Finding:
         """Readings that come too late."""
         reason = f"{self.output} follows the drive {lag:g} s late: {self.sensor}"
         return Finding(Fault.SENSOR_LATE, sure, index - effect.length, reason)
 
-    def lost(self, index: int, effect: Effect, *, sure: bool) -> Finding:
+    def lost(self, index: int, effect: Effect | Answer, *, sure: bool) -> Finding:
         """A drive without effect."""
         moved, shown = signed(effect.expected), signed(effect.share * effect.expected)
         reason = (
@@ -77,7 +78,7 @@ class Words:
         )
         return Finding(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 
-    def weak(self, index: int, effect: Effect, lasts: int, *, sure: bool) -> Finding:
+    def weak(self, index: int, effect: Effect | Answer, lasts: int, *, sure: bool) -> Finding:
         """A drive with too small an effect, for so many samples."""
         reason = (
             f"the drive does {max(effect.share, 0.0):.0%} of what it should to {self.output}, and that for "

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 from twinmatch.dynamics import Parameters
+from twinmatch.health.answer import Answer, answers_late
 from twinmatch.health.balance import BLOCK, TRIAL, Balance
 from twinmatch.health.finding import Finding, Words
 from twinmatch.health.precedence import GRAVER, UNFOLLOWED
@@ -45,8 +46,11 @@ class Monitor:
         period = self.settings.period
         self._balance = Balance(self.settings.reference, period)
         noise = self._balance.noise
-        self._effect = Effect(period, noise)
-        self._repeats = Repeats(period, self.settings.frozen, noise)
+        reference = self.settings.reference
+        self._late = Answer(reference, period) if answers_late(reference, period) else None
+        """Of a plant that the drive moves only after many samples."""
+        self._effect: Effect | Answer = self._late or Effect(period, noise)
+        self._repeats = self._new_repeats()
         self._lag = Lag(period)
         self._words = Words(self.settings.reference.model.plant, period)
         self._slow = Slow(self.settings, self._words)
@@ -82,6 +86,8 @@ class Monitor:
         self._index = sample.index
         if parameters is not self._given:
             self._given, self._untried = parameters, 0
+            if self._late is not None and parameters is not None:
+                self._late.take(parameters)
         if self._possible(sample):
             finding = self._look(sample)
             starting = (sample.index - self._begin) * self.settings.period < self.settings.start
@@ -100,10 +106,15 @@ class Monitor:
             self._open = False
             self._slow.forget()
         self._begin, self._before = index, None
-        self._repeats = Repeats(self.settings.period, self.settings.frozen, self._balance.noise)
+        self._repeats = self._new_repeats()
         self._restart_traces()
         self._balance.restart()
         self._slow.restart()
+
+    def _new_repeats(self) -> Repeats:
+        plant = self.settings.reference.model.plant
+        steps = plant.sensor.resolution if plant.sensor is not None else 0.0
+        return Repeats(self.settings.period, self.settings.frozen, self._balance.noise, steps)
 
     def _restart_traces(self) -> None:
         self._effect.restart()
@@ -125,12 +136,14 @@ class Monitor:
             return None
         movement = self._balance.step(before, sample.output)
         stood = self._repeats.stands
-        self._repeats.push(sample.output - before.output, movement)
+        after = self._late.push(sample) if self._late is not None else movement
+        self._repeats.push(sample.output - before.output, after)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
             return None
         self._lag.push(movement)
-        self._effect.push(movement, self._balance.roughness)
+        if isinstance(self._effect, Effect):
+            self._effect.push(movement, self._balance.roughness)
         self._learn()
         self._follow(sample)
         # A plant that goes far in one sample may as well not have gone: that is the drive's to tell.
@@ -143,7 +156,8 @@ class Monitor:
         if self._repeats.stands:
             return self._words.frozen(sample, self._repeats)
         # What looks weak may be a twin that expects too much, so the balance has to have been good.
-        least = self.settings.weak if self._balance.smooth else self.settings.lost
+        smooth = self._balance.smooth and self._late is None
+        least = self.settings.weak if smooth else self.settings.lost
         if self._effect.share < least and not self._repeats.unusual:
             return self._short_of_effect(sample.index)
         self._contrary = self._feeble = 0
@@ -161,7 +175,8 @@ class Monitor:
         lost = self._effect.share < self.settings.lost
         self._contrary = self._contrary + 1 if lost else 0
         self._feeble += 1
-        lag, sure = self._lag.seconds(self._effect.length), self._contrary >= _CONFIRM
+        lag = self._lag.seconds(self._effect.length) if self._late is None else None
+        sure = self._contrary >= _CONFIRM
         if lag is not None:
             return self._words.late(index, self._effect, lag, sure=sure)
         weakly = self._balance.smooth and self._feeble * self.settings.period >= _WEAKLY

@@ -36,6 +36,8 @@ _LEAST_NOISE: Final = 0.1
 """Mean change from reading to reading below which a sensor may stand still for good."""
 _LEAST_MOVES: Final = 30
 """Changes of the reading from which it is known how often it repeats itself."""
+_COARSELY: Final = 8.0
+"""Movement of the plant that a sensor of coarse steps should have shown, lest its repetition be unusual."""
 _MOVED: Final = 30.0
 """Movement of the plant that a standing sensor should have shown."""
 
@@ -100,9 +102,13 @@ class Effect:
 class Repeats:
     """Whether the sensor stands still."""
 
-    def __init__(self, period: float, longest: float, noise: float) -> None:
-        """`longest` is the time that a reading may be repeated, s; `noise` that of a reading."""
+    def __init__(self, period: float, longest: float, noise: float, step: float = 0.0) -> None:
+        """`longest` is the time that a reading may be repeated, s; `noise` and `step` are those of a reading.
+
+        Where steps are coarser than the noise, a sensor stands still whenever the plant does.
+        """
         self._noise = noise
+        self._coarse = step > noise
         self._most = max(3, round(longest / period))
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
         self._change = 0.0  # mean change from reading to reading
@@ -130,7 +136,8 @@ class Repeats:
     @property
     def unusual(self) -> bool:
         """Whether the newest reading has been repeated so often that nothing else can be judged by it."""
-        return self.count >= 3
+        moved = not self._coarse or abs(self.expected) > _COARSELY * self._noise
+        return self.count >= 3 and moved
 
     @property
     def stands(self) -> bool:
@@ -139,7 +146,8 @@ class Repeats:
             return False
         chance = max(self._often, self._lately, 0.02) ** self.count
         noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE * self._noise
-        return abs(self.expected) > _MOVED * self._noise or (noisy and chance < _CHANCE)
+        told = noisy and not self._coarse and chance < _CHANCE
+        return abs(self.expected) > _MOVED * self._noise or told
 
 
 class Lag:

@@ -1,0 +1,168 @@
+"""The line to a Temperature Control Lab: the package's own class on a pseudo-terminal, and what breaks it."""
+
+from __future__ import annotations
+
+import math
+import os
+import pty
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
+
+from tests.support.kits import BenchKit
+from tests.support.waiting import wait_for
+from twinmatch.links.kit_errors import KitAbsentError, KitError, KitSilentError
+from twinmatch.links.kit_link import KitLink, require_port
+
+
+@pytest.fixture
+def kit(tmp_path: Path) -> Iterator[BenchKit]:
+    made = BenchKit(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def link(kit: BenchKit) -> Iterator[KitLink]:
+    """Open, with its keeper patient enough for a busy machine."""
+    made = KitLink(kit.port, deadline=3.0)
+    made.open()
+    yield made
+    made.close()
+
+
+def off(kit: BenchKit) -> None:
+    wait_for(lambda: kit.heaters == [0.0, 0.0], "both heaters off")
+
+
+def keeper(link: KitLink) -> int:
+    """Process id of who holds the port."""
+    assert link._process is not None
+    return link._process.pid
+
+
+def test_it_sets_heaters_and_reads_sensors(kit: BenchKit, link: KitLink) -> None:
+    assert link.firmware.startswith("TCLab Firmware")
+    kit.shown = {1: 41.25, 2: 30.5}
+    assert link.drive(37.5, 12.0) == (41.25, 30.5, 37.5, 12.0)
+    assert kit.heaters == [37.5, 12.0]
+    link.close()
+    assert kit.heaters == [0.0, 0.0]
+
+
+def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
+    link = KitLink(kit.port, deadline=0.6)
+    link.open()
+    link.drive(50.0, 50.0)
+    off(kit)
+    with pytest.raises(KitSilentError, match=r"told nothing for 0\.6 s"):
+        link.drive(50.0, 0.0)
+    assert link.drive(0.0, 0.0)[2] == 0.0
+    link.clear()
+    assert link.drive(20.0, 0.0)[2] == 20.0
+    link.close()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 100.5])
+def test_a_command_that_is_none_never_reaches_it(kit: BenchKit, link: KitLink, value: float) -> None:
+    """The package itself makes 100 % of what is not a number."""
+    link.drive(50.0, 0.0)
+    with pytest.raises(KitError, match="0 to 100 % is possible"):
+        link.drive(value, 0.0)
+    off(kit)
+    assert kit.highest == 50.0
+
+
+def test_who_commands_is_shot(kit: BenchKit, link: KitLink) -> None:
+    """Its end of the pipe closes, as the kernel does for a process that is killed."""
+    link.drive(80.0, 0.0)
+    assert link._process is not None
+    assert link._process.stdin is not None
+    link._process.stdin.close()
+    off(kit)
+
+
+def test_who_holds_the_port_is_shot_and_the_next_one_begins_with_zero(kit: BenchKit, link: KitLink) -> None:
+    link.drive(80.0, 0.0)
+    os.kill(keeper(link), signal.SIGKILL)
+    with pytest.raises(KitError, match="process that holds its port"):
+        link.drive(80.0, 0.0)
+    link.close()
+    assert kit.heaters[0] == 80.0  # the firmware has no deadline: somebody has to say it
+    link.open()
+    assert kit.heaters == [0.0, 0.0]
+
+
+def test_it_is_asked_to_end(kit: BenchKit, link: KitLink) -> None:
+    link.drive(80.0, 0.0)
+    os.kill(keeper(link), signal.SIGTERM)
+    off(kit)
+
+
+def test_the_cable_is_pulled(kit: BenchKit, link: KitLink) -> None:
+    link.drive(80.0, 0.0)
+    kit.unplug()
+    with pytest.raises(KitError):
+        link.drive(80.0, 0.0)
+    link.close()
+    with pytest.raises(KitAbsentError, match="No such file"):
+        link.open()
+    kit.plug()
+    link.open()
+    assert link.drive(10.0, 0.0)[2] == 10.0
+
+
+def test_rubbish_between_two_questions_is_passed_over(kit: BenchKit, link: KitLink) -> None:
+    for _ in range(5):
+        kit.say(b"\xff\x00 99.9\r\n12")
+        time.sleep(0.02)
+        assert link.drive(40.0, 0.0) == (25.0, 24.0, 40.0, 0.0)
+
+
+def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink) -> None:
+    link.drive(40.0, 0.0)
+    kit.shown[1] = math.nan
+    with pytest.raises(KitError, match="T1 says nan"):
+        link.drive(40.0, 0.0)
+    off(kit)
+
+
+def test_a_kit_that_says_nothing_is_given_up(kit: BenchKit, link: KitLink) -> None:
+    link.drive(40.0, 0.0)
+    kit.board.hung = True
+    with pytest.raises(KitError, match="no answer"):
+        link.drive(40.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [("/nowhere/ttyACM0", "No such file"), (__file__, "no serial port"), ("/dev/null", "cannot be opened")],
+)
+def test_a_wrong_port_is_one_clear_line(port: str, words: str) -> None:
+    with pytest.raises(KitAbsentError, match=words) as caught:
+        KitLink(port).open()
+    assert port in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_another_device_is_told_as_such() -> None:
+    """A modem, say: it hears everything and answers nothing."""
+    master, slave = pty.openpty()
+    try:
+        require_port(os.ttyname(slave))
+        with pytest.raises(KitAbsentError, match="does not answer as a Temperature Control Lab does"):
+            KitLink(os.ttyname(slave)).open()
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(KitAbsentError, match=r"pip install 'twinmatch\[tclab\]'"):
+        KitLink("")

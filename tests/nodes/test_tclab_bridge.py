@@ -1,0 +1,206 @@
+"""The kit's node as a process: real ROS, the package on a pseudo-terminal, an emulated board."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
+
+import yaml
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from std_srvs.srv import Trigger
+
+from tests.support.kits import BenchKit
+from tests.support.places import PROJECT
+from tests.support.processes import Process
+from tests.support.ros import Listener
+from tests.support.waiting import wait_for
+from twinmatch.control import Profile
+from twinmatch.nodes.controller_parameters import controller_table, profile_from
+from twinmatch.nodes.gate_parameters import gate_limits
+from twinmatch.nodes.parameters import check, render
+from twinmatch.nodes.tclab_bridge import LIMITS, TCLabBridge
+from twinmatch.plants import TCLab
+from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
+
+pytestmark = pytest.mark.ros
+
+PATIENT = ("-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0", "-p", "deadline:=4.0")
+"""For tests that are not about time, on a busy machine."""
+
+
+def test_the_file_is_what_the_tables_render_but_for_the_profile() -> None:
+    text = (PROJECT / "config" / "tclab.yaml").read_text(encoding="utf-8")
+    sections = yaml.safe_load(text)
+    assert render("tclab_bridge", TCLabBridge.PARAMETERS) in text
+    values = check("controller", controller_table(TCLab), sections["controller"]["ros__parameters"])
+    assert isinstance(profile_from(values), Profile)
+    usual = check("controller", controller_table(TCLab), {})
+    assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
+
+
+def test_the_defaults_are_those_of_the_guard() -> None:
+    assert gate_limits(LIMITS, check("node", TCLabBridge.PARAMETERS, {})) == LIMITS
+    assert TCLab.output.safe[1] < LIMITS.highest < 100.0
+
+
+class Rig:
+    """A controller as the bridge sees it, and what it says."""
+
+    def __init__(self, listener: Listener) -> None:
+        self.listener = listener
+        self.applied = listener.hear(PlantApplied, "plant/applied", QoSProfile(depth=100))
+        self.readings = listener.hear(PlantReading, "plant/reading", qos_profile_sensor_data)
+        self._commands = listener.node.create_publisher(PlantCommand, "plant/command", 10)
+        names = ("clear_fault", "stop")
+        self._services = {n: listener.node.create_client(Trigger, f"plant/{n}") for n in names}
+        self.power: float | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._feed, daemon=True)
+        self._thread.start()
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        self.listener.spin_until(condition, what)
+
+    @property
+    def fault(self) -> str:
+        return self.applied[-1].fault if self.applied else ""
+
+    def drive(self, power: float, kit: BenchKit) -> None:
+        self.power = power
+        self.until(lambda: kit.heaters[0] == power, f"{power} %")
+
+    def faulted(self, kind: str, kit: BenchKit) -> None:
+        self.until(lambda: self.fault.startswith(f"{kind}: "), kind)
+        self.until(lambda: kit.heaters == [0.0, 0.0], "zero")
+
+    def call(self, name: str) -> Trigger.Response:
+        client = self._services[name]
+        self.until(client.service_is_ready, name)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done, name)
+        return future.result()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _feed(self) -> None:
+        while not self._ending.wait(0.05):
+            if self.power is not None:
+                message = PlantCommand(index=7, input=self.power)
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
+                self._commands.publish(message)
+
+
+@pytest.fixture
+def rig(listener: Listener) -> Iterator[Rig]:
+    made = Rig(listener)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def kit(tmp_path: Path) -> Iterator[BenchKit]:
+    made = BenchKit(tmp_path)
+    yield made
+    made.close()
+
+
+def bridge(start: Callable[..., Process], kit: BenchKit, *more: str) -> Process:
+    return start("tclab_bridge", "-p", f"port:={kit.port}", *(more or PATIENT))
+
+
+def test_commands_reach_heater_one_and_readings_come_back(
+    start: Callable[..., Process], rig: Rig, kit: BenchKit
+) -> None:
+    process = bridge(start, kit, *PATIENT, "-p", "second:=15.0")
+    rig.drive(42.0, kit)
+    kit.shown[1] = 33.5
+    rig.until(lambda: rig.readings and rig.readings[-1].output == 33.5, "a reading")
+    assert list(rig.readings[-1].disturbances) == [15.0]
+    rig.until(lambda: rig.applied[-1].input == 42.0, "what was applied")
+    assert (rig.applied[-1].sequence, rig.applied[-1].fault) == (7, "")
+    assert Process.well(process.end(signal.SIGINT))
+    assert kit.heaters == [0.0, 0.0]
+
+
+def test_faults_latch_until_they_are_cleared(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+    bridge(start, kit)
+    rig.drive(50.0, kit)
+    kit.shown[1] = 91.0
+    rig.faulted("over_temperature", kit)
+    kit.shown[1] = 30.0
+    before = len(rig.applied)
+    rig.until(lambda: len(rig.applied) > before + 3, "reports")
+    assert kit.heaters == [0.0, 0.0]
+    assert rig.call("clear_fault").success
+    rig.drive(50.0, kit)
+    assert "stopped" in rig.call("stop").message
+    rig.faulted("stopped", kit)
+
+
+def test_a_command_that_is_not_a_number(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+    bridge(start, kit)
+    rig.drive(50.0, kit)
+    rig.power = math.nan
+    rig.faulted("command_invalid", kit)
+    assert kit.highest == 50.0
+
+
+def test_a_controller_that_falls_silent(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+    bridge(start, kit)
+    rig.drive(50.0, kit)
+    rig.power = None
+    rig.faulted("command_silent", kit)
+
+
+def test_a_wire_off_its_sensor(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+    bridge(start, kit)
+    rig.drive(50.0, kit)
+    kit.shown[1] = -50.0
+    rig.faulted("under_temperature", kit)
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_the_node_is_shot_or_stands_still(
+    start: Callable[..., Process], rig: Rig, kit: BenchKit, stopped: bool
+) -> None:
+    """The process that holds the port sees the end of its pipe, or hears nothing for its deadline."""
+    process = bridge(start, kit)
+    rig.drive(50.0, kit)
+    if stopped:
+        process.freeze()
+    else:
+        process.kill()
+    wait_for(lambda: kit.heaters == [0.0, 0.0], "zero")
+
+
+def test_the_cable_is_pulled_and_put_back(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+    bridge(start, kit)
+    rig.drive(50.0, kit)
+    kit.unplug()
+    rig.faulted("link", kit)
+    assert math.isnan(rig.applied[-1].input) or rig.applied[-1].input == 0.0
+    kit.plug()
+    rig.until(lambda: rig.call("clear_fault").success, "a kit that is back")
+    rig.drive(30.0, kit)
+
+
+@pytest.mark.parametrize(("port", "words"), [("/nowhere", "No such file"), ("/dev/null", "cannot be opened")])
+def test_no_kit_is_one_line_and_exit_code_two(start: Callable[..., Process], port: str, words: str) -> None:
+    process = start("tclab_bridge", "-p", f"port:={port}")
+    assert process.wait() == 2
+    assert len([line for line in process.lines if line.startswith("kit at")]) == 1
+    assert "Traceback" not in process.text
+    assert words in process.text
