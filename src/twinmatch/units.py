@@ -5,6 +5,7 @@ A unit that no table knows (`PWM`, `steps`) is taken for a count of things, whic
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -86,7 +87,8 @@ def _float(magnitude: Any) -> float:
 
 
 def _plain(unit: str) -> str:
-    return unit.strip().replace("·", " ") or "dimensionless"
+    text = re.sub(r"√\s*(\w+|\([^()]*\))", r"(\1)**0.5", unit.strip().replace("·", " "))
+    return text or "dimensionless"
 
 
 @lru_cache(maxsize=1)

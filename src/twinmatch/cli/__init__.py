@@ -14,9 +14,11 @@ from typing import Final, Protocol
 from twinmatch import __version__
 from twinmatch.cli import (
     backtesting,
+    checking,
     fmus,
     forecasting,
     importing,
+    planting,
     preparing,
     repairing,
     replaying,
@@ -59,6 +61,8 @@ _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("foxglove", foxglove, "serve the graph to Foxglove and Lichtblick"),
     ("virtual-rig", virtual_rig, "the Peltier rig without the rig: board, camera and plate emulated"),
     ("fmu", fmus, "say what an FMU has, and draft the map that makes it a structure of a plant"),
+    ("new-plant", planting, "write a first file of a plant of yours, with its test and configuration"),
+    ("check-plant", checking, "say in plain words what is wrong with a plant's file"),
     ("prepare", preparing, "derive and compile the plants' equations now, so that no first run waits"),
 )
 """Name, module, and what it is for."""

@@ -20,7 +20,7 @@ from twinmatch.dynamics.errors import PlantError
 if TYPE_CHECKING:
     from twinmatch.dynamics.plant import Plant
 
-__all__ = ["Derived", "Equations", "derive"]
+__all__ = ["Derived", "Equations", "derive", "written_equations"]
 
 Expression = Any
 """A SymPy expression; SymPy has no types of its own for mypy."""
@@ -78,7 +78,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     import sympy  # noqa: PLC0415
 
     title = f"plant {plant.name}"
-    written = _written(plant, parts)
+    written = written_equations(plant, parts)
     declared = {name: getattr(plant, name) for name in plant.declarations}
     states = tuple(symbol for name, symbol in declared.items() if symbol in written.rates)
     _require_states(title, states, written, [declared[name] for name in plant.states])
@@ -114,7 +114,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     )  # fmt: skip
 
 
-def _written(plant: Plant, parts: frozenset[str]) -> Equations:
+def written_equations(plant: Plant, parts: frozenset[str]) -> Equations:
     """What the plant's method returns; a mistake in it is told with its file and line."""
     try:
         written = plant.equations(parts)

@@ -15,8 +15,9 @@ from twinmatch.sessions.reader import Session, read_session
 from twinmatch.sessions.scan import MAGIC
 from twinmatch.sessions.store import samples_of
 from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, plant_messages
+from twinmatch.signals import Sample
 
-__all__ = ["open_any"]
+__all__ = ["open_any", "session_of"]
 
 
 def open_any(
@@ -78,7 +79,18 @@ def _beginning(path: Path) -> bytes | None:
 
 def _recording(path: Path, told: Told | None) -> Session:
     """A recording with the messages that an imported session of it would have."""
-    samples = samples_of(read_recording(path, told))
+    return session_of(path, samples_of(read_recording(path, told)), plant=Peltier.name)
+
+
+def session_of(path: Path, samples: list[Sample], *, plant: str, has_reference: bool = True) -> Session:
+    """Samples as the session that an import of them would be.
+
+    Args:
+        path: of the file they are from.
+        samples: at least one.
+        plant: whose they are, by name.
+        has_reference: whether their set-points say anything.
+    """
     counts = Counter(message.topic.name for message in plant_messages(samples))
     return Session(
         name=path.stem,
@@ -91,5 +103,6 @@ def _recording(path: Path, told: Told | None) -> Session:
         end=samples[-1].stamp,
         notes=[],
         source=lambda: plant_messages(samples),
-        plant=Peltier.name,
+        plant=plant,
+        has_reference=has_reference,
     )

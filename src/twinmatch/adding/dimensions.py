@@ -1,0 +1,281 @@
+"""Whether the two sides of a plant's equations measure the same.
+
+Every quantity has the unit that its declaration says; a rate has to come out in the state's unit per second,
+the output in its own, a start in its state's. A number in a sum takes the unit of its neighbours (273.15),
+and a whole number or simple fraction in a product is plain (½, 2). Any other number in a product may stand
+for a quantity with a unit (an area, 255 counts): what it multiplies is then not checked, and that is noted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from twinmatch.adding.findings import Finding
+from twinmatch.dynamics import Plant
+from twinmatch.dynamics.equations import written_equations
+from twinmatch.units import Measure, measure
+
+__all__ = ["Dimensions"]
+
+_SAME = 1e-6
+"""Relative difference of two factors that count as one."""
+
+
+class _Unit(NamedTuple):
+    """What a part of an equation comes out in."""
+
+    powers: Mapping[str, Fraction]
+    factor: float | None
+    """In base units; None where a number may have changed it."""
+
+
+_Known = _Unit | None
+"""None: a number, or something a number with a unit of its own has entered."""
+
+
+class Dimensions:
+    """Looks at the equations of one plant, part by part."""
+
+    def __init__(self, plant: type[Plant]) -> None:
+        """Look up every declared unit."""
+        self.findings: dict[str, Finding] = {}
+        """By their words, so that what several structures share is said once."""
+        self.unchecked: set[str] = set()
+        """Numbers that hide a unit."""
+        self._plant = plant
+        self._symbols = {getattr(plant(), name): d for name, d in plant.declarations.items()}
+        self._units = {s: measure(d.unit) for s, d in self._symbols.items()}
+
+    @property
+    def unknown_units(self) -> list[str]:
+        """Units that no table knows."""
+        return sorted({self._symbols[s].unit for s, found in self._units.items() if not found.known})
+
+    def look(self, parts: frozenset[str]) -> None:
+        """Check the equations with these parts.
+
+        Raises:
+            PlantError: they cannot be used.
+        """
+        import sympy  # noqa: PLC0415 (a second that only this check pays)
+
+        written = written_equations(self._plant(), parts)
+        second = measure("s")
+        for state, rate in written.rates.items():
+            place = f"the rate of {state}"
+            expected = _divided(_unit_of(self._units[state]), _unit_of(second))
+            unit = self._symbols[state].unit or "1"
+            self._compare(place, sympy.sympify(rate), expected, f"{unit} per second")
+        y = self._symbols_by_name(self._plant.output.name)
+        for place, symbol, expression in (
+            ("the output", y, written.output),
+            *((f"the start of {state}", state, start) for state, start in written.start.items()),
+        ):
+            shown = sympy.sympify(expression)
+            self._compare(
+                place, shown, _unit_of(self._units[symbol]), self._symbols[symbol].unit or "a number"
+            )
+            self._zeros(place, [(symbol, -1), *_terms(shown)], numbers=_has_number(shown))
+
+    def _symbols_by_name(self, name: str) -> Any:
+        return next(s for s, d in self._symbols.items() if d.name == name)
+
+    def _compare(self, place: str, expression: Any, wanted: _Unit, words: str) -> None:
+        found = self._unit(place, expression)
+        if found is None or not expression.free_symbols:
+            return
+        if not _alike(found, wanted):
+            what = f"{place}: comes out in {_words(found)}, needs {words}"
+            todo = "look for a factor that is missing or doubled, and for a wrong unit in a declaration"
+            self._tell(what, todo)
+        elif _scaled(found, wanted):
+            ratio = (found.factor or 1.0) / (wanted.factor or 1.0)
+            what = f"{place}: comes out in {ratio:g} times {words}"
+            self._tell(what, "bring the declared units to one scale (s, not min; W, not kW), or multiply")
+
+    def _tell(self, what: str, todo: str) -> None:
+        self.findings.setdefault(what, Finding(what, todo))
+
+    def _unit(self, place: str, expression: Any) -> _Known:  # noqa: PLR0911 (one for each kind)
+        import sympy  # noqa: PLC0415
+
+        if expression.is_Symbol:
+            return _unit_of(self._units[expression]) if expression in self._units else None
+        if expression.is_number:
+            return None
+        if isinstance(expression, sympy.Mul):
+            return self._product(place, expression)
+        if isinstance(expression, sympy.Pow):
+            return self._power(place, expression)
+        if isinstance(expression, sympy.Add | sympy.Max | sympy.Min):
+            self._zeros(place, _terms(expression), numbers=_has_number(expression))
+            return self._equal(place, expression.args)
+        if isinstance(expression, sympy.Abs):
+            return self._unit(place, expression.args[0])
+        if isinstance(expression, sympy.Piecewise):
+            return self._equal(place, [value for value, _ in expression.args])
+        for argument in expression.args:
+            found = self._unit(place, argument)
+            if found is not None and found.powers:
+                what = f"{place}: {_short(expression)} is taken of something in {_words(found)}"
+                self._tell(
+                    what, "divide by a quantity of that unit first: such a function takes plain numbers"
+                )
+        return _Unit({}, 1.0)
+
+    def _product(self, place: str, expression: Any) -> _Known:
+        total: _Known = _Unit({}, 1.0)
+        for factor in expression.args:
+            if factor.is_number:
+                if not _plain(factor):
+                    self.unchecked.add(f"{float(factor):.6g}")
+                    total = None
+                continue
+            found = self._unit(place, factor)
+            total = None if total is None or found is None else _times(total, found, Fraction(1))
+        return total
+
+    def _power(self, place: str, expression: Any) -> _Known:
+        base, exponent = expression.args
+        found = self._unit(place, base)
+        if not exponent.is_number:
+            for part in (base, exponent):
+                unit = self._unit(place, part)
+                if unit is not None and unit.powers:
+                    self._tell(
+                        f"{place}: in {_short(expression)} a power has the unit {_words(unit)}",
+                        "make base and exponent plain numbers",
+                    )
+            return _Unit({}, 1.0)
+        if base.is_Symbol and self._units[base].offset and exponent > 1:
+            what = (
+                f"{place}: {_short(expression)} takes a power of {base}, which is in "
+                f"{self._symbols[base].unit}"
+            )
+            self._tell(what, f"count it from absolute zero first: ({base} + 273.15) in kelvin")
+        if found is None:
+            return None
+        return _times(
+            _Unit({}, 1.0),
+            found,
+            Fraction(str(exponent))
+            if exponent.is_Rational
+            else Fraction(float(exponent)).limit_denominator(1000),
+        )
+
+    def _equal(self, place: str, parts: Any) -> _Known:
+        known = [(part, unit) for part in parts if (unit := self._unit(place, part)) is not None]
+        for part, unit in known[1:]:
+            first, other = known[0]
+            if not _alike(unit, other):
+                what = (
+                    f"{place}: {_short(part)} is in {_words(unit)}, added to or compared with "
+                    f"{_short(first)} "
+                    f"in {_words(other)}"
+                )
+                self._tell(what, "look for a factor that is missing in one of the two, and at their units")
+            elif _scaled(unit, other):
+                ratio = (unit.factor or 1.0) / (other.factor or 1.0)
+                what = (
+                    f"{place}: {_short(part)} is in {ratio:g} times the unit of {_short(first)}, in one sum"
+                )
+                self._tell(what, "declare both in units of one scale, or multiply one of them")
+        return known[0][1] if known else None
+
+    def _zeros(self, place: str, terms: list[tuple[Any, Any]], *, numbers: bool) -> None:
+        """Temperatures that are counted from different zeros, in one sum."""
+        if numbers:
+            return
+        counted = {True: 0, False: 0}
+        named: dict[bool, Any] = {}
+        for symbol, sign in terms:
+            found = self._units.get(symbol)
+            if found is not None and found.dimension == (("[temperature]", 1.0),):
+                counted[found.offset] += sign
+                named[found.offset] = symbol
+        if counted[True] and counted[False]:
+            a, b = named[True], named[False]
+            what = (
+                f"{place}: {a} is in {self._symbols[a].unit} and {b} in {self._symbols[b].unit}, in one sum"
+            )
+            self._tell(what, "bring them to one zero: °C + 273.15 is K")
+
+
+def _unit_of(found: Measure) -> _Unit:
+    return _Unit(
+        {name: Fraction(power).limit_denominator(1000) for name, power in found.dimension}, found.factor
+    )
+
+
+def _times(one: _Unit, other: _Unit, power: Fraction) -> _Unit:
+    powers = dict(one.powers)
+    for name, value in other.powers.items():
+        powers[name] = powers.get(name, Fraction(0)) + value * power
+    factor = None if one.factor is None or other.factor is None else one.factor * other.factor ** float(power)
+    return _Unit({n: p for n, p in powers.items() if p}, factor)
+
+
+def _divided(one: _Unit, other: _Unit) -> _Unit:
+    return _times(one, other, Fraction(-1))
+
+
+def _alike(one: _Unit, other: _Unit) -> bool:
+    return dict(one.powers) == dict(other.powers)
+
+
+def _scaled(one: _Unit, other: _Unit) -> bool:
+    if one.factor is None or other.factor is None:
+        return False
+    return abs(one.factor / other.factor - 1.0) > _SAME
+
+
+def _plain(number: Any) -> bool:
+    """Whether a factor is but a number: whole and small, or a simple fraction."""
+    try:
+        value = Fraction(float(number)).limit_denominator(12)
+    except (TypeError, OverflowError):
+        return False
+    return abs(float(value) - float(number)) < 1e-12 and abs(value) <= 12
+
+
+def _terms(expression: Any) -> list[tuple[Any, Any]]:
+    """Symbols that stand alone in a sum, with their signs."""
+    return list(_alone(expression))
+
+
+def _alone(expression: Any) -> Iterator[tuple[Any, Any]]:
+    for term in expression.args if expression.is_Add else (expression,):
+        number, rest = term.as_coeff_Mul()
+        if rest.is_Symbol and abs(number) == 1:
+            yield rest, int(number)
+
+
+def _has_number(expression: Any) -> bool:
+    return bool(expression.is_Add and any(term.is_number for term in expression.args)) or bool(
+        expression.is_number
+    )
+
+
+_BASE = {
+    "[mass]": "kg", "[length]": "m", "[time]": "s", "[current]": "A", "[temperature]": "K",
+    "[substance]": "mol", "[luminosity]": "cd",
+}  # fmt: skip
+
+
+def _words(unit: _Unit) -> str:
+    """A unit in base units, or the name of a usual one."""
+    for name in ("W", "J", "V", "Ω", "N", "Pa", "W/K", "J/K", "K/s", "N m", "V/K", "W/m²", "m³/s", "C", "F"):
+        if dict(_unit_of(measure(name)).powers) == dict(unit.powers):
+            return name
+    if not unit.powers:
+        return "plain numbers"
+    return " ".join(
+        f"{_BASE.get(name, name)}{'' if power == 1 else f'^{power}'}" for name, power in unit.powers.items()
+    )
+
+
+def _short(expression: Any) -> str:
+    text = str(expression)
+    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -1,0 +1,251 @@
+"""What a table of signals says about a plant of which nothing else is known: a first-order lag to begin with.
+
+Noise is read off second differences, which a slow plant leaves alone: of white noise σ they have the variance
+6 σ²; their median is not moved by a few jumps. A sensor that rounds to steps q has at least q/√12. Gain and
+lag are those of the difference equation y[k+1] − y[k] = a + b·y[k] + c·u[k] (and disturbances), least
+squares, over blocks of samples long enough to move further than the noise.
+"""
+
+from __future__ import annotations
+
+import keyword
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import Plant
+from twinmatch.sessions.column_map import ColumnMap, Source
+from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.resampling import Resampled, resample
+from twinmatch.sessions.tables import Table, split_title
+from twinmatch.sessions.times import read_times
+from twinmatch.signals import FloatArray
+from twinmatch.units import measure
+
+__all__ = ["Proposal", "Signal", "example", "noise_of", "propose"]
+
+_KNOWN: Final = ("time", "output", "input", "reference")
+_RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
+"""What drives are usually commanded in."""
+_OFFSET_UNITS: Final = {"degc": "°C", "c": "°C", "°c": "°C", "celsius": "°C", "degf": "°F", "sec": "s"}
+
+
+class Signal(NamedTuple):
+    """A signal of the plant to be."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Numbers for a first plant file."""
+
+    output: Signal
+    input: Signal
+    disturbances: tuple[Signal, ...]
+    noise: float
+    """Of the output, 1 σ."""
+    period: float
+    """s"""
+    gain: float
+    """Of the output per unit of the input, when all has settled."""
+    lag: float
+    """s"""
+    rest: float
+    """What the output settles at without input, where no disturbance says it."""
+    sources: dict[str, Source]
+    """By signal, with the names of this plant; empty where there is no table."""
+    table: str = ""
+    """Name of the table's file."""
+    has_reference: bool = False
+
+    @property
+    def thermal(self) -> bool:
+        """Whether the output is a temperature."""
+        return measure(self.output.unit).dimension == (("[temperature]", 1.0),)
+
+
+def example() -> Proposal:
+    """A heated block in a room whose temperature is measured."""
+    return Proposal(
+        output=Signal("temperature", "°C", -20.0, 150.0, "temperature of the block"),
+        input=Signal("heater", "%", 0.0, 100.0, "heater"),
+        disturbances=(Signal("room", "°C", 10.0, 30.0, "temperature of the room"),),
+        noise=0.1,
+        period=1.0,
+        gain=0.6,
+        lag=120.0,
+        rest=20.0,
+        sources={},
+    )
+
+
+def propose(table: Table, given: ColumnMap) -> Proposal:
+    """Numbers for a first plant file from a table.
+
+    Args:
+        table: somebody's columns.
+        given: which of them is time, output and input; every other name is a disturbance.
+
+    Raises:
+        RecordingError: one of these is missing, or the values cannot be used.
+    """
+    missing = [signal for signal in ("time", "output", "input") if signal not in given.sources]
+    if missing:
+        msg = (
+            f"{table.path}: no column is mapped to {' and none to '.join(missing)}; write --map "
+            f"{missing[0]}=…"
+        )
+        raise RecordingError(msg)
+    done = _on_one_clock(table, given)
+    y, u = done.columns["output"], done.columns["input"]
+    others = [name for name in given.sources if name not in _KNOWN]
+    noise = noise_of(y)
+    gain, lag, rest = _first_order(y, u, [done.columns[n] for n in others], noise, done.period)
+    if others:  # the first of them is taken for what the output comes to without input
+        rest = float(done.columns[others[0]].mean())
+    taken: list[str] = []
+    output, input_ = (_signal(table, given, s, taken) for s in ("output", "input"))
+    span, reach = float(np.ptp(y)) or 1.0, _range_of(u)
+    ends = [rest + gain * limit for limit in reach]
+    low, high = _round_out(min(float(y.min()), *ends) - span, max(float(y.max()), *ends) + span)
+    disturbances = tuple(
+        Signal(
+            _word(n, taken),
+            _unit(table, given, n),
+            float(done.columns[n].min()),
+            float(done.columns[n].max()),
+        )
+        for n in others
+    )
+    return Proposal(
+        output=Signal(output[0], output[1], low, high),
+        input=Signal(input_[0], input_[1], *reach),
+        disturbances=disturbances,
+        noise=noise,
+        period=done.period,
+        gain=gain,
+        lag=lag,
+        rest=rest,
+        sources=_renamed(given, dict(zip(others, (d.name for d in disturbances), strict=True))),
+        table=table.path.name,
+        has_reference="reference" in given.sources,
+    )
+
+
+def _on_one_clock(table: Table, given: ColumnMap) -> Resampled:
+    """All signals, in the units of their columns."""
+    source = given.sources["time"]
+    times = read_times(table, table.find(source.columns[0]), source.unit, source.scale)
+    columns = {name: _values(table, s) for name, s in given.sources.items() if name != "time"}
+    whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in columns.values()], axis=0)
+    kept = np.flatnonzero(whole)
+    return resample(
+        times.seconds[kept],
+        {name: values[kept] for name, values in columns.items()},
+        {n: "held" if n == "input" else "set" if n == "reference" else "reading" for n in columns},
+        given.period,
+        place=str(table.path),
+        row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
+    )
+
+
+def _titles(table: Table, source: Source) -> list[str]:
+    columns = source.columns
+    if len(columns) == 1 and "," in columns[0] and columns[0] not in table.columns:
+        columns = tuple(part for part in columns[0].split(",") if part.strip())
+    return [table.find(column) for column in columns]
+
+
+def _values(table: Table, source: Source) -> FloatArray:
+    columns = [source.scale * table.values(title) + source.offset for title in _titles(table, source)]
+    return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
+
+
+def _renamed(given: ColumnMap, names: dict[str, str]) -> dict[str, Source]:
+    return {names.get(signal, signal): source for signal, source in given.sources.items()}
+
+
+def _signal(table: Table, given: ColumnMap, signal: str, taken: list[str]) -> tuple[str, str]:
+    """Name and unit."""
+    title = split_title(_titles(table, given.sources[signal])[0])[0]
+    name = _word(title if re.search(r"[a-zA-Z]{3}", title) else signal, taken)
+    return name, _unit(table, given, signal)
+
+
+def _unit(table: Table, given: ColumnMap, signal: str) -> str:
+    source = given.sources[signal]
+    unit = source.unit or table.unit(_titles(table, source)[0])
+    return _OFFSET_UNITS.get(unit.lower(), unit)
+
+
+def _word(title: str, taken: list[str]) -> str:
+    """A name that Python takes and nothing else in the file has."""
+    plain = re.sub(r"\W+", "_", split_title(title)[0].strip().lower()).strip("_") or "signal"
+    plain = f"n{plain}" if plain[0].isdigit() else plain
+    own = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "sensor_lag"}
+    while keyword.iskeyword(plain) or plain in taken or plain in own - {"output"}:
+        plain += "_"
+    taken.append(plain)
+    return plain
+
+
+def noise_of(values: FloatArray) -> float:
+    """Standard deviation of white noise on a slow signal."""
+    bends = np.abs(np.diff(values, 2))
+    white = float(np.median(bends)) / 0.6745 / math.sqrt(6.0) if bends.size else 0.0
+    steps = np.unique(np.round(np.abs(np.diff(values)), 9))
+    steps = steps[steps > 0]
+    rounding = float(steps[0]) / math.sqrt(12.0) if steps.size else 0.0
+    floor = 1e-3 * (float(np.ptp(values)) or 1.0)
+    return _rounded(max(white, rounding if rounding < 10 * max(white, floor) else 0.0, floor))
+
+
+def _range_of(values: FloatArray) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    for least, most in _RANGES:
+        if least <= low and high <= most and high > 0.2 * most:
+            return least, most
+    return _round_out(low, high) if high > low else (low - 1.0, high + 1.0)
+
+
+def _first_order(
+    y: FloatArray, u: FloatArray, others: Sequence[FloatArray], noise: float, period: float
+) -> tuple[float, float, float]:
+    """Gain, lag (s) and resting output of the difference equation; those of a guess where it has none."""
+    span, reach = float(np.ptp(y)) or 1.0, float(np.ptp(u)) or 1.0
+    guess = span / reach, 0.1 * y.size * period, float(y[0])
+    for block in (2**k for k in range(12)):
+        if y.size < 20 * block:
+            break
+        cut = y.size - y.size % block
+        means = [signal[:cut].reshape(-1, block).mean(axis=1) for signal in (y, u, *others)]
+        before, after = means[0][:-1], means[0][1:]
+        if np.std(after - before) < 5 * noise / math.sqrt(block):
+            continue
+        table = np.column_stack([np.ones(before.size), before, *(m[:-1] for m in means[1:])])
+        slopes = np.linalg.lstsq(table, after - before, rcond=None)[0]
+        back = -float(slopes[1])
+        if 0.0 < back < 1.0 and abs(slopes[2]) > 0:
+            lag = -block * period / math.log1p(-back)
+            guess = float(slopes[2]) / back, lag, float(slopes[0]) / back
+            break
+    return _rounded(guess[0]), _rounded(guess[1]), _rounded(guess[2], 3)
+
+
+def _rounded(value: float, digits: int = 2) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _round_out(low: float, high: float) -> tuple[float, float]:
+    """Round numbers just outside."""
+    step = 10.0 ** math.floor(math.log10((high - low) / 2)) if high > low else 1.0
+    return math.floor(low / step) * step, math.ceil(high / step) * step

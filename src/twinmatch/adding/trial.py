@@ -1,0 +1,108 @@
+"""A rich experiment on a plant that exists only as a file: steps of the input all over the drive's range."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import Model, Parameters, PlantError, Response, begin, simulate_driven
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Trial", "middle_of", "run_trial", "time_constants", "trial_for"]
+
+SAMPLES: Final = 400
+_PER_LAG: Final = 20.0
+"""Samples per slowest time constant: 400 see twenty of them."""
+_SEED: Final = 7
+
+
+class Trial(NamedTuple):
+    """What is done to the plant."""
+
+    input: FloatArray
+    """Shape (N,)."""
+    disturbances: FloatArray
+    """Shape (N, m)."""
+    period: float
+    """s"""
+    output: float
+    """What it reads at the begin."""
+
+
+def middle_of(model: Model) -> float:
+    """An output in the middle of where the plant works."""
+    y = model.plant.output
+    low, high = y.set_points or y.span
+    states = [model.plant.states[name].span for name in model.states]
+    if not (math.isfinite(low) and math.isfinite(high)):
+        low, high = states[0]
+    return (low + high) / 2
+
+
+def time_constants(parameters: Parameters) -> FloatArray:
+    """Of small movements about the middle of the plant's range, s, ascending; without those that never
+    settle.
+
+    Raises:
+        PlantError: the equations give something that is no number there.
+    """
+    model = parameters.model
+    states = begin(parameters, middle_of(model))
+    rest = sum(model.plant.drive.limits) / 2
+    slopes = model.kernels.slopes_at(parameters.vector, states, float(rest), model.disturbances)[1]
+    if not np.isfinite(slopes).all():
+        msg = f"{model.title}: its rates have no finite slope in the middle of its range"
+        raise PlantError(msg)
+    rates = np.abs(np.linalg.eigvals(slopes))
+    return np.sort(1.0 / rates[rates > 0])
+
+
+def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
+    """Steps that a plant with these parameters answers to.
+
+    Args:
+        parameters: of the plant.
+        period: sample time, s; a twentieth of the slowest time constant if not given.
+    """
+    model = parameters.model
+    if period is None:
+        lags = time_constants(parameters)
+        period = float(lags[-1]) / _PER_LAG if lags.size else 1.0
+        period = float(f"{min(max(period, 1e-6), 1e6):.2g}")
+    random = np.random.default_rng(_SEED)
+    low, high = model.plant.drive.limits
+    input_ = np.empty(SAMPLES)
+    at = 0
+    while at < SAMPLES:
+        hold = int(random.integers(5, 60))
+        input_[at : at + hold] = random.uniform(low, high)
+        at += hold
+    moved = np.repeat(random.uniform(-1.0, 1.0, (SAMPLES // 50, model.disturbances.size)), 50, axis=0)
+    disturbances = model.disturbances + 0.1 * np.maximum(np.abs(model.disturbances), 1.0) * moved
+    return Trial(input_, disturbances, period, middle_of(model))
+
+
+def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
+    """What the plant does, and the same as a recorded window.
+
+    Raises:
+        PlantError: it is too fast for the period, or ends beyond all numbers.
+    """
+    states = begin(parameters, trial.output)
+    run = simulate_driven(
+        parameters, trial.input, states=states, period=trial.period, disturbances=trial.disturbances
+    )
+    if not np.isfinite(run.output).all():
+        at = int(np.flatnonzero(~np.isfinite(run.output))[0])
+        msg = f"{parameters.model.title}: its output is no finite number after {at * trial.period:g} s"
+        raise PlantError(msg)
+    window = Window(
+        np.full(trial.input.size, trial.output),
+        run.output,
+        trial.input,
+        period=trial.period,
+        disturbances=trial.disturbances,
+    )
+    return run, window

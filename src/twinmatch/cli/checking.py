@@ -1,0 +1,67 @@
+"""`twinmatch check-plant`: what is wrong with a plant's file, in plain words."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from twinmatch.adding import CheckedPlant
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.description = (
+        "Exit code 0: nothing was found; 1: something was, with what to do; 2: the plant cannot be used."
+    )
+    parser.add_argument("plant", metavar="NAME|FILE.py", help="the plant")
+    parser.add_argument("--period", type=float, metavar="S", help="sample time it is to be run with")
+    parser.add_argument(
+        "--data", type=Path, metavar="SESSION|CSV", help="what the gate says about a recording of it, too"
+    )
+    parser.add_argument("--map-file", type=Path, metavar="FILE", help="which columns of a .csv are what")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check and print; returns the exit code.
+
+    Raises:
+        TwinmatchError: the plant or the data cannot be used.
+    """
+    from twinmatch.adding import check_plant  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.plants import find_plant  # noqa: PLC0415
+
+    plant = find_plant(options.plant)
+    samples = None
+    if options.data is not None:
+        from twinmatch.adding.data import data_for  # noqa: PLC0415
+
+        samples = data_for(options.data, plant, options.map_file)
+    checked = check_plant(plant, options.period or (samples.period if samples else None))
+    _print(checked)
+    if samples is None or checked.unusable:
+        return checked.exit_code
+    from twinmatch.adding.data import check_data  # noqa: PLC0415
+
+    told = check_data(samples, plant)
+    _print(told)
+    return max(checked.exit_code, told.exit_code)
+
+
+def _print(checked: CheckedPlant) -> None:
+    for note in checked.notes:
+        print(f"  {note}")
+    for number, finding in enumerate(checked.findings, 1):
+        print(f"{number}. {finding.what}")
+        print(f"   → {finding.todo}")
+    if checked.unusable:
+        print(f"twinmatch: {checked.unusable}", file=sys.stderr)
+    elif not checked.findings:
+        print(f"{checked.title}: nothing is wrong that can be told from here")
+    else:
+        many = "finding" if len(checked.findings) == 1 else "findings"
+        print(f"{checked.title}: {len(checked.findings)} {many}")

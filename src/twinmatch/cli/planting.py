@@ -1,0 +1,106 @@
+"""`twinmatch new-plant`: a first file of a plant, its test and its configuration."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinmatch.errors import TwinmatchError
+
+if TYPE_CHECKING:
+    from twinmatch.adding import Proposal
+
+__all__ = ["add_arguments", "run"]
+
+
+class NewPlantError(TwinmatchError):
+    """Files that cannot be written."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("name", help="of the plant: small letters, digits and _")
+    parser.add_argument(
+        "--from",
+        dest="table",
+        type=Path,
+        metavar="CSV",
+        help="a recording (.csv or .mat) to read ranges, noise, sample time, a first gain and lag from",
+    )
+    parser.add_argument(
+        "--map",
+        nargs="+",
+        default=[],
+        metavar="SIGNAL=COLUMN",
+        help="which column is which signal, as for twinmatch import; without it a guess is made",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="folder to write into (default: here)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the files; returns the exit code.
+
+    Raises:
+        TwinmatchError: the table cannot be used, or a file is there already.
+    """
+    from twinmatch.adding import files_of  # noqa: PLC0415 — keeps --help fast
+
+    files = files_of(options.name, _proposal(options))
+    folder: Path = options.output
+    if not folder.is_dir():
+        raise NewPlantError(f"new-plant: there is no folder {folder}; create it first")
+    for name in files:
+        if (folder / name).exists():
+            raise NewPlantError(f"{folder / name}: is there already; move it away or choose another name")
+    for name, text in files.items():
+        try:
+            (folder / name).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise NewPlantError(f"{folder / name}: cannot be written ({error.strerror})") from error
+    _say(options, [str(folder / name) for name in files])
+    return 0
+
+
+def _proposal(options: argparse.Namespace) -> Proposal:
+    from twinmatch.adding import example, propose  # noqa: PLC0415 — as above
+    from twinmatch.sessions.column_map import ColumnMap, parse_map  # noqa: PLC0415
+    from twinmatch.sessions.guesses import look, proposed  # noqa: PLC0415
+    from twinmatch.sessions.tables import read_table  # noqa: PLC0415
+
+    given = parse_map(options.map)
+    if options.table is None:
+        if given.sources:
+            raise NewPlantError("new-plant: --map says what columns are; name their table with --from")
+        return example()
+    table = read_table(options.table)
+    if not given.sources:
+        given = ColumnMap(proposed(look(table)))
+        words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
+        print(f"The columns are taken as: --map {words}")
+    return propose(table, given)
+
+
+def _say(options: argparse.Namespace, files: list[str]) -> None:
+    plant, test, config, *mapped = map(shlex.quote, files)
+    session = f"{options.name}_session"
+    print(f"Written: {', '.join(files)}")
+    print("Next:")
+    print(f"  1. look over {plant}: names, units, ranges, equations (lines marked *)")
+    print(f"  2. twinmatch check-plant {plant}        # what is wrong with it, in plain words")
+    print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
+    if mapped:
+        table = shlex.quote(str(options.table))
+        print(f"  4. twinmatch import {table} --map-file {mapped[0]} --plant {plant} -o {session}")
+    else:
+        print(f"  4. twinmatch import LOG.csv --plant {plant} --map time=… output=… input=… -o {session}")
+    print(f"  5. twinmatch replay {session} --plant {plant}        # or --config {config}")
+    print("docs/your_plant.md goes through all of it.")

@@ -1,0 +1,144 @@
+"""What `check-plant` says: of plants that are right, and of every mistake it is made for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+import pytest
+
+from tests.support.plant_files import plant_file
+from tests.support.plants import Lag
+from tests.support.processes import run_twinmatch
+from twinmatch.adding import CheckedPlant, check_plant
+from twinmatch.adding.identifiable import inseparable
+from twinmatch.adding.trial import time_constants
+from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+from twinmatch.plants import find_plant
+
+
+class Twice(Plant, name="twice"):
+    """A lag whose parameters are seen only in combinations, each structure in another way."""
+
+    y = Output(unit="1", noise=0.01, span=(-100.0, 100.0))
+    u = Drive(unit="1", limits=(-1.0, 1.0), noise=0.1)
+    x = State(unit="1", span=(-50.0, 50.0))
+    a = Parameter(unit="1", default=2.0, bounds=(0.1, 10.0), positive=True)
+    b = Parameter(unit="1", default=3.0, bounds=(0.1, 10.0), positive=True)
+    c = Parameter(unit="s", default=4.0, bounds=(0.1, 10.0), positive=True)
+    unseen = Parameter(unit="1", default=4.0, bounds=(0.1, 10.0), positive=True)
+    idle = Parameter(unit="1", default=4.0, bounds=(0.1, 10.0), positive=True)
+    parts = ("ratio", "product", "growing")
+    structures = {  # noqa: RUF012
+        "plain": Structure(free=("a", "c")),
+        "ratio": Structure(free=("a", "b"), parts=frozenset({"ratio"})),
+        "product": Structure(free=("a", "b", "c"), parts=frozenset({"product"})),
+        "growing": Structure(free=("a", "b", "c"), parts=frozenset({"growing"})),
+        "unseen": Structure(free=("a", "unseen")),
+    }
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        drive = self.a * self.u + 0 * self.b
+        rate = (drive - self.x) / self.c
+        if "ratio" in parts:
+            rate = (self.a / self.b * self.u - self.x) / self.c
+        if "product" in parts:
+            rate = (self.a * self.b * self.u - self.x) / self.c
+        if "growing" in parts:
+            rate = (self.a * self.u - self.b * self.x) / self.c
+        # A parameter that is in the equations and yet not in what they say.
+        rate += (self.unseen - self.unseen * (self.x + 1 - self.x)) * self.u
+        return Equations(rates={self.x: rate}, output=self.x, start={self.x: self.y})
+
+
+@pytest.mark.parametrize(
+    ("structure", "message"),
+    [
+        ("plain", ""),
+        ("ratio", "no data can tell b and a apart, only b/a is seen"),
+        ("product", "no data can tell b and a apart, only b·a is seen"),
+        ("growing", "c, a and b can grow together without being seen, only their ratios are"),
+        ("unseen", "nothing that is measured depends on unseen, which is free"),
+    ],
+)
+def test_what_no_data_can_tell_apart_is_named(structure: str, message: str) -> None:
+    found = [finding.what for finding in inseparable(Twice.model(structure))]
+    if not message:
+        assert found == []
+    else:
+        assert len(found) == 1
+        assert found[0].endswith(message)
+
+
+def test_time_constants_are_those_of_the_equations() -> None:
+    np.testing.assert_allclose(time_constants(Lag.model().parameters(lag=7.0)), [7.0], rtol=1e-12)
+
+
+def test_a_plant_without_mistakes_has_no_findings() -> None:
+    checked = check_plant(Lag, period=1.0)
+    assert checked.findings == ()
+    assert checked.exit_code == 0
+    assert checked.notes == ("time constants at the defaults: 5 s",)
+
+
+def checked_file(
+    folder: Path, name: str, *changes: tuple[str, str], period: float | None = None
+) -> CheckedPlant:
+    return check_plant(find_plant(str(plant_file(folder, name, *changes))), period)
+
+
+HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%", default=4.0')
+
+
+@pytest.mark.parametrize(
+    ("changes", "period", "message"),
+    [
+        ([HOT], None, "the output goes from .* beyond its span -10 to 120"),
+        ([HOT], None, "state block goes from .* beyond its span 0 to 110"),
+        ([], 500.0, "all has settled .* before the next sample comes"),
+        ([("default=100.0", "default=10000.0")], None, "capacity begins at 1e.04, outside its bounds "
+            "10 to 1000"),
+        ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures')], None,
+         "parameter extra: no structure depends on it"),
+        ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures'),
+          ('free=("gain", ', 'free=("gain", "extra", ')], None, "extra is free, but the equations .* "
+              "do not have it"),
+        ([('loss = Parameter(unit="W/K", default=1.0, bounds=(0.1, 10.0), positive=True)',
+           'loss = Parameter(unit="W/K", default=1.0, bounds=(-10.0, 10.0))'),
+          ('free=("gain", ', 'free=("loss", ')], None, "within the bounds it cannot be run at"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_told(
+    tmp_path: Path, changes: list[tuple[str, str]], period: float | None, message: str
+) -> None:
+    import re
+
+    name = f"checked_{crc32(repr((changes, period)).encode())}"
+    checked = checked_file(tmp_path, name, *changes, period=period)
+    assert checked.exit_code == 1
+    assert any(re.search(message, finding.what) for finding in checked.findings), checked
+    assert all(finding.todo for finding in checked.findings)
+
+
+def test_a_plant_that_cannot_be_run_is_unusable(tmp_path: Path) -> None:
+    checked = checked_file(tmp_path, "checked_unusable", ("start={self.block: self.temperature}", "start={}"))
+    assert checked.exit_code == 2
+    assert "state block has no start value" in checked.unusable
+
+
+def test_the_command_says_it_and_its_exit_code_too(tmp_path: Path) -> None:
+    good = run_twinmatch("check-plant", plant_file(tmp_path, "checked_good"))
+    assert good.returncode == 0, good.stdout + good.stderr
+    assert "nothing is wrong that can be told from here" in good.stdout
+    wrong = ('free=("gain", "capacity")', 'free=("gain", "capacity", "loss")')
+    found = run_twinmatch("check-plant", plant_file(tmp_path, "checked_found", wrong))
+    assert found.returncode == 1
+    assert "can grow together without being seen" in found.stdout
+    assert "→ take one of them out of `free`" in found.stdout
+    broken = run_twinmatch(
+        "check-plant", plant_file(tmp_path, "checked_broken", ("self.loss *", "self.los *"))
+    )
+    assert broken.returncode == 2
+    assert "did you mean loss?" in broken.stderr
+    assert len(broken.stderr.strip().splitlines()) == 1

@@ -1,0 +1,121 @@
+"""`new-plant`: what it reads off a table, and that what it writes runs as it is."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from tests.support.processes import run_twinmatch
+from twinmatch.adding import AddingError, Proposal, example, files_of, propose
+from twinmatch.adding.proposal import noise_of
+from twinmatch.sessions import RecordingError
+from twinmatch.sessions.column_map import parse_map
+from twinmatch.sessions.tables import read_table
+
+
+@given(st.floats(1e-3, 1e2), st.integers(0, 1000))
+def test_noise_is_read_off_a_slow_signal(sigma: float, seed: int) -> None:
+    k = np.arange(2000)
+    slow = 1000 * sigma * np.sin(k / 300)
+    noise = noise_of(slow + sigma * np.random.default_rng(seed).standard_normal(k.size))
+    assert noise == pytest.approx(
+        sigma, rel=0.15
+    )  # the median of 2000 is known to some percent; two digits are kept
+
+
+def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarray | None = None) -> Path:
+    """A table of the exact answer of a first-order lag to steps, with noise."""
+    random = np.random.default_rng(3)
+    u = np.repeat(random.integers(0, 11, 40) * 10.0, 25)
+    around = 20.0 if room is None else room
+    pole = np.exp(-period / lag)
+    y = lfilter([0.0, 1 - pole], [1.0, -pole], gain * u) + around + 0.05 * random.standard_normal(u.size)
+    columns = {"when": period * np.arange(u.size), "T (degC)": y, "Heat (%)": u}
+    if room is not None:
+        columns["Room (degC)"] = room
+    path = folder / "log.csv"
+    rows = "\n".join(",".join(f"{v:.4f}" for v in row) for row in zip(*columns.values(), strict=True))
+    path.write_text(",".join(columns) + "\n" + rows + "\n")
+    return path
+
+
+MAP = ["time=when", "output=T", "input=Heat"]
+
+
+@settings(max_examples=15)
+@given(st.floats(0.2, 3.0), st.floats(10.0, 60.0), st.sampled_from([0.5, 1.0, 2.0]))
+def test_gain_and_lag_are_in_reach_of_the_truth(
+    tmp_path_factory: pytest.TempPathFactory, gain: float, lag: float, period: float
+) -> None:
+    found = propose(read_table(lagged(tmp_path_factory.getbasetemp(), gain, lag, period)), parse_map(MAP))
+    # A match begins there and looks twenty times farther either way.
+    assert 0.5 * gain < found.gain < 2 * gain
+    assert 0.5 * lag < found.lag < 2 * lag
+    assert found.period == period
+    assert (found.input.low, found.input.high) == (0.0, 100.0)
+    assert found.output.unit == "°C"
+    assert found.output.low < 20
+    assert found.output.high > 20 + gain * 100
+
+
+def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no column is mapped to input"):
+        propose(read_table(lagged(tmp_path, 1.0, 20.0, 1.0)), parse_map(MAP[:2]))
+    with pytest.raises(AddingError, match="a plant's name has small letters"):
+        files_of("My Plant", example())
+
+
+def written(folder: Path, held: Proposal, name: str) -> list[Path]:
+    paths = []
+    for file, text in files_of(name, held).items():
+        (folder / file).write_text(text, encoding="utf-8")
+        paths.append(folder / file)
+    return paths
+
+
+def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path) -> None:
+    room = 20 + np.sin(np.arange(1000) / 100)
+    held = propose(read_table(lagged(tmp_path, 0.8, 40.0, 1.0, room)), parse_map([*MAP, "room=Room"]))
+    paths = written(tmp_path, held, "my_kiln")
+    assert [path.name for path in paths] == [
+        "my_kiln.py",
+        "test_my_kiln.py",
+        "my_kiln.yaml",
+        "my_kiln_map.yaml",
+    ]
+    assert yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"] == "Room"
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", tmp_path / "test_my_kiln.py"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    ruff = Path(sys.executable).parent / "ruff"
+    styled = subprocess.run(
+        [ruff, "format", "--check", "--line-length", "110", *paths[:2]],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert styled.returncode == 0, styled.stdout
+
+
+def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
+    done = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "twinmatch check-plant" in done.stdout
+    tested = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", tmp_path / "test_my_block.py"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert tested.returncode == 0, tested.stdout + tested.stderr
+    again = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
+    assert again.returncode == 2
+    assert "is there already" in again.stderr
