@@ -48,7 +48,7 @@ class Twice(Plant, name="twice"):
         if "growing" in parts:
             rate = (self.a * self.u - self.b * self.x) / self.c
         # A parameter that is in the equations and yet not in what they say.
-        rate += (self.unseen - self.unseen * (self.x + 1 - self.x)) * self.u
+        rate += self.unseen * ((self.u + 1) ** 2 - self.u**2 - 2 * self.u - 1)
         return Equations(rates={self.x: rate}, output=self.x, start={self.x: self.y})
 
 
@@ -97,7 +97,7 @@ HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%",
         ([HOT], None, "the output goes from .* beyond its span -10 to 120"),
         ([HOT], None, "state block goes from .* beyond its span 0 to 110"),
         ([], 500.0, "all has settled .* before the next sample comes"),
-        ([("default=100.0", "default=10000.0")], None, "capacity begins at 1e.04, outside its bounds "
+        ([("default=100.0", "default=10000.0")], None, "capacity begins at 10000, outside its bounds "
             "10 to 1000"),
         ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures')], None,
          "parameter extra: no structure depends on it"),
@@ -114,7 +114,7 @@ def test_what_is_wrong_is_told(
 ) -> None:
     import re
 
-    name = f"checked_{crc32(repr((changes, period)).encode())}"
+    name = f"checked_{crc32(repr((changes, message)).encode())}"
     checked = checked_file(tmp_path, name, *changes, period=period)
     assert checked.exit_code == 1
     assert any(re.search(message, finding.what) for finding in checked.findings), checked

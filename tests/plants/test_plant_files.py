@@ -79,18 +79,25 @@ class Other(Plant):
     [
         ("Output(unit", "Output(unti", r"TypeError: Output\(\) got .*unti"),
         ("unit=\"°C\", noise=0.1, ", "unit=\"°C\", ", r"TypeError: Output\(\) missing 1 required .*noise"),
-        ("bounds=(0.05, 5.0)", "bounds=(5.0, 0.05)", r"plant: bounds \(5.0, 0.05\)"),
+        ("bounds=(0.05, 5.0)", "bounds=(5.0, 0.05)", r"bounds of a parameter is \(5\.0, 0\.05\)"),
         ("default=0.5, ", "default=0.5 ", r"no Python: "),
         ("Disturbance(", "Disturbence(", r"NameError: name 'Disturbence' is not defined"),
         ('free=("gain", "capacity")', 'free=("gian",)', r"plant .*no parameter 'gian'"),
         ("State, Structure", "State, Structur", r"ImportError: cannot import name 'Structur'"),
+        ("noise=0.1, span", "noise='0.1', span", r"noise of the output is '0\.1'; give a finite "
+            r"number above 0"),
+        ("limits=(0.0, 100.0)", "limits=(100.0, 0.0)", r"limits of the drive is \(100\.0, 0\.0\); give two"),
+        ("span=(0.0, 110.0)", "span=110.0", r"span of a state is 110\.0; give two finite numbers"),
+        ('free=("gain", "capacity")', 'free=("gain")', r"free of a structure is the text 'gain'; "
+            r"write \('gain',\)"),
+        ("gain = Parameter(", "sensor = Parameter(", r"'sensor' is a word of every plant"),
         ("class Heated(Plant, ", "class Heated(object, ", r"TypeError: "),
         ("class Heated", f"{OTHER}class Heated", r"has 2 plants, Heated, Other; give each"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_told_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = plant_file(tmp_path, "block_bad", (old, new))
-    line = 1 + path.read_text().partition("class" if old.startswith("free") else new)[0].count("\n")
+    line = 1 + path.read_text().partition("class" if "gian" in new or "sensor" in new else new)[0].count("\n")
     with pytest.raises(PlantError, match=message) as raised:
         find_plant(str(path))
     assert str(raised.value).startswith(f"{path}: " if new.startswith(OTHER) else f"{path}, line {line}: ")

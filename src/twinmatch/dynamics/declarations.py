@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.numbers import require_number, require_range
 
 if TYPE_CHECKING:
     from twinmatch.dynamics.elsewhere import Elsewhere
@@ -65,6 +66,10 @@ class State(Declaration):
     start_bounds: tuple[float, float] | None = None
     """Where an unknown start is looked for; `span` if not given."""
 
+    def __post_init__(self) -> None:
+        require_range("span of a state", self.span)
+        require_number("scale of a state", self.scale, above=0.0)
+
 
 def _decimals(noise: float) -> int:
     """Of a reading with this noise: down to the noise's first digit."""
@@ -81,6 +86,10 @@ class Drive(Declaration):
     match."""
     rest: float = 0.0
     """Command at which the drive does nothing."""
+
+    def __post_init__(self) -> None:
+        require_range("limits of the drive", self.limits)
+        require_number("noise of the drive", self.noise, above=0.0)
 
     @property
     def least_step(self) -> float:
@@ -112,6 +121,10 @@ class Output(Declaration):
     sensor: str = "sensor"
     """What gives the readings, in a word: where to look if they are wrong."""
 
+    def __post_init__(self) -> None:
+        require_range("span of the output", self.span)
+        require_number("noise of the output", self.noise, above=0.0)
+
     @property
     def least_step(self) -> float:
         """Movement of the set-point that excites the plant: far above the noise of a reading."""
@@ -129,6 +142,9 @@ class Disturbance(Declaration):
 
     default: float
     """Its value where nobody measures it."""
+
+    def __post_init__(self) -> None:
+        require_number("default of a disturbance", self.default)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +172,8 @@ class Parameter(Declaration):
     """Whether its error is judged relative to its value; False where its zero means nothing."""
 
     def __post_init__(self) -> None:
+        require_number("default of a parameter", self.default)
+        require_range("bounds of a parameter", self.bounds)
         if not self.scale > 0:
             object.__setattr__(self, "scale", abs(self.default) or 1.0)
         low, high = self.bounds
@@ -202,6 +220,13 @@ class Structure:
     text: str = ""
     elsewhere: Elsewhere | None = None
     """Where its equations are, if not in the plant's file."""
+
+    def __post_init__(self) -> None:
+        for name in ("free", "parts", "free_starts"):
+            held = getattr(self, name)
+            if isinstance(held, str):
+                msg = f"plant: {name} of a structure is the text {held!r}; write ({held!r},)"
+                raise PlantError(msg)
 
     def __hash__(self) -> int:
         return hash((self.free, self.parts, tuple(self.fixed.items()), self.free_starts))

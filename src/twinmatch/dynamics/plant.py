@@ -82,6 +82,7 @@ class Plant(metaclass=PlantType):
         cls.disturbances = cls._of(Disturbance)
         cls.drive = cls._one(Drive)
         cls.output = cls._one(Output)
+        cls._check_names()
         cls._check_structures()
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
@@ -136,6 +137,14 @@ class Plant(metaclass=PlantType):
             msg = f"plant {cls.name}: declares {len(held)} of {kind.__name__}; it needs one"
             raise PlantError(msg)
         return held[0]
+
+    @classmethod
+    def _check_names(cls) -> None:
+        own = {**vars(Plant), **Plant.__annotations__}
+        for name in cls.declarations:
+            if name in own and cls.declarations[name] not in (cls.output, cls.drive):
+                msg = f"plant {cls.name}: {name!r} is a word of every plant; call this quantity otherwise"
+                raise PlantError(msg)
 
     @classmethod
     def _check_structures(cls) -> None:
