@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.support.box_runs import PERIOD, TRUTH, step_test
+from tests.support.plants import Box
 from twinmatch.dynamics import begin, simulate_closed_loop, simulate_driven
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
@@ -124,3 +126,19 @@ def test_a_state_the_structure_before_did_not_have_is_found_from_the_newest_samp
     for twin in ("closed_states", "driven_states"):
         assert abs(getattr(here, twin)["sink"] - getattr(there, twin)["sink"]) < away / 10
     assert abs(here.driven_output - driven) < 2.0
+
+
+def test_without_a_loop_only_the_driven_twin_is_there() -> None:
+    """What is said of the other is NaN, and a plant that is the twin leaves nothing."""
+    samples = step_test(300, 7)
+    mirror = Mirror(TRUTH, None, period=PERIOD)
+    states = [mirror.push(sample) for sample in samples]
+    last = states[-1]
+    of_closed = [last.closed_output, last.closed_input, last.closed_residual_y, last.closed_residual_u]
+    assert np.isnan([*of_closed, last.closed_rms_y, last.closed_rms_u, *last.closed_states.values()]).all()
+    # It starts from one reading, whose noise is forgotten slowly.
+    assert last.driven_rms_y < 4 * Box.output.noise
+    mirror.parameters = TRUTH.replace(box_conductance=1.2)
+    follows = mirror.push(dataclasses.replace(samples[-1], index=300))
+    assert np.isfinite(follows.driven_output)
+    assert follows.driven_output != last.driven_output
