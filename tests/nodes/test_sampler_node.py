@@ -79,7 +79,7 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(
 ) -> None:
     rig = beside.rig(*options)
     beside.sampler(output="/oven/temperature:temperature" if options else MAP["output"])
-    beside.wait_for_samples(100)
+    beside.wait_for_samples(60)
     said = {tuple(line) for line in rig.json}
     pairs = taken(beside.samples)
     # A busy machine may deliver one message late; never may the mass of them be of different ticks.
@@ -120,7 +120,7 @@ def test_pause_end_and_restart_of_the_rig_are_told_and_leave_gaps_of_their_lengt
 def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Beside) -> None:
     """The sampler's own clock, at a period the rig does not have: no tick is one of the rig's."""
     rig = beside.rig()
-    beside.sampler(paced_by="timer", period="0.12")
+    beside.sampler(paced_by="timer", period="0.13")
     beside.wait_for_samples(60)
     said = rig.json
     readings, commands = {line[1] for line in said}, [line[2] for line in said]

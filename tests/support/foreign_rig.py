@@ -1,6 +1,6 @@
 """A rig of somebody else: an oven under PI control that knows rclpy and standard messages, nothing of ours.
 
-    python foreign_rig.py [--period 0.05] [--stamped] [--kelvin] [--no-set-point]
+    python foreign_rig.py [--period 0.05] [--hold 240] [--stamped] [--kelvin] [--no-set-point]
 
 It says each tick it took as a line of JSON: set-point, reading, command.
 """
@@ -18,12 +18,13 @@ from std_msgs.msg import Float64
 
 GAIN, LOSS, CAPACITY, ROOM = 0.5, 1.0, 4.0, 20.0  # W/%, W/K, J/K, °C
 PROPORTIONAL, INTEGRAL = 4.0, 2.0  # %/K, %/(K s)
-LEVELS, HOLD = (30.0, 40.0), 240  # °C, ticks
+LEVELS = (30.0, 40.0)  # °C, by turns
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--period", type=float, default=0.05)
+    parser.add_argument("--hold", type=int, default=240, help="ticks from one set-point to the next")
     parser.add_argument("--stamped", action="store_true", help="sensor_msgs/Temperature, best effort")
     parser.add_argument("--kelvin", action="store_true")
     parser.add_argument("--no-set-point", action="store_true")
@@ -43,7 +44,7 @@ def main() -> None:
     due = time.monotonic()
     try:
         while rclpy.ok():
-            wanted = LEVELS[tick // HOLD % 2]
+            wanted = LEVELS[tick // options.hold % 2]
             reading = oven + noise.gauss(0.0, 0.02) + 273.15 * options.kelvin
             error = wanted - reading + 273.15 * options.kelvin
             integral += INTEGRAL * options.period * error

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["MAP", "PERIOD", "RIG", "oven_file"]
+__all__ = ["HOLD", "MAP", "PERIOD", "RIG", "oven_file"]
 
 RIG = Path(__file__).with_name("foreign_rig.py")
-PERIOD = 0.05
+PERIOD = 0.1
+HOLD = 80
 MAP = {
     "reference": "/oven/set_point:data",
     "output": "/oven/temperature",
@@ -31,7 +32,7 @@ class Oven(Plant, name="oven"):
     loss = Parameter(unit="W/K", default=1.0, bounds=(0.1, 10.0), positive=True)
     capacity = Parameter(unit="J/K", default=6.0, bounds=(0.5, 100.0), positive=True)
     structures = {"block": Structure(free=("gain", "capacity"))}
-    loop = PidGains(4.0, 2.0, 0.0, 1.0, low=0.0, high=100.0, period=0.05)
+    loop = PidGains(4.0, 2.0, 0.0, 1.0, low=0.0, high=100.0, period=0.1)
 
     def equations(self, parts):
         """Energy."""

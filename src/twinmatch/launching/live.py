@@ -46,7 +46,7 @@ SETTLE = 60.0
 """Longest wait for the verdicts that are still due when the profile has ended, s."""
 VIRTUAL_RIG_START = 90.0
 """A first build of firmware and board takes its time, s."""
-STOP_ORDER = ("rig", "twin", "recorder", "plant_clock", "virtual_rig")
+STOP_ORDER = ("rig", "sampler", "twin", "recorder", "plant_clock", "virtual_rig")
 """Heat off first; the recorder outlives what it records."""
 RESTARTS = 3
 """How often a process that may be restarted is."""
@@ -146,7 +146,7 @@ class _Supervision:
         self._start("twin")
         if plan.session is not None:
             self._start("recorder")
-        self._start("rig")
+        self._start(plan.driver)
 
     def look(self) -> tuple[int, str] | None:
         """Restart what may be; the exit code and its reason when it is over."""
@@ -157,8 +157,10 @@ class _Supervision:
                 return 0, "the virtual rig has come to its end"
             if code == 2:
                 return 2, f"{name} could not work with what it was given; its own words are above"
-            if name in ("rig", "virtual_rig") or self._restarts.get(name, 0) >= RESTARTS:
+            if name in ("rig", "virtual_rig"):
                 return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
+            if self._restarts.get(name, 0) >= RESTARTS:
+                return EXIT_LOST, f"{name} was lost (code {code}), and {RESTARTS} more of it"
             self._restarts[name] = self._restarts.get(name, 0) + 1
             self._view.say(f"{name} ended with code {code}; starting it again", "yellow")
             self._start(name)
@@ -179,11 +181,10 @@ class _Supervision:
             session = self._next_session()
             self._live.sessions.append(session)
             self.processes.start_module(name, "twinmatch.nodes.recorder", *plan.recorder_arguments(session))
-        elif name == "rig":
+        elif name == plan.driver:
             readers = READERS if plan.session is None else f"{READERS} recorder"
             arguments = plan.rig_arguments(self._addresses)
-            wait = ["-p", f"controller:readers:={readers}", "-p", "controller:wait_timeout:=30.0"]
-            self.processes.start_module(name, plan.wiring.module, *arguments, *wait)
+            self.processes.start_module(name, plan.wiring.module, *arguments, *plan.wait_for(readers))
 
     def _next_session(self) -> Path:
         first = self._plan.session or Path("session")

@@ -112,6 +112,11 @@ class LivePlan:
         return WIRINGS[self.plant]
 
     @property
+    def driver(self) -> str:
+        """Name of the process that makes the samples."""
+        return "rig"
+
+    @property
     def simulated_time(self) -> bool:
         """Whether the nodes live by the virtual rig's clock."""
         return self.virtual is not None
@@ -127,6 +132,10 @@ class LivePlan:
         for name, value in self.overrides.items():
             words += ["-p", f"{name}:={value}"]
         return [*words, *self._time()]
+
+    def wait_for(self, readers: str) -> list[str]:
+        """ROS arguments by which no sample is made before these nodes (names with spaces) hear it."""
+        return ["-p", f"controller:readers:={readers}", "-p", "controller:wait_timeout:=30.0"]
 
     def twin_arguments(self) -> list[str]:
         """ROS arguments of the twin's nodes."""

@@ -17,7 +17,7 @@ from typing import Any
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import shown
 
-__all__ = ["Parameter", "ParameterError", "Value", "Values", "check", "render"]
+__all__ = ["Parameter", "ParameterError", "Value", "Values", "check", "flattened", "render"]
 
 Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]
@@ -118,6 +118,17 @@ def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Va
         name: parameter.accept(given[name], node) if name in given else parameter.default
         for name, parameter in known.items()
     }
+
+
+def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Parameters of a file by their whole names: `pid: {low: 0}` is `pid.low`."""
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            flat.update(flattened(value, f"{prefix}{name}."))
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
 
 
 def render(node: str, table: Sequence[Parameter], values: Mapping[str, Any] | None = None) -> str:

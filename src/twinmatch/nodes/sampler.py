@@ -203,7 +203,7 @@ class SamplerNode(TwinmatchNode):
             return f"nobody publishes {gone[0]}" if gone else f"nothing came of {topics} yet"
         if limit and now - heard > limit:
             why = f"; nobody publishes {gone[0]} any more" if gone else ""
-            return f"nothing of {topics} for {now - heard:.0f} s{why}"
+            return f"nothing of {topics} for {now - heard:.1f} s{why}"
         return ""
 
     def _explained(self, name: str, wire: Wire, trouble: str) -> str:

@@ -60,19 +60,23 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
         ),
         Parameter("settle", 0.1, "Wait behind such a message for those sent with it.", "periods", 0.0, 0.45),
         *(
-            Parameter(f"map.{name}", "", f"Topic and field of {known.text}{_in(known.unit)}{_may_be(name)}.")
+            Parameter(
+                f"map.{name}",
+                "",
+                f"Topic and field of the {name} ({known.text}){_in(known.unit)}{_may_be(name)}.",
+            )
             for name, known in signals.items()
         ),
         *(
             Parameter(
                 f"max_age.{name}",
                 round(ages.get(name, _SLOWLY) * step, 9),
-                f"Age from which {known.text} is not used; 0: any age will do.",
+                f"Age from which a value of the {name} is not used; 0: any age will do.",
                 "s",
                 0.0,
                 1e6,
             )
-            for name, known in signals.items()
+            for name in signals
         ),
         Parameter("types", "", "Types of topics with several, with commas: /cmd std_msgs/msg/Float64, …"),
         Parameter(

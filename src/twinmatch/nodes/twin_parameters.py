@@ -18,7 +18,7 @@ from twinmatch.fmu import adopt_fmus
 from twinmatch.matching import Noise
 from twinmatch.nodes.loop_parameters import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
-from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
+from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check, flattened
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
@@ -205,7 +205,7 @@ def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -
         if not isinstance(parameters, dict):
             msg = f"{path}: section {node} has no ros__parameters; see the files in config/"
             raise ParameterError(msg)
-        given.update(_flat(parameters))
+        given.update(flattened(parameters))
     if not given:
         msg = f"{path}: has no section /**, matcher or discriminator; see the files in config/"
         raise ParameterError(msg)
@@ -336,13 +336,3 @@ def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
             for n, text, unit, low, high in health
         ),
     )
-
-
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            flat.update(_flat(value, f"{prefix}{name}."))
-        else:
-            flat[f"{prefix}{name}"] = value
-    return flat

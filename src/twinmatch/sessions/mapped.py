@@ -19,7 +19,7 @@ from twinmatch.sessions.times import Times, read_times
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.units import Conversion, conversion, measure
 
-__all__ = ["Mapped", "map_samples", "with_plant_names"]
+__all__ = ["Mapped", "by_signal", "map_samples", "with_plant_names"]
 
 TIME, OUTPUT, INPUT, REFERENCE = "time", "output", "input", "reference"
 
@@ -52,7 +52,7 @@ class _Signal(NamedTuple):
 
 def with_plant_names(table: Table, plant: type[Plant], given: ColumnMap) -> ColumnMap:
     """The map, and columns that are called as the signals they are."""
-    sources = dict(_by_signal(plant, given.sources))
+    sources = dict(by_signal(plant, given.sources))
     for signal, names in _names(plant).items():
         if signal not in sources:
             for name in names:
@@ -78,7 +78,7 @@ def map_samples(
         RecordingError: a signal or column that is not there, units that do not fit, values that the plant
             cannot have, gaps.
     """
-    sources = {signal: _found(table, source) for signal, source in _by_signal(plant, given.sources).items()}
+    sources = {signal: _found(table, source) for signal, source in by_signal(plant, given.sources).items()}
     signals, notes = _wanted(table, plant, sources)
     times = _times(table, sources[TIME])
     values = {signal: _values(table, sources[signal], signal, known) for signal, known in signals.items()}
@@ -119,8 +119,12 @@ def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, Source]:
-    """The sources of a plant's signals, whichever of their names was used."""
+def by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, Source]:
+    """The sources of a plant's signals, whichever of their names was used.
+
+    Raises:
+        RecordingError: the plant has no signal of a name, or one is named twice.
+    """
     known = {name: signal for signal, names in _names(plant).items() for name in names}
     found: dict[str, Source] = {}
     said: dict[str, str] = {}

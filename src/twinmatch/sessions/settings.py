@@ -13,6 +13,8 @@ __all__ = ["CANDIDATES", "PLANT", "has_reference", "parameters_of", "parameters_
 PLANT = "twinmatch/plant"
 """Record with the name of the `plant`; an import adds `source`, `map` and whether there is a `reference`."""
 NO_REFERENCE = "none"
+SAMPLED = "map.reference"
+"""Parameter of the sampler that says which topic the set-points come from; empty: there are none."""
 PARAMETERS = "twinmatch/parameters"
 CANDIDATES = "twinmatch/candidates"
 """Record with the `text` of the file of candidates that the discriminator began with; empty: not readable."""
@@ -53,5 +55,7 @@ def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
 
 
 def has_reference(records: Mapping[str, Mapping[str, str]]) -> bool:
-    """Whether the session's set-points say anything; False where an import found none."""
-    return records.get(PLANT, {}).get("reference", "") != NO_REFERENCE
+    """Whether the session's set-points say anything; False where an import found none, or the sampler of
+    somebody else's rig was told of none."""
+    heard = (values.get(SAMPLED) for name, values in records.items() if name.startswith(PARAMETERS))
+    return records.get(PLANT, {}).get("reference", "") != NO_REFERENCE and '""' not in heard

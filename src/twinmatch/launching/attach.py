@@ -1,0 +1,129 @@
+"""The twin beside a rig that is not ours: what the sampler and the twin are told, in files of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twinmatch.launching.plan import LivePlan, Wiring
+from twinmatch.launching.processes import LaunchError
+from twinmatch.nodes.loop_parameters import closing_of
+from twinmatch.nodes.parameters import ParameterError, Values, check, flattened, render
+from twinmatch.nodes.sampler_parameters import understood, wires_of
+from twinmatch.nodes.twin_parameters import at_period, read_settings, twin_table, values_of
+from twinmatch.plants import find_plant, written_name
+from twinmatch.sampling import REFERENCE
+from twinmatch.sessions.column_map import ColumnMap
+from twinmatch.sessions.documents import read_yaml
+from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.mapped import by_signal
+
+__all__ = ["AttachPlan", "attach_plan"]
+
+SAMPLER = "sampler"
+
+
+@dataclass(frozen=True)
+class AttachPlan(LivePlan):
+    """A run beside somebody else's rig: a sampler instead of what drives a plant."""
+
+    sampler: Path = Path()
+    """Parameter file of the sampler."""
+
+    @property
+    def driver(self) -> str:
+        """The sampler drives nothing; it is where samples come from."""
+        return SAMPLER
+
+    @property
+    def wiring(self) -> Wiring:
+        """How it is started."""
+        return Wiring("twinmatch.nodes.sampler", "")
+
+    def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:  # noqa: ARG002
+        """ROS arguments of the sampler."""
+        return ["--ros-args", "--params-file", str(self.sampler)]
+
+    def wait_for(self, readers: str) -> list[str]:
+        """As for a rig."""
+        return ["-p", f"readers:={readers}"]
+
+
+def attach_plan(
+    folder: Path,
+    said: ColumnMap,
+    *,
+    config: Path | None = None,
+    twin_config: Path | None = None,
+    candidates: Path | None = None,
+    session: Path | None = None,
+) -> AttachPlan:
+    """Bring together what was given, and write it for the processes.
+
+    Args:
+        folder: where their files are written.
+        said: plant, sample time and map of the command line; it goes before the file.
+        config: parameter file with a section `sampler`, and perhaps `recorder`.
+        twin_config: parameter file of the twin; what it leaves out, plant and sample time too, is as here.
+        candidates: file of candidates to begin with.
+        session: folder to record into.
+
+    Raises:
+        TwinmatchError: something does not exist or does not go together.
+    """
+    values = _sampler_values(config, said)
+    plant = find_plant(values["plant"])
+    driven = REFERENCE not in wires_of(SAMPLER, values)
+    held = read_settings(twin_config, written_name(plant), driven=driven)
+    if driven and held.gains is not None:
+        msg = (
+            f"{twin_config}: closes the twin into a loop, but no topic is mapped to the reference that it "
+            "would follow; map one, or write loop: unknown"
+        )
+        raise LaunchError(msg)
+    settings = at_period(held, values["period"], twin_config)
+    told = values_of(settings)
+    sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
+    sampler.write_text(render(SAMPLER, understood(SAMPLER, values), values), "utf-8")
+    table = twin_table(plant, told["structure"], closing_of(told))
+    twin.write_text(render("/**", table, told), "utf-8")
+    return AttachPlan(
+        config=config or sampler,
+        session=session,
+        twin_config=twin,
+        candidates=candidates,
+        plant=plant.name,
+        sampler=sampler,
+    )
+
+
+def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
+    """The sampler's parameters, checked."""
+    given = _section(config) if config is not None else {}
+    if said.plant:
+        given["plant"] = said.plant
+    if said.period is not None:
+        given["period"] = said.period
+    place = str(config) if config is not None else "attach"
+    plant = find_plant(str(given.get("plant", "peltier")))
+    for signal, source in by_signal(plant, said.sources).items():
+        given[f"map.{signal}"] = source.text
+    values = check(place, understood(place, given), given)
+    wires_of(place, values)
+    return values
+
+
+def _section(path: Path) -> dict[str, Any]:
+    """The section of the sampler in a parameter file."""
+    try:
+        content = read_yaml(path)
+    except DocumentError as error:
+        raise ParameterError(str(error)) from error
+    section = content.get(SAMPLER) if isinstance(content, dict) else None
+    parameters = section.get("ros__parameters") if isinstance(section, dict) else None
+    if not isinstance(parameters, dict):
+        msg = f"{path}: has no section {SAMPLER} with ros__parameters; see config/attach.yaml"
+        raise ParameterError(msg)
+    return flattened(parameters)

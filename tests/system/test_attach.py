@@ -1,0 +1,145 @@
+"""The twin beside a rig that is not ours: from its topics to verdicts, whatever becomes of the rig."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+from tests.support.oven import HOLD, MAP, PERIOD, RIG, oven_file
+from tests.support.places import LAUNCH_SCRIPTS
+from tests.support.processes import Process, Processes
+from tests.support.ros import listening
+from tests.support.waiting import PATIENCE
+from twinmatch.judging.verification import verify_session
+from twinmatch.sessions import read_session
+from twinmatch.sessions.settings import parameters_of
+from twinmatch_msgs.msg import Forecast, Match, ModelScore
+
+ATTACH = LAUNCH_SCRIPTS / "attach.py"
+FIRST = 4 * PATIENCE
+"""Until the first verdict: the code of a plant's first match is compiled while the rig goes on."""
+ENTRIES = [f"{name}={text}" for name, text in MAP.items()]
+
+
+@pytest.fixture
+def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
+    made = Processes(tmp_path / "output")
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def attach(processes: Processes, tmp_path: Path) -> Callable[..., Process]:
+    """Start attach.py for the oven; it records into `run`."""
+
+    def start(*options: object) -> Process:
+        plant = oven_file(tmp_path)
+        twin = tmp_path / "twin.yaml"
+        twin.write_text(f"/**:\n  ros__parameters:\n    schedule: {{span: {HOLD}, min_span: 30, lead: 10}}\n")
+        words = ["--plant", plant, "--twin-config", twin, "--period", PERIOD, "--session", tmp_path / "run"]
+        return processes.python(ATTACH, *words, *options)
+
+    return start
+
+
+@pytest.mark.slow
+def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
+    processes: Processes, attach: Callable[..., Process], tmp_path: Path
+) -> None:
+    """Killed and started again on the way: windows begin anew there, and the twin goes on."""
+    rig = processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
+    entries = [
+        e if not e.startswith("output") else "temperature=/oven/temperature:temperature" for e in ENTRIES
+    ]
+    run = attach("--map", *entries)
+    with listening() as listener:
+        verdicts = listener.hear(ModelScore, "twin/model_score", 10)
+        matches = listener.hear(Match, "twin/match", 10)
+        forecasts = listener.hear(Forecast, "twin/forecast", 10)
+        listener.spin_until(lambda: verdicts and matches and forecasts, lambda: run.text, FIRST)
+        held = matches[-1].parameters
+        found = dict(zip(held.names, held.values, strict=True))
+        # The rig's own numbers: 0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6.
+        assert found["gain"] == pytest.approx(0.5, rel=0.05)
+        assert found["capacity"] == pytest.approx(4.0, rel=0.1)
+        commanding = listener.node.get_publishers_info_by_topic("/oven/heater")
+        assert [info.node_name for info in commanding] == ["oven_rig"]
+        rig.kill()
+        run.said(r"sampler: health: .*nobody publishes /oven/heater any more")
+        processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
+        run.said("sampler: health: well again")
+        seen = len(verdicts)
+        listener.spin_until(lambda: len(verdicts) > seen, lambda: run.text)
+    assert run.end(signal.SIGINT) == 0
+    assert re.search(r"ended: stopped by the operator; \d+ samples, \d+ verdicts", run.text)
+    session = read_session(tmp_path / "run")
+    assert any("windows begin anew there" in note for note in session.notes)
+    assert parameters_of(session.records, "/sampler")
+    assert session.has_reference
+    found_again = verify_session(tmp_path / "run", plant=str(tmp_path / "oven.py"))
+    assert found_again.identical, found_again.difference
+
+
+@pytest.mark.slow
+def test_without_a_set_point_the_twin_is_driven_and_the_session_says_so(
+    processes: Processes, attach: Callable[..., Process], tmp_path: Path
+) -> None:
+    processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--no-set-point")
+    run = attach("--map", *ENTRIES[1:])
+    with listening() as listener:
+        verdicts = listener.hear(ModelScore, "twin/model_score", 10)
+        listener.spin_until(lambda: verdicts, lambda: run.text, FIRST)
+    assert run.end(signal.SIGINT) == 0
+    session = read_session(tmp_path / "run")
+    assert not session.has_reference
+    twin = parameters_of(session.records, "/discriminator")
+    assert twin is not None
+    assert twin["loop"] == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "say which topics are which signals"),
+        (("--map", "output=/t"), "attach: there is no map.input; give its topic and field"),
+        (("--map", "outptu=/t"), "has no signal 'outptu'; it has time, output"),
+        (("--map", "output=/t", "input=/u", "--plant", "nowhere.py"), "nowhere.py"),
+        (("--map", "output=/t", "input=/u", "--session", "."), "exists already"),
+        (("--config", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
+        (("--map", "output=/t; gain=2", "input=/u"), "'gain' is not known"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    command = [sys.executable, ATTACH, *options]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=90, cwd=tmp_path, env=dict(os.environ)
+    )
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_topic_that_nobody_publishes_ends_it_with_those_there_are(
+    processes: Processes, attach: Callable[..., Process], tmp_path: Path
+) -> None:
+    processes.python(RIG, "--period", PERIOD)
+    config = tmp_path / "my_rig.yaml"
+    config.write_text(
+        "sampler:\n  ros__parameters:\n    wait_timeout: 2.0\n    map:\n"
+        "      output: /oven/temp\n      input: /oven/heater\n"
+    )
+    run = attach("--config", config)
+    assert run.wait() == 2
+    assert "nobody publishes /oven/temp" in run.text
+    assert "/oven/temperature (std_msgs/msg/Float64)" in run.text
+    assert "sampler could not work with what it was given" in run.text
