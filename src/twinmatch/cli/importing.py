@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
-    from twinmatch.sessions.column_map import ColumnMap
+    from twinmatch.sessions.column_map import ColumnMap, Source
 
 __all__ = ["add_arguments", "run"]
 
@@ -24,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recording",
         type=Path,
-        help=".csv with named columns, or .mat; without --plant a recording of the Peltier rig",
+        help=".csv with named columns, .mat, or folder of a ROS bag; without --plant a recording of the "
+        "Peltier rig",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace a session that is already there")
@@ -38,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="SIGNAL=COLUMN",
-        help="time=elapsed output='t2, t3' (their mean) 'input=duty; scale=100' 'room=T1; unit=K'",
+        help="time=elapsed output='t2, t3' (their mean) 'input=duty; scale=100' 'room=T1; unit=K'; of a bag, "
+        "output=/camera/temperature:temperature",
     )
     other.add_argument("--map-file", type=Path, metavar="FILE", help="the same as YAML; --map goes before it")
     other.add_argument("--period", type=float, metavar="S", help="sample time, if not that of the rows")
@@ -57,7 +60,10 @@ def run(options: argparse.Namespace) -> int:
         return _list(options.recording)
     if options.output is None:
         raise ImportOptionError("import: name the session to write with -o SESSION (or look with --list)")
-    if options.map or options.map_file or options.plant or options.period or options.bridge:
+    from twinmatch.sessions.bags import is_bag  # noqa: PLC0415 — keeps --help fast
+
+    mapped = (options.map, options.map_file, options.plant, options.period, options.bridge)
+    if any(mapped) or is_bag(options.recording):
         return _import_mapped(options)
     from twinmatch.judging.progress import Progress  # noqa: PLC0415
     from twinmatch.sessions import read_recording, samples_of, write_session  # noqa: PLC0415 — keeps --help fast
@@ -76,6 +82,8 @@ def run(options: argparse.Namespace) -> int:
 def _import_mapped(options: argparse.Namespace) -> int:
     from twinmatch.plants import find_plant  # noqa: PLC0415 — as above
     from twinmatch.sessions import write_session  # noqa: PLC0415
+    from twinmatch.sessions.bag_tables import map_bag  # noqa: PLC0415
+    from twinmatch.sessions.bags import is_bag  # noqa: PLC0415
     from twinmatch.sessions.mapped import map_samples, with_plant_names  # noqa: PLC0415
     from twinmatch.sessions.settings import NO_REFERENCE, PLANT  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
@@ -85,8 +93,11 @@ def _import_mapped(options: argparse.Namespace) -> int:
         msg = "import: say whose recording it is, with --plant NAME or --plant FILE.py, or plant: in the map"
         raise ImportOptionError(msg)
     plant = find_plant(given.plant)
-    table = read_table(options.recording)
-    found = map_samples(table, with_plant_names(table, plant, given), plant, longest=options.bridge)
+    if is_bag(options.recording):
+        found = map_bag(options.recording, given, plant, longest=options.bridge)
+    else:
+        table = read_table(options.recording)
+        found = map_samples(table, with_plant_names(table, plant, given), plant, longest=options.bridge)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in found.sources.items())
     record = {
         "plant": plant.name,
@@ -116,6 +127,12 @@ def _given(options: argparse.Namespace) -> ColumnMap:
 
 
 def _list(path: Path) -> int:
+    from twinmatch.sessions.bags import is_bag  # noqa: PLC0415 — as above
+
+    return _list_bag(path) if is_bag(path) else _list_table(path)
+
+
+def _list_table(path: Path) -> int:
     from rich.console import Console  # noqa: PLC0415 — as above
     from rich.table import Table  # noqa: PLC0415
 
@@ -131,9 +148,36 @@ def _list(path: Path) -> int:
     if not console.is_terminal:
         console.width = 140
     console.print(shown)
-    found = proposed(columns)
+    _propose(proposed(columns))
+    return 0
+
+
+def _list_bag(path: Path) -> int:
+    from rich.console import Console  # noqa: PLC0415 — as above
+    from rich.table import Table  # noqa: PLC0415
+
+    from twinmatch.sessions.bag_listing import look_into  # noqa: PLC0415
+    from twinmatch.sessions.bags import open_bag  # noqa: PLC0415
+    from twinmatch.sessions.guesses import proposed  # noqa: PLC0415
+
+    with open_bag(path) as bag:
+        topics, seconds, columns = bag.topics, bag.seconds, look_into(bag)
+    shown = Table("topic", "type", "messages", "per s", "numbers")
+    for topic in topics:
+        rate = f"{topic.messages / seconds:.3g}" if seconds else ""
+        numbers = ", ".join(topic.numbers[:8]) + (" …" if len(topic.numbers) > 8 else "")
+        shown.add_row(topic.name, topic.kind, str(topic.messages), rate, numbers)
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 140
+    console.print(shown)
+    _propose({name: source for name, source in proposed(columns).items() if name != "time"})
+    return 0
+
+
+def _propose(found: Mapping[str, Source]) -> None:
+    """A map to begin with."""
     if found:
         entries = [f"{signal}={source.text}" for signal, source in found.items()]
         print(f"A guess, to be looked over: --map {shlex.join(entries)}")
     print("room stands for whatever is measured and acts on your plant; use the names in your plant's file.")
-    return 0

@@ -22,7 +22,7 @@ _OUTPUT: Final = re.compile(
     r"^t\d*$|temp|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow", re.IGNORECASE
 )
 _INPUT: Final = re.compile(
-    r"heater|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|input|^mv$|drive|actuat|throttle",
+    r"heater|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
     re.IGNORECASE,
 )
 _AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)

@@ -1,0 +1,149 @@
+"""Signals of a bag, each with times of its own, as a table with a row for each reading of the output.
+
+In the row of a reading stands the set-point that had been sent last; the mean of the input from this reading
+to the next, each value standing until the one after it; and measured disturbances between their neighbours,
+in a line. What comes then is what becomes of every table: `map_samples`.
+
+Times are those of the headers where there are any, else those at which the bag was written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import Plant
+from twinmatch.sampling import INPUT, OUTPUT, REFERENCE, Wire
+from twinmatch.sampling.usual_units import usual_unit
+from twinmatch.sessions.bags import Bag, Series, open_bag
+from twinmatch.sessions.column_map import ColumnMap, Source
+from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.mapped import Mapped, by_signal, map_samples
+from twinmatch.sessions.tables import Table
+from twinmatch.signals import FloatArray
+
+__all__ = ["map_bag"]
+
+TIME: Final = "time"
+_ASTRAY: Final = 1.0
+"""Seconds between headers and the bag's clock from which the headers are of another clock."""
+
+
+class _Signal(NamedTuple):
+    time: FloatArray
+    """s since 1970, growing, shape (N,)."""
+    values: FloatArray
+
+
+def map_bag(path: Path, given: ColumnMap, plant: type[Plant], *, longest: float | None = None) -> Mapped:
+    """The samples of a plant that a bag holds.
+
+    Args:
+        path: folder of the bag.
+        given: topics and fields by signal.
+        plant: whose signals they are.
+        longest: step from reading to reading that may be bridged, s; three usual ones if not given.
+
+    Raises:
+        RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
+    """
+    sources = by_signal(plant, given.sources)
+    if TIME in sources:
+        raise RecordingError("--map time: a bag's times are those of its messages; leave it out")
+    for name in (OUTPUT, INPUT):
+        if name not in sources:
+            msg = f"{path}: no topic is mapped to {name}; write --map {name}=TOPIC:FIELD (--list shows them)"
+            raise RecordingError(msg)
+    with open_bag(path) as bag:
+        signals, units, notes = _read(bag, sources)
+    columns, left_out = _rows(signals)
+    if columns[TIME].size < 2:
+        msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} have an input before them"
+        raise RecordingError(msg)
+    if left_out:
+        notes.append(f"The first {left_out} readings came before an input or a set-point and are left out.")
+    table = Table(path, columns, range(left_out + 1, left_out + 1 + columns[TIME].size), "reading")
+    named = {TIME: Source((TIME,), "s")}
+    named |= {n: Source((n,), s.unit or units[n], s.scale, s.offset) for n, s in sources.items()}
+    found = map_samples(table, ColumnMap(named, given.plant, given.period), plant, longest=longest)
+    return found._replace(sources=sources, notes=[*found.notes, *notes])
+
+
+def _read(bag: Bag, sources: Mapping[str, Source]) -> tuple[dict[str, _Signal], dict[str, str], list[str]]:
+    """Signals with their times, the units their types say, and notes."""
+    wires = {name: Wire.of(name, s.columns, s.unit, s.scale, s.offset) for name, s in sources.items()}
+    series = {name: bag.series(wire.channels) for name, wire in wires.items()}
+    astray = [
+        f"{wires[name].channels[0].topic} by {off:.3g} s"
+        for name, held in series.items()
+        if (off := max(map(_behind, held))) > _ASTRAY
+    ]
+    notes = []
+    if astray:
+        notes.append(f"The headers are of another clock ({', '.join(astray)}); times are those of the bag.")
+    signals = {name: _joined(bag.path, name, held, bool(astray)) for name, held in series.items()}
+    # What is scaled by hand is in another unit than its type says.
+    bare = {name: (s.scale, s.offset) == (1.0, 0.0) for name, s in sources.items()}
+    units = {n: usual_unit(held[0].kind, held[0].path) if bare[n] else "" for n, held in series.items()}
+    return signals, units, notes
+
+
+def _behind(series: Series) -> float:
+    """How far the headers are from the bag's clock, s; 0 without headers."""
+    apart = np.abs(series.logged - series.stamped)
+    return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else 0.0
+
+
+def _joined(path: Path, name: str, series: list[Series], logged: bool) -> _Signal:
+    """The mean of a signal's channels, at the times of the first."""
+    found = [_growing(path, name, one, logged) for one in series]
+    first = found[0]
+    values = [first.values, *(np.interp(first.time, other.time, other.values) for other in found[1:])]
+    return _Signal(first.time, np.mean(values, axis=0))
+
+
+def _growing(path: Path, name: str, series: Series, logged: bool) -> _Signal:
+    time = series.logged if logged else np.where(np.isfinite(series.stamped), series.stamped, series.logged)
+    kept = np.isfinite(series.values)
+    if not kept.any():
+        raise RecordingError(f"{path}: no message of {name} has a number; map another field")
+    time, values = time[kept], series.values[kept]
+    # Of several at one time the last stands; those that overtook others on their way are put in order.
+    order = np.argsort(time, kind="stable")
+    time, values = time[order], values[order]
+    last = np.append(np.diff(time) > 0, True)
+    return _Signal(time[last], values[last])
+
+
+def _rows(signals: Mapping[str, _Signal]) -> tuple[dict[str, FloatArray], int]:
+    """Columns of a table by signal, and how many readings before its first row are left out."""
+    output = signals[OUTPUT]
+    standing = [signals[name].time[0] for name in (INPUT, REFERENCE) if name in signals]
+    begin = int(np.searchsorted(output.time, max(standing)))
+    time = output.time[begin:]
+    columns = {TIME: time, OUTPUT: output.values[begin:]}
+    if time.size:
+        for name, signal in signals.items():
+            if name == INPUT:
+                columns[name] = _means(signal, time)
+            elif name == REFERENCE:
+                columns[name] = signal.values[np.searchsorted(signal.time, time, side="right") - 1]
+            elif name != OUTPUT:
+                columns[name] = np.interp(time, signal.time, signal.values)
+    return columns, begin
+
+
+def _means(signal: _Signal, time: FloatArray) -> FloatArray:
+    """Means of what stands from each time to the next; of the last, to the last usual step."""
+    steps = np.diff(time)
+    ends = np.append(time, time[-1] + (np.median(steps) if steps.size else 0.0))
+    edges = np.union1d(signal.time, ends)
+    standing = signal.values[np.maximum(np.searchsorted(signal.time, edges, side="right") - 1, 0)]
+    given = np.concatenate([[0.0], np.cumsum(standing[:-1] * np.diff(edges))])
+    total = np.diff(np.interp(ends, edges, given))
+    widths = np.diff(ends)
+    means = np.divide(total, widths, out=standing[: widths.size].copy(), where=widths > 0)
+    return np.asarray(np.clip(means, signal.values.min(), signal.values.max()), dtype=np.float64)
