@@ -54,7 +54,7 @@ def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_p
     assert list(wires) == ["output", "input", "room"]
     limits = limits_of(values, wires)
     assert limits["output"].max_age == pytest.approx(0.3)
-    assert (limits["input"].low, limits["input"].high) == pytest.approx((0.0, 100.0))
+    assert (limits["input"].low, limits["input"].high) == pytest.approx((0.0, 100.0), abs=1e-6)
     assert wires["room"].to("°C", ["std_msgs/msg/Float64"], ["data"]).value([300.0]) == pytest.approx(26.85)
     assert find_plant(path).disturbances.keys() == {"room"}
 
