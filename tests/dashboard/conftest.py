@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,7 @@ class Browser:
     def open(self, url: str) -> None:
         self.driver.get(url)
         wait_for(lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"), "the document")
-        wait_for(lambda: "verdict" in self.text, "the first text")
+        wait_for(lambda: "what to do" in self.text, "the first text")
 
     @property
     def text(self) -> str:
@@ -113,6 +114,24 @@ class Browser:
                 ".map((n) => n.data.trim())).join(' ')"
             )
         )
+
+    @contextmanager
+    def sized(self, width: int, height: int) -> Iterator[None]:
+        """The page loaded anew in a window of this size, a telephone's if it is narrow."""
+        narrow = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", narrow)
+        try:
+            self.open(self.driver.current_url)
+            yield
+        finally:
+            self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+            self.open(self.driver.current_url)
+
+    def keys(self, *keys: str) -> None:
+        """Press keys, wherever the focus is."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        ActionChains(self.driver).send_keys(*keys).perform()
 
     def button(self, label: str) -> Any:
         """A button that can be seen, by its label; None if there is none."""

@@ -138,7 +138,7 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
     ):
         one, other = source(first, chart, renderer).data, source(second, chart, renderer).data
         assert {k: list(v) for k, v in one.items()} == {k: list(v) for k, v in other.items()}, chart
-    for name in ("headline", "family", "events", "tiles", "status"):
+    for name in ("first", "reasons", "family", "events", "tiles", "status"):
         assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
 
 
@@ -154,22 +154,30 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
         state.push_verdict(verdict)
         _, document = opened(state)
         cells, sums = source(document, "matrix", 0).data, source(document, "matrix", 2).data
+        nominal = str(1 + [c.name for c in verdict.candidates].index(verdict.nominal or ""))
         assert cells["gap"] == [gap for line in verdict.nu_gap for gap in line]
         assert sums["gap"] == [c.nu_gap_sum for c in verdict.candidates]
-        assert [sums["column"][k] for k, s in enumerate(sums["style"]) if s == "bold"] == [verdict.nominal]
+        assert [sums["column"][k] for k, s in enumerate(sums["style"]) if s == "bold"] == [nominal]
         assert interval is None or cells["interval"][1] == interval
 
 
-def test_the_parts_of_a_long_name_have_lines_of_their_own(judged: Judgement) -> None:
-    verdict = judged.verdicts[-1]
-    named = [replace(c, name=f"sink with mass, {c.name}") for c in verdict.candidates]
+def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged: Judgement) -> None:
+    """Columns bear numbers, rows the names on two lines at most; tooltips say all of it."""
+    verdict, name = judged.verdicts[-1], "sink with mass, free ambient, free ripple, sensor lag"
+    eight = tuple(replace(verdict.candidates[0], name=f"{name}, {k}") for k in range(8))
+    gaps = tuple(tuple(abs(i - j) / 10 for j in range(8)) for i in range(8))
     state = DashboardState()
-    state.push_verdict(replace(verdict, candidates=tuple(named), nominal=named[0].name))
+    state.push_verdict(replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps))
     _, document = opened(state)
-    chart, sums = document.get_model_by_name("matrix"), source(document, "matrix", 2).data
-    assert chart.x_range.factors == [f"sink with mass,\n{c.name}" for c in verdict.candidates]
-    assert chart.xaxis.major_label_orientation == "vertical"
-    assert sums["style"][0] == "bold"
+    chart, cells = document.get_model_by_name("matrix"), source(document, "matrix", 0).data
+    assert chart.x_range.factors == [str(k) for k in range(1, 9)]
+    assert len(set(chart.y_range.factors)) == 9
+    for row in chart.y_range.factors:
+        assert row.count("\n") <= 1
+        assert max(len(line) for line in row.split("\n")) <= 24
+    assert chart.height >= 9 * 30
+    assert cells["pair"][1] == f"{eight[0].name} and {eight[1].name}"
+    assert set(cells["ink"]) == {"#FFFFFF", "#000000"}
 
 
 def forecast(sample: int) -> Forecast:

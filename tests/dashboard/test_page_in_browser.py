@@ -43,6 +43,39 @@ FORECAST, ANSWER = 3, 6
 """Where the chart of the output draws what comes next, among its lines."""
 
 
+FITS = "const page = document.documentElement; return page.scrollWidth <= page.clientWidth"
+ON_SCREEN = """
+return deep(document).filter((e) => e.checkVisibility() && e.children.length == 0)
+    .filter((e) => { const r = e.getBoundingClientRect(); return r.top >= 0 && r.bottom <= innerHeight })
+    .map((e) => e.textContent).join(' ');
+"""
+CLICKABLE = """
+return deep(document).filter((e) => ['BUTTON', 'SUMMARY'].includes(e.tagName) && e.checkVisibility())
+    .filter((e) => !e.closest('.bk-toolbar')).map((e) => e.innerText.trim());
+"""
+FOCUSED = """
+let e = document.activeElement;
+while (e && e.shadowRoot && e.shadowRoot.activeElement) e = e.shadowRoot.activeElement;
+return e ? (e.innerText || '').trim() : '';
+"""
+FAINT = """
+const up = (e) => e.parentElement || (e.getRootNode().host ?? null);
+const parts = (c) => (c.match(/[\\d.]+/g) || []).map(Number);
+const light = (c) => { const [r, g, b] = c.slice(0, 3).map((v) => v / 255)
+    .map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b };
+const below = (e) => { for (; e; e = up(e)) { const c = parts(getComputedStyle(e).backgroundColor);
+    if (c.length == 3 || c[3] > 0.9) return c } return [255, 255, 255] };
+return deep(document).filter((e) => e.checkVisibility())
+    .filter((e) => !['SCRIPT', 'STYLE'].includes(e.tagName))
+    .filter((e) => [...e.childNodes].some((n) => n.nodeType == 3 && /[a-z0-9]/i.test(n.data)))
+    .map((e) => { const [a, b] = [light(parts(getComputedStyle(e).color)), light(below(e))];
+        return [(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), e.textContent.trim().slice(0, 40)] })
+    .filter(([contrast]) => contrast < 4.5);
+"""
+"""Text with a contrast below 4.5 to what is behind it, as the WCAG reckon it."""
+
+
 class Graph:
     """What the nodes of a rig publish, from this process."""
 
@@ -185,12 +218,13 @@ def test_verdicts_family_and_events_are_shown(
     assert last.nominal is not None
     browser.wait_for(lambda: f"sample {judged.samples[-1].index}" in browser.text, "the last sample")
     browser.wait_for(lambda: last.level.value in browser.text and "nominal" in browser.text, "the verdict")
-    browser.wait_for(lambda: last.reason in browser.text, "why")
     for candidate in last.candidates:
         assert f"{candidate.name}" in browser.text
     gaps = browser.column("matrix", 0, "gap")
     assert gaps == [gap for row in last.nu_gap for gap in row]
     assert browser.column("matrix", 2, "gap") == [c.nu_gap_sum for c in last.candidates]
+    browser.run("document.querySelector('details.reasons').open = true")
+    browser.wait_for(lambda: last.reason in browser.text, "why")
     accepted = sum(v.match == ADMITTED for v in judged.verdicts)
     assert browser.text.count("match admitted") >= accepted
     rows = browser.run("return deep(document).filter((e) => e.tagName == 'TR').length")
@@ -202,6 +236,45 @@ def test_verdicts_family_and_events_are_shown(
     )
     browser.click("all orders")
     assert browser.complaints() == []
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 1000), (1024, 900), (390, 844)])
+def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
+    page: Any,  # noqa: ARG001
+    browser: Any,
+    width: int,
+    height: int,
+) -> None:
+    """After the test above: there is a verdict, a family, and everything that belongs to it."""
+    with browser.sized(width, height):
+        browser.wait_for(lambda: browser.run(FITS), "a page that fits")
+        seen = browser.run(ON_SCREEN)
+        for answer in ("leader, the twin", "health of the plant", "what to do", "closed-loop twin / °C"):
+            assert answer in seen, answer
+        assert browser.run(FAINT) == []
+        assert browser.complaints() == []
+
+
+def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
+    page: Any,  # noqa: ARG001
+    browser: Any,
+) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    browser.run("document.body.tabIndex = -1; document.body.focus()")
+    wanted = set(browser.run(CLICKABLE))
+    assert {"Help", "Ask", "all orders", "5 min"} <= wanted
+    reached: set[str] = set()
+    for _ in range(2 * len(wanted) + 30):
+        browser.keys(Keys.TAB)
+        found = browser.run(FOCUSED)
+        reached.add(found)
+        if found == "Help" and "what it means, what to do" not in browser.text:
+            browser.keys(Keys.ENTER)
+    assert wanted <= reached, wanted - reached
+    assert "The plant does what no twin explains." in browser.text
+    assert browser.run(FAINT) == []
+    browser.run("document.getElementById('help').open = false")
 
 
 def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
@@ -412,4 +485,9 @@ def test_a_replay_is_paused_and_hurried(
     assert player.wait() == 0
     browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")
     browser.wait_for(lambda: browser.button("Pause") is None, "that the player has gone")
+    browser.wait_for(lambda: "the replay has ended" in browser.text, "that this was the end")
+    time.sleep(6.0)  # longer than a node or a sample may keep silent
+    assert "the replay has ended" in browser.text
+    assert "silent" not in browser.text
+    assert "no sample for" not in browser.text
     assert browser.complaints() == []

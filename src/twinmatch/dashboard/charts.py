@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, HoverTool, Legend
+from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FactorRange, HoverTool, Legend
 from bokeh.plotting import figure
 
 from twinmatch.dashboard.ahead import Fans
@@ -23,6 +23,14 @@ BAND = 2.0
 """Width of the residual band on both sides, in RMS of the newest samples."""
 TOOLS = "xpan,xwheel_zoom,box_zoom,reset,save"
 LANES = {Lane.TRUST: "trust", Lane.MATCH: "matches", Lane.FAULT: "faults", Lane.NODES: "nodes"}
+
+
+_NARROW = """
+if (window.innerWidth < 600) {
+    for (const legend of legends) legend.ncols = 2
+    axes.ticker.desired_num_ticks = 3
+}
+"""
 
 
 def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -65,6 +73,12 @@ class TimeCharts:
         for chart in (self.residual, self.control_residual):
             if chart.visible != mirrored:
                 chart.visible = mirrored
+
+    @property
+    def fit_to_narrow(self) -> CustomJS:
+        """In the browser: on a narrow screen legends take more lines, and the time axis fewer numbers."""
+        legends = [chart.legend[0] for chart in self.figures if chart.legend]
+        return CustomJS(args={"legends": legends, "axes": self.happened.xaxis[0]}, code=_NARROW)
 
     def span(self, seconds: float) -> None:
         """Show so much of the newest time."""

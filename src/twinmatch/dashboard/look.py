@@ -12,7 +12,19 @@ from twinmatch.dashboard.events import Mark
 from twinmatch.discrimination import TrustLevel
 from twinmatch.views.style import GRID, LEVELS, SET_POINT, TEXT
 
-__all__ = ["FONT", "MARKS", "SHAPES", "SIGNS", "THEME", "panel", "text"]
+__all__ = [
+    "BUTTONS",
+    "DARK",
+    "FONT",
+    "MARKS",
+    "MARK_INKS",
+    "MARK_SIGNS",
+    "SHAPES",
+    "SIGNS",
+    "THEME",
+    "panel",
+    "text",
+]
 
 FONT = "system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'DejaVu Sans', sans-serif"
 
@@ -30,6 +42,19 @@ MARKS = {
     Mark.WARNING: LEVELS[TrustLevel.DOUBTFUL],
     Mark.BAD: LEVELS[TrustLevel.FAULT],
 }
+MARK_SIGNS = {Mark.GOOD: "●", Mark.NOTE: "◆", Mark.WARNING: "▲", Mark.BAD: "✕"}
+"""The same markers in text …"""
+MARK_INKS = {Mark.GOOD: "#00664B", Mark.NOTE: SET_POINT, Mark.WARNING: "#8A5A00", Mark.BAD: "#B3001B"}
+"""… and colours dark enough for it."""
+DARK = (TrustLevel.UNKNOWN, TrustLevel.TRUSTED, TrustLevel.DOUBTFUL)
+"""Levels on whose colour dark letters are read better than white ones: a contrast of 4.5 at least."""
+BUTTONS = """
+.bk-btn-primary { background: #0072B2; border-color: #005a8e; color: #fff; }
+.bk-btn-warning { background: #E69F00; border-color: #a87400; color: #1a1a1a; }
+.bk-btn-danger { background: #B3001B; border-color: #8a0015; color: #fff; }
+.bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #1a1a1a; outline-offset: 2px; }
+"""
+"""Buttons in the colours of the page, with a contrast of 4.5 at least, and a ring where the keys act."""
 SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "diamond", Mark.WARNING: "triangle", Mark.BAD: "x"}
 """Markers of the time line: nobody has to tell them by their colour."""
 

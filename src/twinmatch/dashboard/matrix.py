@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,14 @@ from twinmatch.views.style import TEXT
 __all__ = ["Matrix"]
 
 SUM = "Σ"
-_SHORT = 8
-"""Letters of a name that has room above its column."""
-_HEIGHT, _ROOM = 300, 80
-"""Of the chart, and for longer names, in pixels."""
-_NAMES = ("column", "row", "gap", "shown", "interval", "ink")
+_LINE = 20
+"""Letters of a name that have room beside its row; there are two lines."""
+_ROW, _HEAD = 34, 44
+"""Height of a row, and of what stands above the first one, in pixels."""
+_EVEN = 0.179
+"""Luminance at which black and white letters are read equally well, with a contrast of 4.6."""
+_PALETTE = list(reversed(Cividis256))
+_NAMES = ("column", "row", "gap", "shown", "interval", "ink", "pair")
 
 
 class Matrix:
@@ -32,48 +36,49 @@ class Matrix:
         """Begin without candidates."""
         self._cells = ColumnDataSource({name: [] for name in _NAMES})
         self._sums = ColumnDataSource({name: [] for name in (*_NAMES, "style")})
-        self._colours = LinearColorMapper(palette=list(reversed(Cividis256)), low=0.0, high=1.0)
+        self._colours = LinearColorMapper(palette=_PALETTE, low=0.0, high=1.0)
         self.figure = self._draw()
 
     def update(self, verdict: Verdict | None) -> None:
         """Draw the matrix of a verdict; none, or one without candidates, leaves it empty."""
         candidates = verdict.candidates if verdict is not None else ()
-        # A structure's name has parts; each has a line of its own beside and above the matrix.
-        names = [c.name.replace(", ", ",\n") for c in candidates]
+        # However many there are and whatever they are called: columns bear numbers, rows say whose they are.
+        columns = [str(k) for k in range(1, len(candidates) + 1)]
+        names = [f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)]
         gaps = np.array(verdict.nu_gap if verdict is not None else (), dtype=np.float64)
         if gaps.shape != (len(names), len(names)):
             gaps = np.zeros((len(names), len(names)))
         most = max(float(gaps.max()), 1e-12) if gaps.size else 1.0
-        self.figure.x_range.factors = names
+        self.figure.x_range.factors = columns
         self.figure.y_range.factors = [SUM, *reversed(names)]
-        long = any(len(name) > _SHORT for name in names)
-        self.figure.xaxis.major_label_orientation = "vertical" if long else "horizontal"
-        self.figure.height = _HEIGHT + (_ROOM if long else 0)
+        self.figure.height = _HEAD + _ROW * (len(names) + 1)
         self._colours.high = most
         places = list(np.ndindex(*gaps.shape))
         self._cells.data = {
-            "column": [names[j] for _, j in places],
+            "column": [columns[j] for _, j in places],
             "row": [names[i] for i, _ in places],
             "gap": [float(gaps[i, j]) for i, j in places],
             "shown": [number(float(gaps[i, j]), 2) for i, j in places],
             "interval": [_interval(candidates[i], j) for i, j in places],
-            "ink": ["#FFFFFF" if gaps[i, j] > 0.5 * most else TEXT for i, j in places],
+            "ink": [_ink(float(gaps[i, j]) / most) for i, j in places],
+            "pair": [f"{candidates[i].name} and {candidates[j].name}" for i, j in places],
         }
         nominal = verdict.nominal if verdict is not None else None
         self._sums.data = {
-            "column": names,
+            "column": columns,
             "row": [SUM] * len(names),
             "gap": [c.nu_gap_sum for c in candidates],
             "shown": [number(c.nu_gap_sum, 2) for c in candidates],
             "interval": [""] * len(names),
             "ink": [TEXT] * len(names),
+            "pair": [c.name for c in candidates],
             "style": ["bold" if c.name == nominal else "normal" for c in candidates],
         }
 
     def _draw(self) -> Any:
         chart = figure(
             name="matrix",
-            height=_HEIGHT,
+            height=_HEAD + _ROW,
             sizing_mode="stretch_width",
             x_range=FactorRange(),
             y_range=FactorRange(),
@@ -108,9 +113,25 @@ class Matrix:
             text_font_style="style",
             **lettering,
         )
-        rows = [("between", "@row and @column"), ("ν-gap", "@gap{0.0000}"), ("90 %", "@interval")]
+        rows = [("between", "@pair"), ("ν-gap", "@gap{0.0000}"), ("90 %", "@interval")]
         chart.add_tools(HoverTool(renderers=[cells], tooltips=rows, visible=False))
         return chart
+
+
+def _short(name: str) -> str:
+    """A name on two lines at most; the whole of it is shown by the tooltip."""
+    lines = wrap(name, _LINE)
+    if len(lines) <= 2:
+        return "\n".join(lines)
+    return f"{lines[0]}\n{lines[1][: _LINE - 1].rstrip(' ,')}…"
+
+
+def _ink(share: float) -> str:
+    """Black or white, whichever is read better on the colour of a gap: a share of the largest one."""
+    colour = _PALETTE[min(len(_PALETTE) - 1, int(share * len(_PALETTE)))]
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return "#FFFFFF" if 0.2126 * r + 0.7152 * g + 0.0722 * b < _EVEN else "#000000"
 
 
 def _interval(candidate: CandidateScore, other: int) -> str:

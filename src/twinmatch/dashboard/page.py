@@ -14,6 +14,8 @@ from twinmatch.dashboard.actions import Actions
 from twinmatch.dashboard.ahead import seconds_ahead
 from twinmatch.dashboard.charts import TimeCharts, bands
 from twinmatch.dashboard.feed import Feed
+from twinmatch.dashboard.first import first_screen
+from twinmatch.dashboard.help import HELP
 from twinmatch.dashboard.look import FONT, THEME, panel
 from twinmatch.dashboard.matrix import Matrix
 from twinmatch.dashboard.state import DashboardState
@@ -55,7 +57,8 @@ class Page:
         names = (
             "status",
             "alarm",
-            "headline",
+            "first",
+            "reasons",
             "tiles",
             "family",
             "events",
@@ -98,13 +101,15 @@ class Page:
         document.template = _TEMPLATE.read_text(encoding="utf-8")
         document.template_variables.update(
             control=self._rig is not None,
-            title=title,
+            plant_title=title,
+            help=HELP,
             font=FONT,
             ink=TEXT,
             good=LEVELS[TrustLevel.TRUSTED],
             fault=LEVELS[TrustLevel.FAULT],
         )
         document.config.reconnect_session = False  # a server that was started again knows no old session
+        document.js_on_event("document_ready", self._charts.fit_to_narrow)
         document.js_on_event("connection_lost", CustomJS(code=_COME_BACK))
         self.update()
         document.add_periodic_callback(self.update, REFRESH)
@@ -151,7 +156,8 @@ class Page:
         state = self._state
         self._say("status", panels.status(state, now))
         self._say("alarm", panels.alarm(state))
-        self._say("headline", panels.headline(state.verdict, state.period, state.sentence, state.leader))
+        self._say("first", first_screen(state))
+        self._say("reasons", panels.reasons(state.verdict, state.period, state.sentence))
         self._say("tiles", panels.tiles(state))
         self._say("nodes", panels.nodes(state.roster, now))
         self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)

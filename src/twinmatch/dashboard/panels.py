@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 
 from twinmatch.dashboard.events import Event
-from twinmatch.dashboard.look import MARKS, SIGNS, text
+from twinmatch.dashboard.look import MARK_INKS, MARK_SIGNS, SIGNS, text
 from twinmatch.dashboard.roster import Roster
 from twinmatch.dashboard.state import Answered, DashboardState
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.views import COLUMNS, row
 from twinmatch.views.criteria import computed, criterion_rows
 from twinmatch.views.quantities import number, quantity
-from twinmatch.views.style import LEVEL_WORDS, LEVELS
+from twinmatch.views.style import LEVELS
 from twinmatch.views.words import with_unit
 
 __all__ = [
@@ -23,9 +23,9 @@ __all__ = [
     "answer",
     "events_table",
     "family_table",
-    "headline",
     "nodes",
     "notice",
+    "reasons",
     "status",
     "tiles",
 ]
@@ -34,8 +34,6 @@ RECENT = 80
 """Events in the table."""
 SILENCE = 5.0
 """Periods without a sample, but at least as many seconds, after which the page says so."""
-LIGHT = (TrustLevel.UNKNOWN, TrustLevel.DOUBTFUL)
-"""Levels whose colour wants dark letters."""
 IN_WORDS = ("level", "leader", "nominal", "why")
 """Columns of the terminal's table that are shown in large or as a sentence."""
 CALLED = {"t / s": "judged at / s", "gain": "gain / characters"}
@@ -46,33 +44,19 @@ NO_SAMPLE = '<p class="quiet">No sample has come yet.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
 """Colours of the levels of REP 107."""
 NODE_WORDS = ("well", "warning", "error", "silent")
+AT_REST = "has ended with the replay"
 
 
-def headline(verdict: Verdict | None, period: float, sentence: str = "", leader: str = "") -> str:
-    """Level and leader in large, the nominal candidate, the verdict's figures, a sentence, and why.
-
-    `leader` is that of a forecast newer than the verdict, if there is one.
-    """
-    level = TrustLevel.UNKNOWN if verdict is None else verdict.level
-    name, nominal, why, figures, more = "none yet", "none yet", "no verdict has come yet", "", ""
-    if verdict is not None:
-        name, why = verdict.leader or verdict.nominal or name, verdict.reason
-        nominal = verdict.nominal or nominal
-        told = dict(zip(COLUMNS, row(verdict, period), strict=True))
-        more = f"<p><b>{text(sentence)}</b></p>" if sentence else ""
-        more += "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
-        figures = _tiles([(CALLED.get(n, n), cell) for n, cell in told.items() if n not in IN_WORDS])
-    dark = " dark" if level in LIGHT else ""
-    return (
-        f'<div class="hero"><div class="level{dark}" style="background:{LEVELS[level]}">'
-        f'<div class="sign">{SIGNS[level]}</div><div><div class="word">{text(level.value)}</div>'
-        f'<div class="meaning">{text(LEVEL_WORDS[level])}</div></div></div>'
-        f'<div class="leader"><div class="label">leader, the twin to ask what comes next</div>'
-        f'<div class="name">{text(leader or name)}</div>'
-        f'<div class="label">nominal, the centre of the family: <b>{text(nominal)}</b></div></div>'
-        f'<div class="why">{figures}<p><span class="label">newest verdict:</span> {text(why)}</p>{more}'
-        "</div></div>"
-    )
+def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
+    """The newest verdict in figures and in all its words, and the session in a sentence."""
+    if verdict is None:
+        return '<p class="quiet">no verdict has come yet</p>'
+    told = dict(zip(COLUMNS, row(verdict, period), strict=True))
+    more = f"<p><b>{text(sentence)}</b></p>" if sentence else ""
+    more += "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
+    figures = _tiles([(CALLED.get(n, n), cell) for n, cell in told.items() if n not in IN_WORDS])
+    why = f'<p><span class="label">newest verdict:</span> {text(verdict.reason)}</p>'
+    return f'<div class="why">{figures}{why}{more}</div>'
 
 
 def tiles(state: DashboardState) -> str:
@@ -95,35 +79,32 @@ def tiles(state: DashboardState) -> str:
 
 
 def status(state: DashboardState, now: float) -> str:
-    """One line: does the graph speak, which sample, how the nodes are."""
-    pills = []
-    if state.heard_at is None:
-        pills.append(_pill(TrustLevel.UNKNOWN, "waiting for the first sample"))
-    else:
-        quiet, patience = now - state.heard_at, SILENCE * max(1.0, state.period)
-        if quiet > patience:
-            pills.append(_pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s"))
-        else:
-            at = (state.sample or 0) * state.period
-            pills.append(
-                _pill(TrustLevel.TRUSTED, f"sample {state.sample}, {number(at, _digits(state.period))} s")
-            )
-    player = state.roster.player
-    if player is not None:
+    """One line: does the graph speak, which sample, how the nodes are; of a replay that has ended, that."""
+    pills = [_heard(state, now)]
+    player, ended = state.roster.player, state.roster.ended
+    if ended is not None:
+        pills.append(_pill(None, f"the replay has ended: {ended.position}"))
+    elif player is not None:
         rate = "as fast as it goes" if player.rate == 0 else f"{player.rate:g} × recorded speed"
         pills.append(_pill(None, f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}"))
     standing = state.roster.standing
-    worst = [n for n, s in standing.items() if s.level >= 1 or state.roster.silent(n, now)]
-    if standing and not worst:
-        pills.append(
-            _pill(
-                TrustLevel.TRUSTED,
-                "1 node is well" if len(standing) == 1 else f"{len(standing)} nodes are well",
-            )
-        )
-    elif worst:
+    worst = [n for n, s in standing.items() if not state.roster.at_rest(n) and state.roster.level(n, now)]
+    if worst:
         pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(standing)} nodes need a look"))
+    elif standing and ended is None:
+        well = "1 node is well" if len(standing) == 1 else f"{len(standing)} nodes are well"
+        pills.append(_pill(TrustLevel.TRUSTED, well))
     return f'<div class="status">{"".join(pills)}</div>'
+
+
+def _heard(state: DashboardState, now: float) -> str:
+    if state.heard_at is None:
+        return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
+    quiet, patience = now - state.heard_at, SILENCE * max(1.0, state.period)
+    if quiet > patience and state.roster.ended is None:
+        return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s")
+    at = (state.sample or 0) * state.period
+    return _pill(TrustLevel.TRUSTED, f"sample {state.sample}, {number(at, _digits(state.period))} s")
 
 
 def alarm(state: DashboardState) -> str:
@@ -184,7 +165,8 @@ def events_table(events: Sequence[Event], session: int, period: float) -> str:
             at = f"session {event.session}: {at}"
         lines.append(
             f'<tr><td class="number">{text(at)}</td><td class="wide">'
-            f'<span class="mark" style="background:{MARKS[event.mark]}"></span><b>{text(event.title)}</b>'
+            f'<span class="mark" style="color:{MARK_INKS[event.mark]}">{MARK_SIGNS[event.mark]}</span>'
+            f"<b>{text(event.title)}</b>"
             f'<div class="quiet">{text(event.text)}</div></td></tr>'
         )
     return _table([("t", "s"), ("what and why", "")], lines, "events")
@@ -194,11 +176,12 @@ def nodes(roster: Roster, now: float) -> str:
     """Every node that reports, and what it says."""
     shown = []
     for name, standing in sorted(roster.standing.items()):
-        level = 3 if roster.silent(name, now) else min(standing.level, 3)
-        colour = LEVELS[NODE_LEVELS[level]]
+        rest = roster.at_rest(name)
+        level = roster.level(name, now)
+        colour = LEVELS[TrustLevel.UNKNOWN if rest else NODE_LEVELS[level]]
         shown.append(
             f'<div><span class="dot" style="background:{colour}"></span><b>'
-            f"{text(name.removesuffix(': health'))}</b> {NODE_WORDS[level]}"
+            f"{text(name.removesuffix(': health'))}</b> {AT_REST if rest else NODE_WORDS[level]}"
             f'<div class="quiet">{text(standing.message)}</div></div>'
         )
     if not shown:
@@ -211,7 +194,7 @@ def answer(answered: Answered | None) -> str:
     if answered is None:
         return ""
     lines = "".join(f"<p>{text(line)}</p>" for line in answered.lines)
-    return f'<div class="answer"><b>{text(answered.question)}</b>{lines}</div>'
+    return f'<div class="answered"><b>{text(answered.question)}</b>{lines}</div>'
 
 
 def notice(state: DashboardState) -> str:
@@ -264,6 +247,6 @@ def _table(head: Sequence[tuple[str, str]], lines: Sequence[str], kind: str = ""
     )
     body = "".join(lines)
     return (
-        f'<div class="scroll"><table class="{kind}"><thead><tr>{names}</tr></thead>'
+        f'<div class="scroll" tabindex="0"><table class="{kind}"><thead><tr>{names}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )

@@ -49,6 +49,9 @@ class Roster:
 
     standing: dict[str, Standing] = field(default_factory=dict)
     player: Player | None = None
+    ended: Player | None = None
+    """Who has played a session to its end, until something else is heard."""
+    ended_at: float = 0.0
     _told: dict[str, str] = field(default_factory=dict)
 
     def push(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> str | None:
@@ -60,7 +63,7 @@ class Roster:
             return None
         self.standing[name] = Standing(level, message, now)
         if {"rate", "paused", "position"} <= values.keys():
-            self.player = _player(name, values)
+            self._hear_player(_player(name, values), now, over=values.get("ended") == "True")
         if level < ERROR:
             return None if self._told.pop(name, None) is None else "well"
         kind = _DIGITS.sub("", message)
@@ -70,17 +73,50 @@ class Roster:
         return "error"
 
     def look(self, now: float) -> None:
-        """Forget who has been silent for long; a player that fell silent has gone."""
+        """Forget who has been silent for long, unless all fell silent at a session's end.
+
+        A player that fell silent has gone.
+        """
+        if self.ended is not None:
+            return
         for name in [n for n, s in self.standing.items() if now - s.at > FORGET]:
             del self.standing[name]
             self._told.pop(name, None)
         if self.player is not None and self.silent(self.player.name, now):
+            self._hear_player(self.player, now, over=_at_its_end(self.player))
             self.player = None
+
+    def begin(self, now: float) -> None:
+        """Take note that a sample has come: what had ended is past, unless it was still on its way."""
+        if self.ended is not None and now - self.ended_at > PATIENCE:
+            self.ended = None
+
+    def at_rest(self, name: str) -> bool:
+        """Whether a node has nothing more to do since the replay ended: only an error may be its own."""
+        return self.ended is not None and self.standing[name].level < ERROR
+
+    def level(self, name: str, now: float) -> int:
+        """How a node is, in the levels of REP 107; one that is silent is stale, unless a replay has ended."""
+        if self.ended is None and self.silent(name, now):
+            return STALE
+        return min(self.standing[name].level, STALE)
+
+    def _hear_player(self, player: Player | None, now: float, *, over: bool) -> None:
+        if not over:
+            self.player, self.ended = player, None
+        elif self.ended is None:
+            self.player, self.ended, self.ended_at = None, player, now
 
     def silent(self, name: str, now: float) -> bool:
         """Whether a node has not reported for longer than it should."""
         found = self.standing.get(name)
         return found is None or now - found.at > PATIENCE
+
+
+def _at_its_end(player: Player) -> bool:
+    """Whether nothing was left to play; the last word of a player may get lost."""
+    place, _, whole = player.position.partition(" of ")
+    return place == whole
 
 
 def _player(name: str, values: Mapping[str, str]) -> Player | None:

@@ -151,6 +151,7 @@ class DashboardState:
         """Take a sample that came at `now` (s)."""
         with self.lock:
             previous = self._previous
+            self.roster.begin(now)
             if previous is not None and sample.index <= previous.index:
                 self._begin(previous.index, sample.index)
             elif previous is not None:
@@ -228,6 +229,7 @@ class DashboardState:
         """Everything that belongs to the session before goes; events stay, as that session's."""
         duration = (ended + 1) * self.period
         self.session += 1
+        self.roster.ended = None
         self.plant.clear()
         if self.twin.last is not None and self.twin.last > first:
             self.twin.clear()

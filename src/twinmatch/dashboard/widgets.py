@@ -7,6 +7,7 @@ from typing import Any
 from bokeh.models import Button, NumericInput, RadioButtonGroup, Row
 
 from twinmatch.dashboard.actions import RATES, Actions
+from twinmatch.dashboard.look import BUTTONS
 from twinmatch.dashboard.roster import Player
 
 __all__ = ["PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
@@ -22,7 +23,7 @@ class SpanButtons:
     def __init__(self) -> None:
         """Begin with twenty minutes."""
         names = [name for name, _ in SPANS]
-        self.root = RadioButtonGroup(name="span", labels=names, active=DEFAULT_SPAN)
+        self.root = RadioButtonGroup(name="span", labels=names, active=DEFAULT_SPAN, stylesheets=[BUTTONS])
 
     def samples(self, period: float, most: int) -> int:
         """How many samples that is; at most `most`."""
@@ -37,12 +38,13 @@ class PlayerButtons:
         """Ask `actions` for what is clicked."""
         self._actions = actions
         self._player: Player | None = None
-        self._pause = Button(label="Pause", width=100, button_type="primary")
+        self._pause = Button(label="Pause", width=100, button_type="primary", stylesheets=[BUTTONS])
         self._pause.on_click(self._on_pause)
         names = ["max" if rate == 0 else f"{rate:g} ×" for rate in RATES]
-        self._rate = RadioButtonGroup(labels=names, active=None)
+        self._rate = RadioButtonGroup(labels=names, active=None, stylesheets=[BUTTONS])
         self._rate.on_change("active", self._on_rate)
-        self.root = Row(self._pause, self._rate, name="player", spacing=8, visible=False)
+        styles = {"flex-wrap": "wrap"}
+        self.root = Row(self._pause, self._rate, name="player", spacing=8, visible=False, styles=styles)
 
     def update(self, player: Player | None) -> None:
         """Show what the player says of itself."""
@@ -69,9 +71,11 @@ class QuestionForm:
     def __init__(self, actions: Actions, label: str) -> None:
         """Ask `actions` for what is entered; `label` names the set-point."""
         self._actions = actions
-        self._level = NumericInput(title=label, mode="float", width=110)
-        self._hold = NumericInput(title="for / s (empty: stays)", mode="float", low=0.001, width=150)
-        ask = Button(label="Ask", width=70, button_type="primary")
+        self._level = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
+        self._hold = NumericInput(
+            title="for / s (empty: stays)", mode="float", low=0.001, width=150, stylesheets=[BUTTONS]
+        )
+        ask = Button(label="Ask", width=70, button_type="primary", stylesheets=[BUTTONS])
         ask.on_click(self._on_ask)
         styles = {"align-items": "flex-end", "flex-wrap": "wrap"}
         self.root = Row(self._level, self._hold, ask, name="question", spacing=8, styles=styles)
@@ -88,12 +92,12 @@ class RigButtons:
     def __init__(self, actions: Actions, label: str) -> None:
         """Ask `actions` for what is clicked; `label` names the set-point."""
         self._actions = actions
-        self._input = NumericInput(title=label, mode="float", width=110)
-        ask = Button(label="Set", width=70, button_type="primary")
+        self._input = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
+        ask = Button(label="Set", width=70, button_type="primary", stylesheets=[BUTTONS])
         ask.on_click(self._on_ask)
-        clear = Button(label="Clear fault", width=110, button_type="warning")
+        clear = Button(label="Clear fault", width=110, button_type="warning", stylesheets=[BUTTONS])
         clear.on_click(actions.clear_fault)
-        stop = Button(label="Output off", width=110, button_type="danger")
+        stop = Button(label="Output off", width=110, button_type="danger", stylesheets=[BUTTONS])
         stop.on_click(actions.stop)
         styles = {"align-items": "flex-end", "flex-wrap": "wrap"}
         self.root = Row(self._input, ask, clear, stop, name="rig", spacing=8, styles=styles)

@@ -82,6 +82,7 @@ class Player(TwinmatchNode):
         self._ending = False
         self._failure: Exception | None = None
         self._played = 0
+        self._over = False
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
 
     def open(self) -> None:
@@ -123,6 +124,7 @@ class Player(TwinmatchNode):
     def report(self) -> Report:
         """Where the recording stands."""
         self.health.set("messages", self._played)
+        self.health.set("ended", self._over)
         with self._change:
             self.health.set("rate", self._pace.rate)
             self.health.set("paused", self._paused)
@@ -255,6 +257,7 @@ class Player(TwinmatchNode):
             self.health.say(f"ended: all {self._played} messages were taken")
         else:
             self.health.complain("end", Level.WARN, "ended: some readers did not take the last messages")
+        self._over = True
         self.report_now()
         self.exit_code = 0
 
