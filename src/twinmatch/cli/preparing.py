@@ -7,17 +7,24 @@ import argparse
 __all__ = ["add_arguments", "run"]
 
 
-def add_arguments(_: argparse.ArgumentParser) -> None:
-    """There are no options."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--plant", metavar="NAME|FILE.py", help="only this plant (default: all that come with twinmatch)"
+    )
 
 
-def run(_: argparse.Namespace) -> int:
-    """Derive and compile; returns the exit code."""
+def run(options: argparse.Namespace) -> int:
+    """Derive and compile; returns the exit code.
+
+    Raises:
+        TwinmatchError: there is no such plant, or its equations cannot be used.
+    """
     from twinmatch.dynamics.prepare import prepare  # noqa: PLC0415 — keeps --help fast
     from twinmatch.dynamics.store import cache_folder  # noqa: PLC0415
-    from twinmatch.plants import PLANTS  # noqa: PLC0415
+    from twinmatch.plants import PLANTS, find_plant  # noqa: PLC0415
 
-    for plant in PLANTS.values():
+    for plant in [find_plant(options.plant)] if options.plant else PLANTS.values():
         count = sum(1 for _ in prepare(plant))
         print(f"{plant.title}: {count} structures are ready in {cache_folder()}")
     return 0
