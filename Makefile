@@ -29,7 +29,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 
 PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
 
-.PHONY: help setup test check demo bench docs clean
+.PHONY: help setup test check demo bench docs dist clean
 .DELETE_ON_ERROR:
 
 help:
@@ -40,6 +40,7 @@ help:
 	@echo "make demo                 setup, then run the twin on a sample session (SESSION=path picks another)"
 	@echo "make bench                setup and the peers, then measure side by side (BENCH_ARGS='--quick nu_gap' picks)"
 	@echo "make docs                 setup, then the pages of docs/ as a site in build/docs"
+	@echo "make dist                 setup, then wheels of twinmatch and its messages in dist/, to install without a clone"
 	@echo "make clean                remove $(VENV) and everything built"
 
 setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/browser $(STAMPS)/compiled
@@ -60,6 +61,11 @@ bench: setup $(STAMPS)/peers
 docs: setup
 	$(RUN) -m sphinx -q -W --keep-going docs build/docs
 	@echo "docs: build/docs/index.html"
+
+dist: setup
+	@rm -rf dist
+	@$(RUN) -m pip --quiet wheel --no-build-isolation --no-deps --wheel-dir dist . ./$(MESSAGES)
+	@echo "dist: $$(ls dist | tr '\n' ' ')"
 
 clean:
 	rm -rf $(VENV) build install log dist $(MESSAGES)/build src/*.egg-info $(MESSAGES)/*.egg-info

@@ -12,68 +12,9 @@ off then).
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
-from pathlib import Path
 
-from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.launching.page import add_page_options, page_of
-
-PROJECT = Path(__file__).resolve().parents[1]
-CONFIGS = {"peltier": ("rig.yaml", None), "tclab": ("tclab.yaml", "tclab_twin.yaml")}
-"""Files in config/ for the nodes of a plant and for those of its twin; None: the defaults will do."""
-
-
-def main() -> int:
-    """Parse the command line and run."""
-    parser = argparse.ArgumentParser(description="Run the twin beside a live rig.")
-    parser.add_argument(
-        "--plant", default="peltier", choices=sorted(CONFIGS), help="what is driven (peltier)"
-    )
-    parser.add_argument("--port", default="", help="serial port of what drives it (that of --config)")
-    parser.add_argument("--config", type=Path, help="parameters of the rig's nodes (the plant's in config/)")
-    parser.add_argument("--twin-config", type=Path, metavar="FILE", help="parameters of the twin's nodes")
-    parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
-    parser.add_argument("--session", type=Path, metavar="FOLDER", help="record here (sessions/<time>)")
-    parser.add_argument("--no-record", action="store_true", help="record nothing")
-    parser.add_argument("--virtual", action="store_true", help="a virtual rig instead of the real one")
-    parser.add_argument("--speed", type=float, default=1.0, help="of the virtual rig, times real time")
-    parser.add_argument("--fault", action="append", default=[], help="of the virtual rig: KIND@SECONDS")
-    parser.add_argument("--board", default="auto", help="of the virtual Peltier rig: simavr, python or auto")
-    parser.add_argument("--seed", type=int, default=0, help="of the virtual sensor's noise")
-    add_page_options(parser, control=True)
-    options = parser.parse_args()
-    rig, twin = CONFIGS[options.plant]
-    options.config = options.config or PROJECT / "config" / rig
-    if options.twin_config is None and twin is not None:
-        options.twin_config = PROJECT / "config" / twin
-    if options.virtual and options.port:
-        parser.error("--port is for a real plant; the one that is --virtual has its own")
-    if not options.virtual and (options.speed != 1.0 or options.fault or options.board != "auto"):
-        parser.error("--speed, --fault and --board are for a rig that is --virtual")
-    try:
-        from twinmatch.launching.live import Live, refuse_existing, run_live  # noqa: PLC0415 — needs ROS
-        from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
-
-        session = options.session or Path("sessions") / time.strftime("%Y-%m-%d_%H-%M-%S")
-        refuse_existing(None if options.no_record else session)
-        virtual = VirtualPlan(options.speed, tuple(options.fault), options.board, options.seed, options.plant)
-        plan = LivePlan(
-            config=options.config,
-            session=None if options.no_record else session,
-            twin_config=options.twin_config,
-            virtual=virtual if options.virtual else None,
-            candidates=options.candidates,
-            plant=options.plant,
-            port=options.port,
-        )
-        with page_of(options, parser, options.twin_config):
-            return run_live(Live(plan))
-    except TwinmatchError as error:
-        print(f"live: {error}", file=sys.stderr)
-        return EXIT_USER_ERROR
-
+from twinmatch.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["live", *sys.argv[1:]]))

@@ -13,12 +13,16 @@ from typing import Final, Protocol
 
 from twinmatch import __version__
 from twinmatch.cli import (
+    attaching,
     backtesting,
     checking,
+    demonstrating,
     fmus,
     forecasting,
     importing,
+    living,
     planting,
+    playing,
     preparing,
     repairing,
     replaying,
@@ -46,6 +50,10 @@ class _Command(Protocol):
 
 
 _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
+    ("demo", demonstrating, "see twinmatch work, on a virtual rig or a recorded session"),
+    ("live", living, "run the twin beside a plant: bridges, controller, twin and recorder"),
+    ("attach", attaching, "run the twin beside a rig that runs already; nothing is commanded"),
+    ("play", playing, "play a recorded session through the ROS graph"),
     ("import", importing, "turn a recording (.mat or .csv) into an MCAP session"),
     ("replay", replaying, "judge recorded sessions offline, as fast as it goes"),
     ("forecast", forecasting, "say what comes after chosen samples of a session, with a band"),
@@ -105,5 +113,5 @@ def _parser() -> argparse.ArgumentParser:
     for name, command, words in _COMMANDS:
         one = commands.add_parser(name, help=words)
         command.add_arguments(one)
-        one.set_defaults(command=command.run)
+        one.set_defaults(command=command.run, parser=one)
     return parser

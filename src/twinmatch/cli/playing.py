@@ -1,0 +1,39 @@
+"""`twinmatch play`: a recorded session through the ROS graph."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twinmatch.launching.page import add_page_options, page_of
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("session", type=Path, help="session folder, .mcap file or recording (.mat, .csv)")
+    parser.add_argument(
+        "--rate", type=float, default=50.0, help="times recorded speed; 0: as fast as it goes"
+    )
+    parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="parameter file of the twin's nodes")
+    parser.add_argument("--plant", metavar="NAME|FILE.py", help="the plant, if the session does not say it")
+    add_page_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Play and show the verdicts as they come; returns the exit code: 130, interrupted.
+
+    Raises:
+        TwinmatchError: something given cannot be used.
+    """
+    from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
+
+    if not 0.0 <= options.rate <= 1000.0:
+        options.parser.error(f"--rate is {options.rate:g}; it must be within 0 and 1000")
+    with page_of(options, options.parser, options.config) as page:
+        code = play(Replay(options.session, options.rate, options.candidates, options.config, options.plant))
+        if code == 0:
+            page.stay()
+        return code
