@@ -17,7 +17,13 @@ SECOND = 1_000_000_000
 
 
 def alarms(
-    samples: int, *, lost: float = np.inf, frozen: float = np.inf, gain: float = 1.0, seed: int = 0
+    samples: int,
+    *,
+    lost: float = np.inf,
+    back: float = np.inf,
+    frozen: float = np.inf,
+    gain: float = 1.0,
+    seed: int = 0,
 ) -> tuple[Alarm, ...]:
     """Of a kit held at four levels in turn; its heater does `gain` of what the model's does."""
     tclab = pytest.importorskip("tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'")
@@ -31,7 +37,7 @@ def alarms(
         loop.measure(y, k * SECOND)
         sample = loop.tick(k * SECOND, lambda _, level=level: level)
         assert sample is not None
-        kit.Q1(0.0 if k >= lost else gain * sample.input)
+        kit.Q1(0.0 if lost <= k < back else gain * sample.input)
         monitor.push(sample)
     return monitor.alarms
 
@@ -50,6 +56,14 @@ def test_a_lost_heater_is_told_within_half_a_minute(lost: int, seed: int) -> Non
     assert alarm.fault is Fault.DRIVE_LOST
     assert 0 < alarm.flagged - lost <= 30
     assert "the drive should have moved the temperature T1 by" in alarm.reason
+
+
+def test_it_stays_lost_until_it_is_back() -> None:
+    """For six minutes the kit cools down to the room; then the wire is mended, and the drive proves it."""
+    told = alarms(1560, lost=1000, back=1360)
+    assert [alarm.fault for alarm in told] == [Fault.DRIVE_LOST]
+    assert told[0].last is not None
+    assert 1360 <= told[0].last <= 1500
 
 
 def test_a_frozen_sensor_is_told_once_the_plant_should_have_moved() -> None:

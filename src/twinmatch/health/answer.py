@@ -62,9 +62,12 @@ def answers_late(parameters: Parameters, period: float) -> bool:
     drive = high if abs(high) >= abs(low) else low
     level = sum(model.plant.output.set_points or model.plant.output.span) / 2
     moved = []
-    for u in (drive, model.plant.drive.rest):
-        run = simulate_driven(parameters, np.full(12, u), states=begin(parameters, level), period=period)
-        moved.append(run.output)
+    try:
+        for u in (drive, model.plant.drive.rest):
+            run = simulate_driven(parameters, np.full(12, u), states=begin(parameters, level), period=period)
+            moved.append(run.output)
+    except PlantError:  # the equations mean nothing in the middle of the range
+        return False
     effect = np.abs(moved[0] - moved[1])
     return bool(10.0 * effect[1] < _AT_ONCE * effect[10])
 
@@ -79,6 +82,7 @@ class Answer:
         self._spans = [max(2, round(s / period)) for s in _SPANS]
         self._errors = [(_FIRST * self._noise) ** 2] * len(_SPANS)
         self._seen = [10] * len(_SPANS)
+        self._held = False
         self.restart()
 
     def restart(self) -> None:
@@ -101,10 +105,19 @@ class Answer:
 
     def take(self, parameters: Parameters) -> None:
         """Go on with other parameters of the same twin; those of another are passed over."""
-        if parameters.model is self._parameters.model:
+        if parameters.model is self._parameters.model and not self._held:
             self._parameters = parameters
             if self._observer is not None:
                 self._observer.parameters = parameters
+
+    def hold(self, held: bool) -> None:
+        """Learn nothing while a fault is on: a dead heater looks, in time, like a working one in the cold."""
+        if held is self._held:
+            return
+        self._held = held
+        if held and self._past:
+            self._parameters = self._past[0].parameters
+        self._observer = None
 
     def push(self, sample: Sample) -> Movement:
         """Take a sample; how far the plant should have gone since the one before, and how far it did.
@@ -168,6 +181,8 @@ class Answer:
                 share = 1.0 + error / effect
                 if not share >= self.share:
                     self.share, self.length, self.expected = share, length, effect
+            if self._held:
+                continue
             self._seen[k] = min(self._seen[k] + 1, _MEMORY)
             self._errors[k] += (min(error**2, _SURPRISE**2 * usual) - usual) / self._seen[k]
 
@@ -184,7 +199,7 @@ class Answer:
 
     @property
     def _wandering(self) -> dict[str, Wander]:
-        declared = self._parameters.model.declared
+        declared = self._parameters.model.declared if not self._held else {}
         return {
             name: Wander(start=parameter.scale, drift=_ROOM * parameter.scale)
             for name, parameter in declared.items()

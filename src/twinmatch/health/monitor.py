@@ -136,7 +136,10 @@ class Monitor:
             return None
         movement = self._balance.step(before, sample.output)
         stood = self._repeats.stands
-        after = self._late.push(sample) if self._late is not None else movement
+        after = movement
+        if self._late is not None:
+            self._late.hold(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
+            after = self._late.push(sample)
         self._repeats.push(sample.output - before.output, after)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()

@@ -1,0 +1,80 @@
+"""A Temperature Control Lab live, from its serial line to a session that verifies, and its wire breaking."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
+
+from tests.support.places import LAUNCH_SCRIPTS
+from tests.support.processes import Process
+from tests.support.waiting import PATIENCE
+from twinmatch.judging.verification import verify_session
+from twinmatch.sessions import read_session
+
+SPEED = 8.0
+LIVE = LAUNCH_SCRIPTS / "live.py"
+
+
+@pytest.fixture
+def running() -> Iterator[list[Process]]:
+    made: list[Process] = []
+    yield made
+    for process in made:
+        process.end()
+
+
+@pytest.mark.slow
+def test_a_heater_that_is_lost_is_told_and_the_session_verifies(
+    tmp_path: Path, running: list[Process]
+) -> None:
+    config = tmp_path / "kit.yaml"
+    config.write_text(
+        "controller:\n  ros__parameters:\n"
+        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [240.0, 420.0, 60.0]\n"
+        "    profile.repeat: false\n    exit_at_end: true\n"
+    )
+    session = tmp_path / "run"
+    words = ("--plant", "tclab", "--virtual", "--speed", f"{SPEED}", "--config", config, "--session", session)
+    process = Process(sys.executable, LIVE, *words, "--fault", "drive-lost@700", output=tmp_path / "live.txt")
+    running.append(process)
+    assert process.wait(PATIENCE + 900 / SPEED) == 0, process.text
+    found = verify_session(session)
+    assert found.identical, found.difference
+    samples = read_session(session).samples
+    topics = {message.topic.name for message in read_session(session).messages()}
+    assert {"/plant/reading", "/plant/command", "/plant/applied"} <= topics
+    assert not any("pwm" in topic for topic in topics)
+    begun = re.search(r"drive-lost begins at (\S+) s", process.text)
+    assert begun, process.text
+    assert "matched on samples" in process.text
+    assert "drive-lost: the drive should have moved" in process.text
+    assert samples[0].disturbances == (0.0,)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--port", "/nowhere/ttyACM0"), "kit at /nowhere/ttyACM0: No such file"),
+        (("--port", "/dev/null"), "kit at /dev/null: the port cannot be opened"),
+        (("--virtual", "--port", "/dev/ttyACM0"), "--port is for a real plant"),
+        (("--virtual", "--fault", "fan-failed@3"), "fault 'fan-failed': not of this plant"),
+        (("--twin-config", "config/twin.yaml"), "is for the plant peltier"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_code_two(
+    tmp_path: Path, running: list[Process], options: tuple[str, ...], words: str
+) -> None:
+    command = (sys.executable, LIVE, "--plant", "tclab", "--no-record", *options)
+    process = Process(*command, output=tmp_path / "live.txt", folder=LAUNCH_SCRIPTS.parent)
+    running.append(process)
+    assert process.wait() == 2, process.text
+    assert words in process.text
+    assert "Traceback" not in process.text
