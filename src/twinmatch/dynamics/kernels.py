@@ -211,18 +211,24 @@ def parts(
 ) -> tuple[float, float, FloatArray]:
     """How far the drive moves a measured output in one period, how far all else does, and the states then.
 
-    States that the output does not show begin where they are `before`, unless that is NaN.
+    States that the output does not show begin where they are `before`, unless that is NaN. Those that the
+    plant file lets begin with the output, as a heater that begins as warm as what it heats, go along with what
+    the output is off by: their distance from it is carried, and no error of the plant adds up in them.
     """
     x, after = np.zeros(N_STATES), np.zeros(N_STATES)
+    shown, shown_by = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
     p = held(vector)
     c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
     start(y, given, p, c, x)
     start_slopes(y, given, p, c, xy, xp)
-    for i in range(N_STATES):
-        if xy[i] == 0.0 and not np.isnan(before[i]):
-            x[i] = before[i]
+    output_slopes(packed(x), given, p, c, shown, shown_by)
+    if not np.isnan(before[0]):
+        off = y - output(packed(before), given, p, c)
+        for i in range(N_STATES):
+            if shown[i] == 0.0:
+                x[i] = before[i] + (xy[i] * off if xy[i] != 0.0 else 0.0)
     at = packed(x)
     driven = tick(at, u, given, p, c, period, steps)
     idle = output(tick(at, rest, given, p, c, period, steps), given, p, c)

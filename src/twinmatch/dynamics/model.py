@@ -104,6 +104,11 @@ class Model:
         """
         return Parameters(self, values)
 
+    def typical(self) -> Parameters:
+        """What the plant file calls typical, as far as this structure has it."""
+        known = {n: v for n, v in self.plant.typical.items() if n in self.declared}
+        return Parameters(self, known)
+
     @cached_property
     def disturbances(self) -> FloatArray:
         """Their defaults, shape (m,)."""

@@ -87,6 +87,11 @@ class Past:
         return LEVELS[self.level]
 
     @property
+    def levels(self) -> range:
+        """That which is judged by, and all that trust the equations less."""
+        return range(self.level, len(LEVELS))
+
+    @property
     def belief(self) -> Belief | None:
         """What is believed now, at the level that is judged by."""
         return self._beliefs[self.level] if self._beliefs else None

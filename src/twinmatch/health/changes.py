@@ -9,6 +9,7 @@ believed before; what it saves of the code length of the readings is what speaks
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Final
@@ -34,6 +35,9 @@ _WORTH: Final = 4.0
 better than another to be the one at which it began."""
 _AT_ONCE: Final = 20.0
 """Time within which a sudden change may have come about after the moment it is said to have begun, s."""
+_UNSETTLING: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER})
+"""Changes after which the equations may be off by more than before, as they may where nothing changed: the
+air in an open box is no longer one lump. A reading that is off leaves them as they were, as a weak drive."""
 _PATIENCE: Final = 12
 """Comparisons that came to nothing after which they are made less often …"""
 _RAREST: Final = 6
@@ -151,15 +155,16 @@ class Changes:
     def _compared(self, ages: Sequence[int]) -> Change | None:
         """Every hypothesis of a change so many blocks ago against none."""
         nothing, before = self._past.unchanged()
-        found: dict[Kind, tuple[float, Hypothesis, int, Belief]] = {}
-        for age in ages:
-            for h in self.hypotheses:
-                cost, belief = self._followed(h, age)
-                gain = nothing - float(before[-age - 1]) - cost
-                if h.kind not in found or gain > found[h.kind][0]:
-                    found[h.kind] = (gain, h, age, belief)
+        found: dict[Kind, tuple[float, Hypothesis, int, int, Belief]] = {}
+        for age, h, level in itertools.product(ages, self.hypotheses, self._past.levels):
+            if level > self._past.level and h.kind not in _UNSETTLING:
+                continue
+            cost, belief = self._followed(h, age, level)
+            gain = nothing - float(before[-age - 1]) - cost
+            if h.kind not in found or gain > found[h.kind][0]:
+                found[h.kind] = (gain, h, age, level, belief)
         order = sorted(found.values(), key=lambda f: -f[0])
-        gain, h, age, belief = order[0]
+        gain, h, age, level, belief = order[0]
         if gain < _WORTH:
             self._best = None
             return None
@@ -167,7 +172,7 @@ class Changes:
         oldest = len(self._past.blocks)
         dated = oldest
         if oldest - age >= 2 * _EVERY:
-            cost, early = self._followed(h, oldest)
+            cost, early = self._followed(h, oldest, level)
             longer = nothing - float(before[-oldest - 1]) - cost
             if longer > gain - _WORTH:
                 belief, dated = early, 0
@@ -186,11 +191,11 @@ class Changes:
         self._best = (change, belief)
         return change
 
-    def _followed(self, h: Hypothesis, age: int) -> tuple[float, Belief]:
-        """What the readings of the last blocks cost under a hypothesis, and what is believed then."""
+    def _followed(self, h: Hypothesis, age: int, level: int) -> tuple[float, Belief]:
+        """What the last blocks' readings cost under a hypothesis at a level, and what is believed then."""
         blocks: list[Block] = list(self._past.blocks)[-age:]
         stretch: Stretch = joined(blocks)
-        before, level = blocks[0].before[self._past.level], self._past.level
+        before = blocks[0].before[level]
         if h.slowly:
             belief = before.opened(self.tracker.rate, 0.0, h.spread / h.slowly)
             belief, cost = self.tracker.run(belief, stretch, level, rising=h.index)

@@ -22,8 +22,7 @@ _JUMP: Final = 80.0
 
 
 def _typical(plant: type[Plant] = Peltier) -> Parameters:
-    model = plant.model()
-    return model.parameters(**{k: v for k, v in plant.typical.items() if k in model.declared})
+    return plant.model().typical()
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,7 @@ class HealthSettings:
     def followed(self) -> Parameters:
         """Where the plant begins to be followed: its typical parameters in the structure its file names."""
         plant = self.reference.model.plant
-        model = plant.model(plant.followed or None)
-        return model.parameters(**{k: v for k, v in plant.typical.items() if k in model.declared})
+        return plant.model(plant.followed or None).typical()
 
     @classmethod
     def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:

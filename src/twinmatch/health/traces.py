@@ -38,6 +38,8 @@ _LEAST_MOVES: Final = 30
 """Changes of the reading from which it is known how often it repeats itself."""
 _COARSELY: Final = 8.0
 """Movement of the plant that a sensor of coarse steps should have shown, lest its repetition be unusual."""
+_STEPS: Final = 3.0
+"""Changes have to differ by so many of the smallest, on average, for a reading to show noise."""
 _MOVED: Final = 30.0
 """Movement of the plant that a standing sensor should have shown."""
 
@@ -113,6 +115,8 @@ class Repeats:
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
         self._change = 0.0  # mean change from reading to reading
         self._seen, self._moves = 10, 0  # readings and changes of them, the first as good as so many
+        self._last = self._jitter = 0.0  # the change before, and by how much changes differ on average
+        self._step = math.inf  # smallest change so far: that of a reading's last digit
         self.count = 0
         """How often the newest reading has been repeated."""
         self.expected = 0.0
@@ -129,8 +133,12 @@ class Repeats:
                 self._seen = min(self._seen + 1, 300)
                 self._often += (repeats - self._often) / self._seen
                 self._lately += (repeats - self._lately) / 30
-                self._change += ((0.0 if repeats else abs(change)) - self._change) / 30
+                now = 0.0 if repeats else change
+                self._change += (abs(now) - self._change) / 30
+                self._jitter += (abs(now - self._last) - self._jitter) / 30
+                self._last = now
             self._moves += 1
+            self._step = min(self._step, abs(change))
         self.count, self.expected = 0, 0.0
 
     @property
@@ -146,8 +154,9 @@ class Repeats:
             return False
         chance = max(self._often, self._lately, 0.02) ** self.count
         noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE * self._noise
-        told = noisy and not self._coarse and chance < _CHANCE
-        return abs(self.expected) > _MOVED * self._noise or told
+        # A reading whose noise is lost in its last digit stands still whenever the plant does.
+        noisy = noisy and not self._coarse and self._jitter >= _STEPS * self._step
+        return abs(self.expected) > _MOVED * self._noise or (noisy and chance < _CHANCE)
 
 
 class Lag:

@@ -114,7 +114,7 @@ def fit_structure(
     """
     known = _known(model, len(windows)) if informed else {}
     problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), gains, known))
-    plant = _typical(model) if informed else model.parameters()
+    plant = model.typical() if informed else model.parameters()
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
     else:
@@ -126,13 +126,9 @@ def fit_structure(
     return problem.fitted(found)
 
 
-def _typical(model: Model) -> Parameters:
-    return model.parameters(**{n: v for n, v in model.plant.typical.items() if n in model.declared})
-
-
 def _known(model: Model, windows: int) -> dict[str, Known]:
     """The plant file's typical values as knowledge, a share of it for each of the windows."""
-    typical, known = _typical(model), {}
+    typical, known = model.typical(), {}
     for name in model.structure.free:
         declared = model.declared[name]
         spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale

@@ -32,8 +32,8 @@ class Incubator(Plant, name="incubator"):
     title = "Incubator"
     surroundings = "lid, fan and room"
     typical = {  # noqa: RUF012 (a mapping of what there is, not state)
-        "bed_heat_capacity": 165.0,
-        "bed_conductance": 0.55,
+        "bed_heat_capacity": 240.0,
+        "bed_conductance": 2.0,
         "box_conductance": 0.9,
         "box_heat_capacity": 25e3,
     }
@@ -60,18 +60,18 @@ class Incubator(Plant, name="incubator"):
 
     power = Parameter(
         unit="W",
-        default=125.4,
+        default=127.1,
         bounds=(10.0, 1000.0),
         positive=True,
         symbol="P",
         text="power of the heat bed",
     )
     air_heat_capacity = Parameter(
-        unit="J/K", default=68.2, bounds=(5.0, 2000.0), positive=True, symbol="C_A",
+        unit="J/K", default=177.6, bounds=(5.0, 2000.0), positive=True, symbol="C_A",
         text="heat capacity of the air and what follows it",
     )  # fmt: skip
     bed_heat_capacity = Parameter(
-        unit="J/K", default=243.5, bounds=(20.0, 5000.0), positive=True, symbol="C_H",
+        unit="J/K", default=239.6, bounds=(20.0, 5000.0), positive=True, symbol="C_H",
         text="heat capacity of the heat bed",
     )  # fmt: skip
     box_heat_capacity = Parameter(
@@ -79,11 +79,11 @@ class Incubator(Plant, name="incubator"):
         text="heat capacity of walls and contents",
     )  # fmt: skip
     bed_conductance = Parameter(
-        unit="W/K", default=0.871, bounds=(0.05, 20.0), positive=True, symbol="G_H",
+        unit="W/K", default=2.32, bounds=(0.05, 20.0), positive=True, symbol="G_H",
         text="conductance from the heat bed to the air",
     )  # fmt: skip
     box_conductance = Parameter(
-        unit="W/K", default=0.736, bounds=(0.01, 20.0), positive=True, role="losses", symbol="G_B",
+        unit="W/K", default=0.773, bounds=(0.01, 20.0), positive=True, role="losses", symbol="G_B",
         text="conductance from the air to the box",
     )  # fmt: skip
     wall_conductance = Parameter(
