@@ -212,8 +212,8 @@ def parts(
     """How far the drive moves a measured output in one period, how far all else does, and the states then.
 
     States that the output does not show begin where they are `before`, unless that is NaN. Those that the
-    plant file lets begin with the output, as a heater that begins as warm as what it heats, go along with what
-    the output is off by: their distance from it is carried, and no error of the plant adds up in them.
+    plant file lets begin with the output, as a heater that begins as warm as what it heats, go along with
+    what the output is off by: their distance from it is carried, and no error of the plant adds up in them.
     """
     x, after = np.zeros(N_STATES), np.zeros(N_STATES)
     shown, shown_by = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
