@@ -2,12 +2,14 @@
 
 `backtest_session` runs a session through the twin and asks everybody at every verdict and every minute; a
 `Backtest` holds how that came out. `marks` judges one forecast, `cards` sums up many. A `Peer` forecasts from
-the same samples and set-points as the twin and knows nothing else.
+the same samples and set-points as the twin and knows nothing else. `fidelity` aligns a twin's trace with the
+plant's, as others do.
 """
 
 from twinmatch.backtest.choices import Choices
 from twinmatch.backtest.document import document
 from twinmatch.backtest.errors import BacktestError
+from twinmatch.backtest.fidelity import Fidelity, fidelity
 from twinmatch.backtest.figure import draw_backtest
 from twinmatch.backtest.peer import Peer
 from twinmatch.backtest.peers import PEERS, Absent, peers
@@ -24,6 +26,7 @@ __all__ = [
     "BacktestError",
     "Card",
     "Choices",
+    "Fidelity",
     "Listener",
     "Marked",
     "Marks",
@@ -36,6 +39,7 @@ __all__ = [
     "common",
     "document",
     "draw_backtest",
+    "fidelity",
     "graded",
     "interval_score",
     "marks",
