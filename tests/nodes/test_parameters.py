@@ -11,6 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.plant_files import plant_file
 from twinmatch.nodes.parameters import Parameter, ParameterError, check, render
 from twinmatch.nodes.twin_parameters import (
     read_settings,
@@ -200,3 +201,21 @@ def test_recorded_values_are_understood_under_the_names_they_had() -> None:
     assert settings.start == Peltier.model("sink with mass").parameters(
         sink_heat_capacity=250.0, sink_convection=6.0
     )
+
+
+def test_a_plant_in_a_file_is_run_for_a_configuration_and_not_for_a_recording(tmp_path: Path) -> None:
+    path = plant_file(tmp_path, "block_configured")
+    with pytest.raises(
+        ParameterError,
+        match=r"files are run only if you name them: add --plant "
+        r".*configured\.py",
+    ):
+        recorded_values("session", {"plant": str(path)})
+    settings = read_settings(twin_file(tmp_path, f'plant: "{path}"'))
+    assert settings.plant.name == "block_configured"
+    assert settings.gains is None
+    again = recorded_values("session", {"plant": f"/elsewhere/{path.name}", "loop": "unknown"})
+    assert settings_from(again) == settings
+    assert values_of(settings)["plant"] == str(path)
+    with pytest.raises(ParameterError, match="is for plant block_configured, and what is to be judged is of"):
+        read_settings(twin_file(tmp_path, f'plant: "{path}"'), "peltier")
