@@ -1,0 +1,72 @@
+"""What docs/attach.md tells people to write works as it stands there, one command after the other."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the extra 'bags'")
+
+from tests.support.places import LAUNCH_SCRIPTS, PROJECT
+from tests.support.processes import Process, Processes
+from tests.support.waiting import PATIENCE
+from twinmatch.sessions import read_session
+
+PAGE = (PROJECT / "docs" / "attach.md").read_text(encoding="utf-8")
+PROGRAMS = dict(re.findall(r"^```python (\w+\.py)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
+COMMANDS = [
+    line
+    for block in re.findall(r"^```sh\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    for line in block.splitlines()
+]
+
+
+@pytest.fixture
+def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
+    made = Processes(tmp_path / "output")
+    yield made
+    made.end()
+
+
+def shell(processes: Processes, folder: Path, line: str) -> Process:
+    """Run a line of the page in a folder, with this interpreter and its programs."""
+    text = line.replace("launch_scripts/", f"{LAUNCH_SCRIPTS}{os.sep}")
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONUNBUFFERED": "1"}
+    return processes.start("bash", "-c", f"exec {text}", environment=environment, folder=folder)
+
+
+@pytest.mark.slow
+def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
+    processes: Processes, tmp_path: Path
+) -> None:
+    for name, text in PROGRAMS.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert "python oven_rig.py" in PAGE
+    rig = processes.python("oven_rig.py", folder=tmp_path)
+    attach, verify, look, take, judge = COMMANDS
+    run = shell(processes, tmp_path, attach)
+    run.said(r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)", 4 * PATIENCE)
+    assert run.end(signal.SIGINT) == 0
+    assert rig.running
+    assert re.search(r"ended: stopped by the operator; \d+ samples, [1-9]\d* verdicts", run.text)
+    recorded = len(read_session(tmp_path / "first").samples)
+    assert recorded >= 50
+    for command, words in (
+        (verify, "identical"),
+        (look, "/oven/temperature"),
+        (take, "of oven, from first"),
+        (judge, "the set-point did not move"),
+    ):
+        done = shell(processes, tmp_path, command)
+        assert done.wait(4 * PATIENCE) == 0, done.text
+        assert words in done.text, done.text
+    assert len(read_session(tmp_path / "from_bag").samples) >= recorded
