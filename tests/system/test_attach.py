@@ -23,7 +23,7 @@ from tests.support.waiting import PATIENCE
 from twinmatch.judging.verification import verify_session
 from twinmatch.sessions import read_session
 from twinmatch.sessions.settings import parameters_of
-from twinmatch_msgs.msg import Forecast, Match, ModelScore
+from twinmatch_msgs.msg import Forecast, Match, MatchRequest, ModelScore
 
 ATTACH = LAUNCH_SCRIPTS / "attach.py"
 FIRST = 4 * PATIENCE
@@ -66,6 +66,7 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         verdicts = listener.hear(ModelScore, "twin/model_score", 10)
         matches = listener.hear(Match, "twin/match", 10)
         forecasts = listener.hear(Forecast, "twin/forecast", 10)
+        requests = listener.hear(MatchRequest, "twin/match_request", 10)
         listener.spin_until(lambda: verdicts and matches and forecasts, lambda: run.text, FIRST)
         held = matches[-1].parameters
         found = dict(zip(held.names, held.values, strict=True))
@@ -76,10 +77,15 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         assert [info.node_name for info in commanding] == ["oven_rig"]
         rig.kill()
         run.said(r"sampler: health: .*nobody publishes /oven/heater any more")
-        processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
+        rig = processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
         run.said("sampler: health: well again")
         seen = len(verdicts)
         listener.spin_until(lambda: len(verdicts) > seen, lambda: run.text)
+        rig.kill()  # what is asked for then is answered before the end
+        run.said(r"twin_simulator: health: no sample for|sampler: health: .*any more")
+        listener.spin_until(
+            lambda: {r.sample for r in requests} <= {m.sample for m in matches}, lambda: run.text, FIRST
+        )
     assert run.end(signal.SIGINT) == 0
     assert re.search(r"ended: stopped by the operator; \d+ samples, \d+ verdicts", run.text)
     session = read_session(tmp_path / "run")

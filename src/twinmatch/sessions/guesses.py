@@ -82,7 +82,7 @@ def proposed(columns: Sequence[Column]) -> dict[str, Source]:
     taken: set[str] = set()
     for signal, candidates in (
         ("time", _named(columns, _TIME, ("time",))),
-        ("reference", _named(columns, _REFERENCE, ("numbers",))),
+        ("reference", _named(columns, _REFERENCE, ("numbers", "constant"))),
         ("room", _named(columns, _AROUND, ("numbers", "constant"))),
         ("input", _named(columns, _INPUT, ("on or off", "numbers"))),
         ("output", _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))),
