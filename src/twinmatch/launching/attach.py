@@ -47,7 +47,7 @@ class AttachPlan(LivePlan):
         return ["--ros-args", "--params-file", str(self.sampler)]
 
     def wait_for(self, readers: str) -> list[str]:
-        """As for a rig, but longer: a rig that runs by itself can be kept waiting while a twin is compiled."""
+        """As for a rig, but longer: one that runs by itself loses nothing while a twin is compiled."""
         return ["-p", f"readers:={readers}", "-p", "readers_timeout:=180.0"]
 
 
