@@ -166,6 +166,8 @@ def _stamp(function: FunctionType) -> str:
                 waiting.append(value.py_func)
             elif isinstance(value, FunctionType):
                 waiting.append(value)
+            elif isinstance(getattr(value, "_defn", None), FunctionType):  # an intrinsic of ours
+                waiting.append(value._defn)
             elif isinstance(value, type):
                 files.add(getattr(sys.modules.get(value.__module__), "__file__", None) or value.__qualname__)
             else:

@@ -33,6 +33,10 @@ class Calls:
 
         return call
 
+    def address(self, name: str) -> int:
+        """Where a function is."""
+        return int(ctypes.cast(self.fmu.dll[f"fmi{self.major}{name}"], _POINTER).value or 0)
+
     def group(self, references: Sequence[int]) -> Group:
         """Variables that are set or asked together."""
         return Group(self, references)
@@ -45,6 +49,8 @@ class Group:
         n = len(references)
         self.values = (_REAL * n)()
         self._references = (ctypes.c_uint32 * n)(*references)
+        self.address = ctypes.addressof(self._references)
+        """Of the references."""
         self._arguments: tuple[int, ...] = (
             ctypes.addressof(self._references), n, ctypes.addressof(self.values), n,
         )[: 3 if calls.major == 2 else 4]  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any, Final
 from twinmatch.fmu.calls import Calls
 from twinmatch.fmu.described import Described
 from twinmatch.fmu.machine import Machine, MachineError, Wires
+from twinmatch.fmu.straight import Addresses, Rooms
 
 __all__ = ["Exchange"]
 
@@ -29,7 +30,8 @@ class Exchange(Machine):
 
     def __init__(self, fmu: Any, major: int, wires: Wires, described: Described, places: list[int]) -> None:
         super().__init__(fmu, major, wires)
-        self._n, self._places = described.states, places
+        self._n = self._size = described.states
+        self._places = places
         vector = ctypes.c_double * self._n
         self._x, self._dx = vector(), vector()
         calls, real, size, pointer = Calls(fmu, major), ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
@@ -43,6 +45,21 @@ class Exchange(Machine):
         self._events = described.indicators if major == 2 else None
         self._z: Any = None
         self._told: list[float] | None = None
+
+    def straight(self) -> tuple[Addresses, Rooms] | None:
+        """What a run in compiled code needs, from where this has been put; None if it may have events."""
+        return None if self._indicators else super().straight()
+
+    def _functions(self) -> dict[str, str]:
+        rates = "GetDerivatives" if self.major == 2 else "GetContinuousStateDerivatives"
+        return {
+            "set_time": "SetTime",
+            "set_x": "SetContinuousStates",
+            "get_x": "GetContinuousStates",
+            "get_dx": rates,
+            "after_step": "CompletedIntegratorStep" if self._asked_after_steps else "",
+            "do_step": "",
+        }
 
     def put(self, fixed: Sequence[float], inputs: Sequence[float]) -> None:
         """Begin anew with these values; the last of the fixed ones are the states."""

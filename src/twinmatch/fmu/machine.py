@@ -8,7 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from twinmatch.fmu.calls import Calls
+from twinmatch.fmu.straight import Addresses, Rooms
 
 __all__ = ["Machine", "MachineError", "Wires"]
 
@@ -35,9 +38,10 @@ class Machine:
     def __init__(self, fmu: Any, major: int, wires: Wires) -> None:
         self.fmu, self.major, self.wires = fmu, major, wires
         self._begun, self._resets = False, True
-        calls = Calls(fmu, major)
+        self._calls = calls = Calls(fmu, major)
         self._fixed, self._inputs, self._states, self._output = (calls.group(own) for own in wires)
         self.time = 0.0
+        self._at: dict[str, int] = {}
 
     def put(self, fixed: Sequence[float], inputs: Sequence[float]) -> None:
         """Begin anew with these values."""
@@ -55,6 +59,32 @@ class Machine:
         self._inputs.write(inputs)
         fmu.exitInitializationMode()
 
+    def straight(self) -> tuple[Addresses, Rooms] | None:
+        """What a run in compiled code needs, from where this has been put; None if it may have events."""
+        if not self._at:
+            real = "Real" if self.major == 2 else "Float64"
+            names = (f"Get{real}", f"Set{real}")
+            self._at = {
+                **dict(zip(("get", "set"), map(self._calls.address, names), strict=True)),
+                **dict(zip(("inputs", "states", "output"), self._references(), strict=True)),
+                **{name: self._calls.address(of) if of else 0 for name, of in self._functions().items()},
+            }
+            sizes = (len(self.wires.inputs), len(self.wires.states), 1, self._size, self._size)
+            inputs, states, output, x, dx = map(np.zeros, sizes)
+            self._rooms = Rooms(inputs, states, output, x, dx, np.zeros(8, dtype=np.int32))
+        return Addresses(component=self.fmu.component, **self._at), self._rooms
+
+    _size = 0
+    """Number of continuous states that are integrated here."""
+
+    def _functions(self) -> dict[str, str]:
+        """Names of what moves it on, by the fields of `Addresses`; empty ones are not called."""
+        none = dict.fromkeys(("set_time", "set_x", "get_x", "get_dx", "after_step"), "")
+        return {**none, "do_step": "DoStep"}
+
+    def _references(self) -> list[int]:
+        return [group.address for group in (self._inputs, self._states, self._output)]
+
     def forget(self) -> None:
         """Something went wrong: nothing that it was told before counts any more."""
 
@@ -64,7 +94,9 @@ class Machine:
 
     def move(self, period: float, steps: int) -> None:  # noqa: ARG002 (it chooses its own steps)
         """On by one period."""
-        self.fmu.doStep(self.time, period)
+        told = self.fmu.doStep(self.time, period)
+        if self.major == 3 and (told[1] or told[2]):
+            raise MachineError("it ended its simulation, or returned early")
         self.time += period
 
     def states(self) -> list[float]:

@@ -22,8 +22,9 @@ from twinmatch.signals import FloatArray
 
 __all__ = ["FmuProcess", "ProcessLostError"]
 
-START: Final = 60.0
-"""Seconds in which Python and its libraries are there, on a machine that is busy."""
+START: Final = 120.0
+"""Seconds in which Python and its libraries are there, compiled where it is the first time, on a machine that
+is busy."""
 _KEPT: Final = (
     "PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "PYTHONPATH", "VIRTUAL_ENV",
     "TWINMATCH_CACHE", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR",
