@@ -101,8 +101,7 @@ class FmuKernels:
         if key not in self._counts:
             if len(self._counts) > self.MOST_STEPS:
                 self._counts.clear()
-            fastest = max(self._fastest(vector, x, u, d) for x in corners for u in drives)
-            count = np.ceil(period * fastest / limit)
+            count = np.ceil(period * self._fastest(vector, corners, drives, d) / limit)
             self._counts[key] = int(max(count, 1.0)) if count <= self.MOST_STEPS else self.MOST_STEPS + 1
         return self._counts[key]
 
@@ -281,11 +280,26 @@ class FmuKernels:
             seen[k] = moved.slopes(y[part][:, None])[0, :n]
         return by_state, by_drive, seen
 
-    def _fastest(self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> float:
-        """The least of three norms of df/dx: no eigenvalue is above any of them."""
-        m, n = vector.size, x.size
-        moved = self._places.around(np.append(vector, x), u, range(m, m + n))
-        _, rates = self._runner.rates(moved.fixed, moved.drive, np.tile(d, (len(moved.drive), 1)))
-        size = np.abs(moved.slopes(rates))
-        norms = size.sum(axis=1).max(initial=0.0), size.sum(axis=0).max(initial=0.0), np.linalg.norm(size)
-        return float(min(norms))
+    def _fastest(self, vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray) -> float:
+        """The least of three norms of df/dx, which no eigenvalue is above, at the worst corner and drive."""
+        m, n = vector.size, corners.shape[1]
+        everywhere = [
+            self._places.around(np.append(vector, x), float(u), range(m, m + n))
+            for x in corners
+            for u in drives
+        ]
+        each = len(everywhere[0].drive)
+        fixed, drive = (
+            np.concatenate([getattr(one, name) for one in everywhere]) for name in ("fixed", "drive")
+        )
+        _, rates = self._runner.rates(fixed, drive, np.tile(d, (len(drive), 1)))
+        worst = 0.0
+        for k, moved in enumerate(everywhere):
+            size = np.abs(moved.slopes(rates[k * each : (k + 1) * each]))
+            norms = (
+                size.sum(axis=1).max(initial=0.0),
+                size.sum(axis=0).max(initial=0.0),
+                np.linalg.norm(size),
+            )
+            worst = max(worst, float(min(norms)))
+        return worst
