@@ -205,7 +205,7 @@ def noise_of(values: FloatArray) -> float:
     steps = np.unique(np.round(np.abs(np.diff(values)), 9))
     steps = steps[steps > 0]
     rounding = float(steps[0]) / math.sqrt(12.0) if steps.size else 0.0
-    floor = 1e-3 * (float(np.ptp(values)) or 1.0)
+    floor = 1e-4 * (float(np.ptp(values)) or 1.0)  # of values that were computed
     return _rounded(max(white, rounding if rounding < 10 * max(white, floor) else 0.0, floor))
 
 
