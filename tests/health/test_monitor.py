@@ -213,6 +213,32 @@ def test_a_gap_starts_anew_and_a_new_session_has_a_new_record() -> None:
     assert monitor.alarms == ()
 
 
+def stamped(samples: list[Sample]) -> list[Sample]:
+    return [dataclasses.replace(s, stamp=s.index * 10**9) for s in samples]
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_time_in_which_nobody_looked_is_no_evidence(counted: bool) -> None:
+    """A process stood still for 30 s, the output off meanwhile; it may have counted on, or not."""
+    whole = stamped(holding(70.0, rig.Break("drive-lost", 400, 30)))
+    seen = [s for s in whole if not 400 <= s.index < 430]
+    if not counted:
+        seen = [dataclasses.replace(s, index=k) for k, s in enumerate(seen)]
+    monitor, healths = rig.watch(seen)
+    assert monitor.alarms == ()
+    assert healths[-1].state is State.HEALTHY
+    if not counted:  # as if no time had passed: then the plant did what no plant can
+        assert rig.watch(stamped(seen))[0].alarms != ()
+
+
+def test_ticks_that_come_late_are_no_gap() -> None:
+    samples = stamped(holding(70.0, None))
+    late = [dataclasses.replace(s, stamp=s.stamp + (s.index % 7 == 0) * 900_000_000) for s in samples]
+    assert [h.share for h in rig.watch(late)[1]] == pytest.approx(
+        [h.share for h in rig.watch(samples)[1]], nan_ok=True
+    )
+
+
 def test_the_same_samples_give_the_same_judgements() -> None:
     samples = holding(60.0, rig.Break("drive-lost", 300, 30), 500)
     assert repr(rig.watch(samples, FOREIGN[2])[1]) == repr(rig.watch(samples, FOREIGN[2])[1])

@@ -29,6 +29,9 @@ _MEND: Final = 15.0
 """Time without any trace after which a sensor counts as mended, s."""
 _PROVE: Final = 10.0
 """Time for which the plant has to follow the drive before that counts as mended, s."""
+_UNSEEN: Final = 3.0
+"""Time between two samples after which what happened meanwhile was not seen: seconds, and periods. Half the
+shortest stretch that the drive is asked about, so that a late sample or two change nothing."""
 _TACIT: Final = 120.0
 """Time without any trace after which it counts as mended without proof, s."""
 
@@ -37,7 +40,8 @@ class Monitor:
     """Watches one plant.
 
     Feed it every sample once, in order, with the parameters of the nominal twin as it stands, or None as
-    long as there is none. A gap in the indices starts the traces anew and keeps what was learned.
+    long as there is none. A gap in the indices or in the stamps starts the traces anew and keeps what was
+    learned: a time in which nobody looked says nothing about the plant.
     """
 
     def __init__(self, settings: HealthSettings | None = None) -> None:
@@ -81,7 +85,7 @@ class Monitor:
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
-        if sample.index != self._index + 1:
+        if sample.index != self._index + 1 or self._unseen(sample):
             self._restart(sample.index)
         self._index = sample.index
         if parameters is not self._given:
@@ -99,6 +103,16 @@ class Monitor:
             self._slow.restart()
         news = self._judge(sample.index, finding, starting)
         return self._health(sample.index, finding, starting, news)
+
+    def _unseen(self, sample: Sample) -> bool:
+        """Whether time passed between the sample before and this one in which nobody looked.
+
+        A process that was stopped, or a machine that slept, may go on counting where it was.
+        """
+        if self._before is None:
+            return False
+        passed = (sample.stamp - self._before.stamp) / 1e9
+        return passed < 0 or passed > _UNSEEN * max(1.0, self.settings.period)
 
     def _restart(self, index: int) -> None:
         if index <= self._index:  # another session
