@@ -36,7 +36,7 @@ __all__ = ["EXIT_LOST", "Live", "run_live"]
 EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
 
-READERS = "twin_simulator discriminator live_watch"
+READERS = "twin_simulator discriminator keeper live_watch"
 """Nodes that must have every sample, and the recorder if there is one."""
 
 POLL = 0.1
@@ -48,8 +48,10 @@ VIRTUAL_RIG_START = 90.0
 """A first build of firmware and board takes its time, s."""
 STOP_ORDER = ("rig", "sampler", "twin", "recorder", "plant_clock", "virtual_rig")
 """Heat off first; the recorder outlives what it records."""
-RESTARTS = 3
-"""How often a process that may be restarted is."""
+RESTARTS = 12
+"""How often a process is restarted within `SPAN`: one that falls over what it is given does so again."""
+SPAN = 600.0
+"""Seconds."""
 
 
 @dataclass
@@ -131,7 +133,7 @@ class _Supervision:
         self._plan = live.plan
         self._addresses: dict[str, str] = {}
         self._ready = threading.Event()
-        self._restarts: dict[str, int] = {}
+        self._restarts: dict[str, list[float]] = {}
         self.processes = Processes(self._show)
 
     def start(self) -> None:
@@ -159,9 +161,11 @@ class _Supervision:
                 return 2, f"{name} could not work with what it was given; its own words are above"
             if name in ("rig", "virtual_rig"):
                 return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
-            if self._restarts.get(name, 0) >= RESTARTS:
+            now = time.monotonic()
+            before = [at for at in self._restarts.get(name, []) if now - at < SPAN]
+            if len(before) >= RESTARTS:
                 return EXIT_LOST, f"{name} was lost (code {code}), and {RESTARTS} more of it"
-            self._restarts[name] = self._restarts.get(name, 0) + 1
+            self._restarts[name] = [*before, now]
             self._view.say(f"{name} ended with code {code}; starting it again", "yellow")
             self._start(name)
         return None

@@ -31,7 +31,7 @@ from twinmatch_msgs.msg import Match, ModelScore
 __all__ = ["Replay", "play"]
 
 EXIT_INTERRUPTED = 130
-READERS = "twin_simulator discriminator"
+READERS = "twin_simulator discriminator keeper"
 """Nodes that must have every sample."""
 POLL = 0.2
 """Seconds between two looks at the children."""

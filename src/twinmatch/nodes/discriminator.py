@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import deque
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 
+from twinmatch import twin
 from twinmatch.discrimination import Verdict
 from twinmatch.nodes.conversions import candidate_message, match_from, score_message
 from twinmatch.nodes.diagnostics import Level
@@ -21,8 +23,9 @@ from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE, SampleNode
 from twinmatch.sessions.candidates import read_candidates
 from twinmatch.signals import Sample
-from twinmatch.twin import Discriminator, MatchReport
+from twinmatch.twin import Discriminator, MatchReport, Step
 from twinmatch_msgs.msg import Candidate, Match, MatchRequest, ModelScore
+from twinmatch_msgs.srv import Past
 
 __all__ = ["SETTLED", "VERDICTS", "DiscriminatorNode", "main"]
 
@@ -59,6 +62,8 @@ class DiscriminatorNode(SampleNode):
         self._foreteller = Foreteller(self)
         self._stamps: dict[int, int] = {}
         self._nominal: Candidate | None = None
+        self._answers: deque[MatchReport] = deque()  # of matches before this node came, oldest first
+        self._said = self._heard = 0  # verdicts made; those that were heard before this node came
         self._asking: MatchRequest | None = None
         self._asked_at = 0.0
         self._times_asked = 0
@@ -78,10 +83,10 @@ class DiscriminatorNode(SampleNode):
             if len(self._stamps) > MOST_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             step = self._discriminator.push_sample(item)
-        for verdict in step.verdicts:
-            self._publish(verdict)
-        if step.verdicts:  # a match may have brought a candidate
-            self._foreteller.look(self._discriminator)
+        self._tell(step)
+        while step.request is not None and (known := self._answer(step.request)) is not None:
+            step = self._discriminator.push_match(known)
+            self._tell(step)
         if step.request is not None:
             self._times_asked = 0
             self._ask(request_message(step.request, self._stamps.get(step.request.sample, 0)))
@@ -89,6 +94,26 @@ class DiscriminatorNode(SampleNode):
             self.health.set("waits for a match of", "nothing")
             self.health.withdraw("match")
         self.health.set(SETTLED, self._discriminator.settled)
+
+    def learn(self, said: Past.Response) -> None:
+        """Take what a discriminator before this one has said: it is not said again."""
+        self._heard = said.scores_heard
+        self._foreteller.heard = said.forecasts_heard
+        self._answers += map(match_from, said.match)
+
+    def _answer(self, request: twin.MatchRequest) -> MatchReport | None:
+        """The answer to a request of which it is known."""
+        while self._answers:
+            report = self._answers.popleft()
+            if report.answers(request):
+                return report
+        return None
+
+    def _tell(self, step: Step) -> None:
+        for verdict in step.verdicts:
+            self._publish(verdict)
+        if step.verdicts:  # a match may have brought a candidate
+            self._foreteller.look(self._discriminator)
 
     def _followed(self, _: Sample) -> None:
         self._foreteller.publish(self._discriminator)
@@ -120,7 +145,11 @@ class DiscriminatorNode(SampleNode):
         self.health.count(VERDICTS)
         self.health.set("level", verdict.level.value)
         self.health.set("nominal", verdict.nominal or "none")
-        self._scores.publish(score_message(verdict, self._stamps.get(verdict.sample, 0)))
+        self._said += 1
+        if self._said > self._heard:
+            self._scores.publish(score_message(verdict, self._stamps.get(verdict.sample, 0)))
+        if self._said < self._heard:
+            return
         chosen = next((c for c in verdict.candidates if c.name == verdict.nominal), None)
         if chosen is None:
             return

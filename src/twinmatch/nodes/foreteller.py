@@ -34,6 +34,9 @@ class Foreteller:
         self._snapshot = Snapshot()
         self._leader: Outlook | None = None
         self._ahead: tuple[int, ...] = ()
+        self._made = 0
+        self.heard = 0
+        """Forecasts that were heard before this node came, and are not published again."""
         self._forecasts = node.create_publisher(Forecast, "twin/forecast", RELIABLE)
         self._leaders = node.create_publisher(ForecastScore, "twin/leader", LATCHED)
         node.create_service(WhatIf, "twin/what_if", self._on_question)
@@ -43,6 +46,9 @@ class Foreteller:
         self.look(discriminator)
         name = self._snapshot.leader
         if name is None:
+            return
+        self._made += 1
+        if self._made <= self.heard:
             return
         outlook = self._snapshot.outlook(name)
         if self._leader is None or _identity(outlook) != _identity(self._leader):

@@ -21,6 +21,7 @@ from std_srvs.srv import SetBool
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, TwinmatchNode, missing_readers
 from twinmatch.nodes.pace import Pace
 from twinmatch.nodes.parameters import Parameter
@@ -290,7 +291,7 @@ def message_class(topic: Topic) -> Any:
 
 def main() -> None:
     """Console script."""
-    sys.exit(run([Player]))
+    sys.exit(run([Player, Keeper]))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Bridges and controller in one process, as the launch scripts start them.
+"""Bridges, controller and keeper in one process, as the launch scripts start them.
 
 If one of them fails all end, and the board's own deadline switches the output off.
 """
@@ -9,6 +9,7 @@ import sys
 
 from twinmatch.nodes.camera_bridge import CameraBridge
 from twinmatch.nodes.controller import ControllerNode
+from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.plant_pace import PlantPace
 from twinmatch.nodes.pwm_bridge import PwmBridge
 from twinmatch.nodes.runner import run
@@ -18,7 +19,7 @@ __all__ = ["main"]
 
 def main() -> None:
     """Console script."""
-    sys.exit(run([CameraBridge, PwmBridge, ControllerNode, PlantPace]))
+    sys.exit(run([CameraBridge, PwmBridge, ControllerNode, PlantPace, Keeper]))
 
 
 if __name__ == "__main__":

@@ -9,15 +9,18 @@ from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from twinmatch.nodes.catching_up import CatchingUp
 from twinmatch.nodes.diagnostics import Health, Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.nodes.stream import Stream
 from twinmatch.nodes.twin_parameters import settings_from, understood
 from twinmatch.nodes.worker import Worker
 from twinmatch.signals import Sample, SignalError
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
+from twinmatch_msgs.srv import Past
 
 __all__ = ["EVERYTHING", "LATCHED", "RELIABLE", "SampleNode", "SampleWatch", "TwinNode", "nanoseconds"]
 
@@ -123,7 +126,11 @@ class TwinNode(TwinmatchNode):
 
 
 class SampleNode(TwinNode):
-    """A node that takes every sample and works on it in its worker."""
+    """A node that takes every sample and works on it in its worker.
+
+    One that comes late, comes back or was stopped is given what it missed: it comes to where it would be if
+    it had been there all the time. `learn` tells it what a node of its kind has said before.
+    """
 
     def read_parameters(self) -> None:
         """Make the settings, and watch the samples by them."""
@@ -133,12 +140,20 @@ class SampleNode(TwinNode):
     def open(self) -> None:
         """Start the worker and subscribe to `plant/sample`."""
         super().open()
+        self._stream = Stream(self._on_next)
+        self._catching_up = CatchingUp(self, self._stream, self._depth, self.learn)
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
+
+    def learn(self, said: Past.Response) -> None:
+        """Take what was heard of this session before this node came; called before its first sample."""
 
     def report(self) -> Report:
         """Queue, gaps, silence."""
         self._watch.look(time.monotonic())
         return super().report()
+
+    def _depth(self) -> int:
+        return 0 if self.worker is None else self.worker.depth
 
     def _on_sample(self, message: LoopSample) -> None:
         try:
@@ -148,6 +163,11 @@ class SampleNode(TwinNode):
             self.health.complain("sample", Level.ERROR, f"plant/sample: {error}")
             return
         self.health.withdraw("sample")
+        self._stream.push(sample)
+        if self._stream.missing is not None:
+            self._catching_up.look()
+
+    def _on_next(self, sample: Sample) -> None:
         self._watch.push(sample.index, time.monotonic())
         self.put(sample)
 

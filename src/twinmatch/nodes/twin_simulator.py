@@ -15,6 +15,7 @@ from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror
 from twinmatch_msgs.msg import ForecastScore, PlantDescription, TwinState
+from twinmatch_msgs.srv import Past
 
 __all__ = ["TwinSimulatorNode", "main"]
 
@@ -30,6 +31,7 @@ class TwinSimulatorNode(SampleNode):
             self.settings.start, self.settings.gains, self.values["recent"], self.settings.period
         )
         self._leader = ""
+        self._made = self._heard = 0  # states made; those that were heard before this node came
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
         self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
         self._describer.publish(
@@ -38,11 +40,17 @@ class TwinSimulatorNode(SampleNode):
         super().open()
         self.create_subscription(ForecastScore, "twin/leader", self.put, LATCHED)
 
+    def learn(self, said: Past.Response) -> None:
+        """Take how many states a simulator before this one has published."""
+        self._heard = said.states_heard
+
     def work(self, item: Sample | ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""
         if isinstance(item, Sample):
             state = self._mirror.push(item)
-            self._publisher.publish(state_message(state, self._leader, self.settings.plant.states))
+            self._made += 1
+            if self._made > self._heard:
+                self._publisher.publish(state_message(state, self._leader, self.settings.plant.states))
             return
         self._mirror.parameters = parameters_from(item.parameters)
         self._leader = item.name

@@ -1,0 +1,77 @@
+"""What is kept on the disk comes back as it was, whatever was missing and whatever is asked."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.sessions.shelf import Shelf, Texts
+from twinmatch.signals import Sample
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    st.lists(st.integers(1, 5), max_size=40),
+    st.integers(0, 2**40),
+    st.tuples(st.integers(0, 200), st.integers(0, 200), st.integers(1, 50)),
+    st.integers(0, 3),
+    st.data(),
+)
+def test_rows_are_the_samples_with_these_indices(
+    steps: list[int], begin: int, wish: tuple[int, int, int], width: int, data: st.DataObject
+) -> None:
+    first, count, most = wish
+    shelf, samples, index = Shelf(width), [], begin
+    for step in steps:
+        values = data.draw(st.tuples(numbers, numbers, numbers))
+        extra = data.draw(st.lists(numbers, min_size=width, max_size=width))
+        samples.append(Sample(index, index * 1000, *values, tuple(extra)))
+        shelf.push(samples[-1])
+        index += step
+    assert len(shelf) == len(samples)
+    assert shelf.end == (samples[-1].index + 1 if samples else 0)
+    first = max(0, begin - 20) + first
+    wanted = [s for s in samples if first <= s.index < first + count][:most]
+    rows = shelf.rows(first, count, most)
+    found = [
+        Sample(
+            *(row[n].item() for n in ("index", "stamp", "reference", "output", "input")),
+            tuple(row["disturbances"]),
+        )
+        for row in rows
+    ]
+    assert found == wanted
+    shelf.close()
+
+
+@given(st.lists(st.binary(max_size=30), max_size=20), st.integers(0, 25), st.integers(0, 25))
+def test_messages_come_back_by_their_number_and_repeated_ones_count_once(
+    messages: list[bytes], number: int, most: int
+) -> None:
+    texts = Texts()
+    for data in messages:
+        texts.push(data)
+        texts.push(data)
+    once = [data for data, before in zip(messages, [b"", *messages], strict=False) if data != before]
+    assert len(texts) == len(once)
+    assert list(texts.since(number, most)) == once[number : number + most]
+    texts.close()
+
+
+def test_a_sample_takes_no_memory() -> None:
+    shelf = Shelf()
+    for k in range(1000):
+        shelf.push(Sample(k, k, 1.0, 2.0, 3.0))
+    tracemalloc.start()
+    try:
+        for k in range(1000, 21_000):
+            shelf.push(Sample(k, k, 1.0, 2.0, 3.0))
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert taken < 20_000  # a byte per sample would be as much
+    assert len(shelf) == 21_000
+    shelf.close()
