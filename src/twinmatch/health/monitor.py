@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
 from typing import Final
 
@@ -32,6 +33,8 @@ _PROVE: Final = 10.0
 _UNSEEN: Final = 3.0
 """Time between two samples after which what happened meanwhile was not seen: seconds, and periods. Half the
 shortest stretch that the drive is asked about, so that a late sample or two change nothing."""
+_KEPT: Final = 1000
+"""Alarms that are remembered: more than any window that is still matched could touch."""
 _TACIT: Final = 120.0
 """Time without any trace after which it counts as mended without proof, s."""
 
@@ -66,13 +69,13 @@ class Monitor:
         self._feeble = 0  # samples in a row with too small a one
         self._quiet = 0  # samples in a row without any trace but that of a slow change
         self._proofs = 0  # of those, the ones in which the plant followed the drive
-        self._alarms: list[Alarm] = []
+        self._alarms: deque[Alarm] = deque(maxlen=_KEPT)
         self._open = False  # whether the last alarm goes on
         self._slowly = False  # whether a slow change raised it
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """Every alarm so far, oldest first; only the last can be going on."""
+        """The newest alarms, oldest first, as many as are kept; only the last can be going on."""
         return tuple(self._alarms)
 
     def fault_between(self, first: int, last: int) -> Alarm | None:

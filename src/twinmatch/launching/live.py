@@ -13,7 +13,6 @@ from typing import ClassVar
 from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
 
-from twinmatch.discrimination import Verdict
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import LaunchError, Processes
 from twinmatch.launching.settled import Settled
@@ -24,10 +23,11 @@ from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import read_settings
+from twinmatch.sessions.shelf import Shelf
 from twinmatch.signals import Sample
-from twinmatch.twin import MatchReport
-from twinmatch.views import Summary, summarise
+from twinmatch.views import Summary
 from twinmatch.views.line import Lines, closing_lines
+from twinmatch.views.summary import Stretch, Tally, conclude
 from twinmatch.views.terminal import Screen, view_on
 from twinmatch_msgs.msg import LoopSample, Match, ModelScore
 
@@ -60,15 +60,27 @@ class Live:
 
     plan: LivePlan
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
-    samples: list[Sample] = field(default_factory=list)
-    matches: list[MatchReport] = field(default_factory=list)
-    verdicts: list[Verdict] = field(default_factory=list)
+    samples: Shelf = field(default_factory=Shelf)
+    """All of them, on the disk: a run may last for weeks."""
+    verdicts: Tally = field(default_factory=Tally)
     sessions: list[Path] = field(default_factory=list)
     """Folders recorded into; more than one if the recorder had to be restarted."""
     killed: list[str] = field(default_factory=list)
     """Processes that did not end when asked."""
     summary: Summary | None = None
     ending: str = "stopped by the operator"
+
+    def take_sample(self, sample: Sample) -> None:
+        """Put a sample on the shelf; one that does not come after the newest begins another."""
+        shelf = self.samples
+        if sample.index < shelf.end or len(sample.disturbances) != shelf.disturbances:
+            self.samples = Shelf(len(sample.disturbances))
+            shelf.close()
+        self.samples.push(sample)
+
+    def longest(self, period: float) -> Stretch:
+        """The longest stretch of samples, at this sample time (s)."""
+        return Stretch(self.samples.longest(period), self.samples.stretches)
 
 
 def run_live(live: Live) -> int:
@@ -95,10 +107,10 @@ def run_live(live: Live) -> int:
         view.say(f"{name} did not end by itself and was killed")
     for session in live.sessions:
         view.say(f"recorded: {session}")
-    view.say(f"ended: {live.ending}; {len(live.samples)} samples, {len(live.verdicts)} verdicts")
-    if live.samples:
-        live.summary = summarise(live.samples, live.verdicts, settings.gains, period=settings.period)
-        for line in closing_lines(live.summary, live.verdicts[-1] if live.verdicts else None):
+    view.say(f"ended: {live.ending}; {len(live.samples)} samples, {live.verdicts.verdicts} verdicts")
+    if len(live.samples):
+        live.summary = conclude(live.verdicts, live.longest, settings.gains, period=settings.period)
+        for line in closing_lines(live.summary, live.verdicts.last):
             view.say(line)
     return code
 
@@ -247,19 +259,18 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
                 raise LaunchError(msg)
 
         def _on_sample(self, message: LoopSample) -> None:
-            live.samples.append(sample_from(message))
+            live.take_sample(sample_from(message))
 
         def _on_health(self, message: DiagnosticArray) -> None:
             self._events.take(message)
             self._settled.take(message)
 
         def _on_match(self, message: Match) -> None:
-            live.matches.append(match_from(message))
-            view.take_match(live.matches[-1])
+            view.take_match(match_from(message))
 
         def _on_score(self, message: ModelScore) -> None:
             verdict = verdict_from(message)
-            live.verdicts.append(verdict)
+            live.verdicts.push(verdict)
             view.take_verdict(verdict)
 
         def _look(self) -> None:
@@ -272,8 +283,8 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
             if self._over is None:
                 return
             code, reason = self._over
-            last = live.samples[-1].index if live.samples else -1
-            judged = last < 0 or self._settled.all_said(last, len(live.verdicts))
+            last = live.samples.end - 1
+            judged = last < 0 or self._settled.all_said(last, live.verdicts.verdicts)
             if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE:
                 return
             live.ending = reason

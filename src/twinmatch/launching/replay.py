@@ -33,6 +33,8 @@ __all__ = ["Replay", "play"]
 EXIT_INTERRUPTED = 130
 READERS = "twin_simulator discriminator keeper"
 """Nodes that must have every sample."""
+RESTARTS = 3
+"""How often a twin that was killed is started again; it is given what it missed."""
 POLL = 0.2
 """Seconds between two looks at the children."""
 STALLED = 120.0
@@ -119,6 +121,11 @@ def _watch_class(
             self.create_timer(POLL, self._look)
             view.say(f"{session.name}: {len(session.samples)} samples at {replay.rate:g} times their speed")
             view.open()
+            self._restarts = 0
+            self._playing = False
+            self._start_twin()
+
+        def _start_twin(self) -> None:
             options = ["--ros-args", "-p", f"period:={settings.period}"]
             options += ["-p", f"plant:={written_name(settings.plant)}"]
             if settings.gains is None:
@@ -128,7 +135,6 @@ def _watch_class(
             if replay.candidates is not None:
                 options += ["-p", f"discriminator:candidates:={replay.candidates}"]
             self._processes.start_module("twin", "twinmatch.nodes.twin", *options)
-            self._playing = False
 
         def _play(self) -> None:
             """Start the player, once the twin's verdicts would be heard here."""
@@ -167,7 +173,11 @@ def _watch_class(
                 self._play()
             ended = self._processes.ended
             for name, code in ended.items():
-                if name == "twin" or code != 0:
+                if name == "twin" and code < 0 and self._restarts < RESTARTS and "player" not in ended:
+                    self._restarts += 1
+                    view.say(f"twin ended with code {code}; starting it again", "yellow")
+                    self._start_twin()
+                elif name == "twin" or code != 0:
                     msg = f"replay: {name} ended with code {code}; its own words are above"
                     raise LaunchError(msg)
             if "player" not in ended:

@@ -55,7 +55,8 @@ class CatchingUp:
         """Ask, if something is missing and no question is out; do without, if nothing comes."""
         missing, now = self._stream.missing, time.monotonic()
         if missing is None:
-            self._since, self._fresh = None, False
+            self._since = None
+            self._fresh = self._fresh and not self._stream.begun
             return
         if self._since is None:
             self._since = now
@@ -99,5 +100,7 @@ def samples_of_answer(answer: Past.Response) -> Iterator[Sample]:
     """The samples in an answer."""
     width = len(answer.disturbances) // max(1, len(answer.index))
     columns = (answer.index, answer.stamp, answer.reference, answer.output, answer.input)
-    for k, values in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
-        yield Sample(*values, tuple(answer.disturbances[k * width : (k + 1) * width].tolist()))
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    for k, (index, stamp, reference, output, u) in enumerate(rows):
+        disturbances = answer.disturbances[k * width : (k + 1) * width].tolist()
+        yield Sample(index, stamp, reference, output, u, tuple(disturbances))

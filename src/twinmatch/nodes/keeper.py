@@ -5,14 +5,17 @@ It lives in the process that makes the samples: while there are samples, there i
 
 from __future__ import annotations
 
+import time
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import BUILT_IN, Parameter
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.sessions.shelf import Shelf, Texts
 from twinmatch.signals import SignalError
@@ -27,6 +30,9 @@ MOST_SAMPLES = 2000
 """In one answer: some milliseconds of work."""
 MOST_MATCHES = 20
 
+LINGER = 2.0
+"""Wall seconds after a question in which another may come: whoever asks is not left alone."""
+
 _EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -40,10 +46,16 @@ class Keeper(TwinmatchNode):
         "twin/state": TwinState,
     }
 
+    @classmethod
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+        """None: what is given to its process is meant for the node beside it."""
+        return (), {name: value for name, value in given.items() if name.startswith(BUILT_IN)}
+
     def open(self) -> None:
         """Listen and offer the service."""
         self._shelf = Shelf()
         self._matches = Texts()
+        self._asked_at = -LINGER
         self._counts = dict.fromkeys(self.COUNTED, 0)
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, _EVERYTHING)
         self.create_subscription(Match, "twin/match", self._on_match, _EVERYTHING, raw=True)
@@ -88,7 +100,13 @@ class Keeper(TwinmatchNode):
     def _on_other(self, name: str, _: bytes) -> None:
         self._counts[name] += 1
 
+    @property
+    def busy(self) -> bool:
+        """Whether somebody is catching up."""
+        return time.monotonic() - self._asked_at < LINGER
+
     def _on_question(self, request: Past.Request, answer: Past.Response) -> Past.Response:
+        self._asked_at = time.monotonic()
         rows = self._shelf.rows(request.first, request.count, MOST_SAMPLES)
         answer.heard = self._shelf.end
         for name in ("index", "stamp", "reference", "output", "input"):

@@ -88,6 +88,11 @@ class TwinmatchNode(Node):
         """A defect that ended a thread of this node."""
         return None
 
+    @property
+    def busy(self) -> bool:
+        """Whether its process should go on for a moment, although a node of it has come to its end."""
+        return False
+
     def close(self) -> bool:
         """End the node's threads; whether they all did."""
         return True

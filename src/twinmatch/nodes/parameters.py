@@ -17,7 +17,7 @@ from typing import Any
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import shown
 
-__all__ = ["Parameter", "ParameterError", "Value", "Values", "check", "flattened", "render"]
+__all__ = ["BUILT_IN", "Parameter", "ParameterError", "Value", "Values", "check", "flattened", "render"]
 
 Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]

@@ -117,8 +117,9 @@ class _Process:
             for node in self.nodes:
                 if node.failure is not None:
                     raise node.failure
-                if node.exit_code is not None:
-                    return node.exit_code
+            ended = [node.exit_code for node in self.nodes if node.exit_code is not None]
+            if ended and not any(node.busy for node in self.nodes):
+                return ended[0]
         return 0
 
     def end(self, code: int) -> None:

@@ -34,6 +34,11 @@ class Stream:
         self._end = 0  # index of the newest that was given on, plus one
         self._held: deque[Sample] = deque()
 
+    @property
+    def begun(self) -> bool:
+        """Whether a sample was given on."""
+        return self._end > 0
+
     def push(self, sample: Sample) -> None:
         """Take a sample that came live."""
         if self.missing is not None:

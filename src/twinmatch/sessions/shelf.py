@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, SignalError, Window
 
 __all__ = ["Shelf", "Texts"]
 
@@ -67,6 +67,28 @@ class Shelf:
         number = min(end - begin, most)
         self._file.seek(begin * self._row.itemsize)
         return np.frombuffer(self._file.read(number * self._row.itemsize), self._row)
+
+    @property
+    def stretches(self) -> int:
+        """How many unbroken runs of indices there are."""
+        return len(self._firsts)
+
+    def longest(self, period: float) -> Window:
+        """The longest of them, the first of several, as a window of this sample time (s).
+
+        Raises:
+            SignalError: there is no sample.
+        """
+        begins = np.array(self._rows, dtype=np.int64)
+        if not begins.size:
+            raise SignalError("window: there is no sample to gather")
+        lengths = np.diff(np.append(begins, self._count))
+        run = int(np.argmax(lengths))
+        rows = self.rows(self._firsts[run], int(lengths[run]), int(lengths[run]))
+        return Window(
+            rows["reference"], rows["output"], rows["input"],
+            first=self._firsts[run], period=period, disturbances=rows["disturbances"],
+        )  # fmt: skip
 
     def close(self) -> None:
         """Let go of the file."""

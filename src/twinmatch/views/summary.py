@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.dynamics import Parameters, PidGains
@@ -16,7 +17,7 @@ from twinmatch.views.standing import Shown, nominal_score, shown_twin
 from twinmatch.views.trust_range import TrustRange, trust_range
 from twinmatch.views.words import words_of
 
-__all__ = ["UNEXPLAINED", "Summary", "sentence", "summarise"]
+__all__ = ["UNEXPLAINED", "Stretch", "Summary", "Tally", "conclude", "sentence", "summarise"]
 
 UNEXPLAINED = "unexplained"
 """What sessions recorded by earlier versions call a fault that only the residuals showed."""
@@ -54,6 +55,39 @@ class Summary:
     """Whether the loop is known; otherwise the fit is that of the driven twin."""
 
 
+class Tally:
+    """What a summary needs of the verdicts, taken one after the other."""
+
+    def __init__(self, verdicts: Iterable[Verdict] = ()) -> None:
+        """Begin with these."""
+        self.last: Verdict | None = None
+        self.verdicts = self.identified = 0
+        self._matches: Counter[str] = Counter()
+        for verdict in verdicts:
+            self.push(verdict)
+
+    def push(self, verdict: Verdict) -> None:
+        """Take a verdict."""
+        self.last = verdict
+        self.verdicts += 1
+        self.identified += not verdict.stands
+        if verdict.match:
+            self._matches[verdict.match] += 1
+
+    @property
+    def matches(self) -> dict[str, int]:
+        """How many matches were admitted, and how many refused."""
+        return dict(self._matches)
+
+
+class Stretch(NamedTuple):
+    """The longest unbroken stretch of a session."""
+
+    window: Window
+    of: int
+    """How many stretches there are."""
+
+
 def summarise(
     samples: Sequence[Sample],
     verdicts: Sequence[Verdict],
@@ -62,29 +96,44 @@ def summarise(
     period: float = 1.0,
 ) -> Summary:
     """Sum up a session from what came out of it; `period`, s, is that of a plant whose loop is not known."""
-    last = verdicts[-1] if verdicts else None
+
+    def longest(period: float) -> Stretch:
+        stretches = unbroken(samples)
+        return Stretch(Window.from_samples(max(stretches, key=len), period), len(stretches))
+
+    return conclude(Tally(verdicts), longest, gains, notes, period)
+
+
+def conclude(
+    tally: Tally,
+    longest: Callable[[float], Stretch],
+    gains: PidGains | None,
+    notes: Sequence[str] = (),
+    period: float = 1.0,
+) -> Summary:
+    """Sum up a session; `longest` gives its longest stretch at a sample time (s), and is asked if there is a
+    twin to hold against it."""
+    last = tally.last
     nominal, shown = nominal_score(last), shown_twin(last)
     fit = (math.nan, math.nan)
     remarks = list(notes)
     if shown is not None:
-        stretches = unbroken(samples)
-        longest = max(stretches, key=len)
-        if len(stretches) > 1:
+        window, stretches = longest(gains.period if gains is not None else period)
+        if stretches > 1:
             remarks.append(
-                f"the fit is that of samples {longest[0].index} to {longest[-1].index}, "
-                f"the longest of {len(stretches)} unbroken stretches"
+                f"the fit is that of samples {window.first} to {window.last}, "
+                f"the longest of {stretches} unbroken stretches"
             )
-        period = gains.period if gains is not None else period
-        fit = window_fit(shown.parameters, Window.from_samples(longest, period), gains)
+        fit = window_fit(shown.parameters, window, gains)
     return Summary(
         nominal=last.nominal if last else None,
         level=last.level if last else TrustLevel.UNKNOWN,
         parameters=shown.parameters if shown else None,
         fit_y=fit[0],
         fit_u=fit[1],
-        verdicts=len(verdicts),
-        identified=sum(not v.stands for v in verdicts),
-        matches=dict(Counter(v.match for v in verdicts if v.match)),
+        verdicts=tally.verdicts,
+        identified=tally.identified,
+        matches=tally.matches,
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
         range=trust_range(last, shown.parameters.model.plant.output) if last and shown else None,

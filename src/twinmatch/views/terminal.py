@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from datetime import timedelta
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -32,6 +33,8 @@ QUARTERS = 4
 SHARE = 0.01
 """Of the time that drawing may take from the work that is shown."""
 MOST_EVENTS = 8
+MOST_MATCHES = 100
+"""Newest matches whose word on what to believe is kept, besides those of the candidates that stand."""
 BAR = 30
 """Width of the progress bar, characters."""
 _MARKS = {
@@ -59,8 +62,8 @@ class Screen:
         self._total = total
         self._done = self._part = 0
         self._matches: list[MatchReport] = []
-        self._verdicts: list[Verdict] = []
-        self._events: list[Event] | None = []
+        self._verdict: Verdict | None = None
+        self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self._next = 0.0
         self._over = False
         self._live = Live(
@@ -89,11 +92,16 @@ class Screen:
     def take_match(self, report: MatchReport) -> None:
         """Show what to believe of it; the verdict says what became of it."""
         self._matches.append(report)
+        if len(self._matches) > 2 * MOST_MATCHES:
+            standing = {(c.first, c.last) for c in self._verdict.candidates} if self._verdict else set()
+            old, new = self._matches[:-MOST_MATCHES], self._matches[-MOST_MATCHES:]
+            self._matches = [report for report in old if report.match.samples in standing] + new
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Show it from now on."""
-        self._verdicts.append(verdict)
-        self._events = None
+        before = () if self._verdict is None else (self._verdict,)
+        self._events += events((*before, verdict))[len(events(before)) :]
+        self._verdict = verdict
 
     def say(self, text: str, style: str = "") -> None:
         """Print a line of somebody else's above the view."""
@@ -107,7 +115,7 @@ class Screen:
         self._next = ended + max(LEAST_WAIT, (ended - began) / SHARE)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        verdict = self._verdicts[-1] if self._verdicts else None
+        verdict = self._verdict
         lines = console.render_lines(Group(*self._fixed(verdict, options.max_width)), options, pad=False)
         room = MOST_EVENTS if self._over else console.size.height - len(lines) - 2
         lines += self._newest(console, options, room)
@@ -139,10 +147,8 @@ class Screen:
 
     def _newest(self, console: Console, options: ConsoleOptions, room: int) -> list[list[Segment]]:
         """The newest events that have room, oldest first."""
-        if self._events is None:
-            self._events = events(self._verdicts)
         shown: list[list[Segment]] = []
-        for event in self._events[: -MOST_EVENTS - 1 : -1]:
+        for event in reversed(self._events):
             lines = console.render_lines(_event_line(event, self._period), options, pad=False)
             if len(shown) + len(lines) > room and not self._over:
                 if not shown:  # a word of the newest one is better than nothing

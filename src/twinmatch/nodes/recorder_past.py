@@ -1,0 +1,129 @@
+"""The beginning of a session for a recorder that came late: what was said before it came, from the keeper.
+
+A recorder that was shot goes on in another folder. Begun in the middle, that folder could not be judged; so
+it begins with the samples, matches and verdicts so far. What comes meanwhile on these topics is held back.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+
+from twinmatch.nodes.catching_up import samples_of_answer
+from twinmatch.nodes.keeper import PAST
+from twinmatch.nodes.samples import nanoseconds
+from twinmatch.sessions.cdr import decode_sample, encode_sample
+from twinmatch_msgs.msg import Match, ModelScore
+from twinmatch_msgs.srv import Past
+
+__all__ = ["RecorderPast"]
+
+SAMPLE, MATCH, SCORE = "plant/sample", "twin/match", "twin/model_score"
+LOOK = 0.1
+"""Wall seconds between two looks whether to ask."""
+PATIENCE = 10.0
+"""Wall seconds without anything new after which the session begins where the recorder came."""
+
+Write = Callable[[str, bytes, int], None]
+
+
+class _Held(NamedTuple):
+    """A message that waits for those before it."""
+
+    name: str
+    data: bytes
+    now: int
+
+
+class RecorderPast:
+    """Holds the topics back until everything before is written, if there is something before."""
+
+    def __init__(self, node: Node, write: Write, known: Callable[[str], bool]) -> None:
+        """Prepare to ask.
+
+        Args:
+            node: the recorder.
+            write: writes a serialised message of a topic with its time, ns.
+            known: whether a topic is being recorded.
+        """
+        self._write, self._known = write, known
+        self._names = {short: node.resolve_topic_name(short) for short in (SAMPLE, MATCH, SCORE)}
+        self._client = node.create_client(Past, PAST)
+        self._held: list[_Held] | None = []
+        self._until: int | None = None  # index of the first sample that came live
+        self._next = self._matches = self._scores = 0
+        self._said: set[bytes] = set()
+        self._asked: Any = None
+        self._since = 0.0
+        self._timer = node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def take(self, name: str, data: bytes, now: int) -> bool:
+        """Whether a message may be written at once; otherwise it is, later."""
+        if self._held is None or name not in self._names.values():
+            return True
+        self._held.append(_Held(name, bytes(data), now))
+        if name == self._names[SAMPLE] and self._until is None:
+            self._until, self._since = decode_sample(bytes(data)).index, time.monotonic()
+            if self._until == 0:
+                self._begin()
+        return False
+
+    def finish(self) -> None:
+        """Write what is held: nothing more will come."""
+        if self._held is not None:
+            self._begin()
+
+    def _look(self) -> None:
+        if self._held is None or self._until is None:
+            return
+        if time.monotonic() - self._since > PATIENCE:
+            self._begin()
+        elif (
+            self._asked is None
+            and self._client.service_is_ready()
+            and all(map(self._known, self._names.values()))
+        ):
+            question = Past.Request(
+                first=self._next, count=self._until - self._next, matches=self._matches, scores=self._scores
+            )
+            self._asked = self._client.call_async(question)
+            self._asked.add_done_callback(self._on_answer)
+
+    def _on_answer(self, future: Any) -> None:
+        if future is not self._asked or self._held is None or self._until is None:
+            return
+        self._asked = None
+        answer = future.result()
+        if answer is None:
+            return
+        samples = list(samples_of_answer(answer))
+        for sample in samples:
+            self._write(self._names[SAMPLE], encode_sample(sample), sample.stamp)
+            self._next = sample.index + 1
+        for name, messages in ((MATCH, answer.match), (SCORE, answer.score)):
+            for message in messages:
+                data = serialize_message(message)
+                self._said.add(data)
+                self._write(self._names[name], data, nanoseconds(message.header.stamp))
+        self._matches += len(answer.match)
+        self._scores += len(answer.score)
+        if samples or answer.match or answer.score:
+            self._since = time.monotonic()
+        said = self._matches >= answer.matches_heard and self._scores >= answer.scores_heard
+        if said and (self._next >= self._until or (not samples and answer.heard > self._until)):
+            self._begin()
+
+    def _begin(self) -> None:
+        """Write what was held, but for what the keeper had heard too, and hold nothing from now on."""
+        held, self._held = self._held or [], None
+        self._timer.cancel()
+        for name, data, now in held:
+            kind = {self._names[MATCH]: Match, self._names[SCORE]: ModelScore}.get(name)
+            if kind is None or serialize_message(deserialize_message(data, kind)) not in self._said:
+                self._write(name, data, now)
+        self._said.clear()

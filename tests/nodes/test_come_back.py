@@ -1,0 +1,126 @@
+"""A twin that was shot or stopped says what it would have said: all of it, once, bit for bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.processes import Process
+from tests.support.ros import Listener
+from twinmatch.judging.verification import verify_session
+from twinmatch.nodes.conversions import match_from, verdict_from
+from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.signals import Sample
+from twinmatch.twin import Outcome, Twin, TwinSettings
+from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def offline(steps: list[Sample]) -> list[Outcome]:
+    """What the core makes of the samples."""
+    twin = Twin(TwinSettings())
+    return [twin.push(sample) for sample in steps]
+
+
+class Run:
+    """Player, twin and recorder, and what is heard of them."""
+
+    def __init__(
+        self, start: Callable[..., Process], listener: Listener, session: Path, folder: Path, rate: float
+    ) -> None:
+        self.listener, self._start = listener, start
+        self.scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
+        self.matches = listener.hear(Match, "twin/match", EVERYTHING)
+        self.states = listener.hear(TwinState, "twin/state", EVERYTHING)
+        self.forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
+        self.folder = folder / "recorded"
+        self.recorder = start("recorder", "-p", f"folder:={folder}", "-p", f"name:={self.folder.name}")
+        self.twin = start("twin")
+        topics = ("twin/match", "twin/model_score", "twin/state", "twin/forecast")
+        listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the twin")
+        readers = "readers:=twin_simulator discriminator keeper recorder"
+        start(
+            "player",
+            "-p",
+            f"session:={session}",
+            "-p",
+            f"rate:={rate}",
+            "-p",
+            readers,
+            "-p",
+            "wait_timeout:=60.0",
+        )
+
+    def until_state(self, index: int) -> None:
+        self.listener.spin_until(lambda: self.states and self.states[-1].index >= index, f"sample {index}")
+
+    def shoot(self) -> None:
+        self.twin.kill()
+        self.twin = self._start("twin")
+
+    def stand_still(self, seconds: float) -> None:
+        self.twin.freeze()
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.listener.spin_once()
+        self.twin.thaw()
+
+    def check(self, steps: list[Sample], offline: list[Outcome]) -> None:
+        """Everything was said that is said offline, and nothing twice."""
+        verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
+        matches = [outcome.match for outcome in offline if outcome.match is not None]
+        self.listener.spin_until(
+            lambda: len(self.scores) >= len(verdicts) and len(self.states) >= len(steps),
+            lambda: (
+                f"{len(self.scores)} of {len(verdicts)} verdicts, {len(self.states)} of {len(steps)} states"
+            ),
+        )
+        assert [repr(verdict_from(m)) for m in self.scores] == [repr(v) for v in verdicts]
+        assert [repr(match_from(m)) for m in self.matches] == [repr(m) for m in matches]
+        assert [state.index for state in self.states] == [sample.index for sample in steps]
+        last = steps[-1].index
+        self.listener.spin_until(lambda: self.forecasts[-1].sample == last, "the last forecast")
+        foretold = [forecast.sample for forecast in self.forecasts]
+        assert foretold == list(range(foretold[0], last + 1))
+
+    def verify(self) -> Any:
+        self.recorder.end()
+        return verify_session(self.folder)
+
+
+@pytest.fixture
+def begin(
+    start: Callable[..., Process], listener: Listener, session: Path, tmp_path: Path
+) -> Callable[[float], Run]:
+    return lambda rate: Run(start, listener, session, tmp_path, rate)
+
+
+def test_a_twin_that_is_shot_again_and_again_comes_back(
+    begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
+) -> None:
+    run = begin(15.0)
+    for index in (40, 150, 260, 400):
+        run.until_state(index)
+        run.shoot()
+    run.check(steps, offline)
+    found = run.verify()
+    assert found.identical, found.difference
+    assert found.verdicts == sum(len(outcome.verdicts) for outcome in offline)
+
+
+def test_a_twin_that_stood_still_is_given_what_it_missed(
+    begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
+) -> None:
+    run = begin(20.0)
+    run.until_state(100)
+    run.stand_still(10.0)
+    run.until_state(500)
+    run.stand_still(10.0)
+    run.check(steps, offline)
+    assert run.verify().identical
