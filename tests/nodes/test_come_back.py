@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.support.processes import Process
 from tests.support.ros import Listener
-from twinmatch.judging.verification import verify_session
+from twinmatch.judging.verification import Verification, verify_session
 from twinmatch.nodes.conversions import match_from, verdict_from
 from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.sessions import read_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
 from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
@@ -39,8 +39,9 @@ class Run:
         self.matches = listener.hear(Match, "twin/match", EVERYTHING)
         self.states = listener.hear(TwinState, "twin/state", EVERYTHING)
         self.forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
-        self.folder = folder / "recorded"
-        self.recorder = start("recorder", "-p", f"folder:={folder}", "-p", f"name:={self.folder.name}")
+        self._folder = folder
+        self.folders: list[Path] = []
+        self.record()
         self.twin = start("twin")
         topics = ("twin/match", "twin/model_score", "twin/state", "twin/forecast")
         listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the twin")
@@ -56,6 +57,12 @@ class Run:
             "-p",
             "wait_timeout:=60.0",
         )
+
+    def record(self) -> None:
+        """Start a recorder with a folder of its own."""
+        self.folders.append(self._folder / f"recorded_{len(self.folders) + 1}")
+        given = "-p", f"folder:={self._folder}", "-p", f"name:={self.folders[-1].name}"
+        self.recorder = self._start("recorder", *given)
 
     def until_state(self, index: int) -> None:
         self.listener.spin_until(lambda: self.states and self.states[-1].index >= index, f"sample {index}")
@@ -89,9 +96,9 @@ class Run:
         foretold = [forecast.sample for forecast in self.forecasts]
         assert foretold == list(range(foretold[0], last + 1))
 
-    def verify(self) -> Any:
+    def verify(self) -> list[Verification]:
         self.recorder.end()
-        return verify_session(self.folder)
+        return [verify_session(folder) for folder in self.folders]
 
 
 @pytest.fixture
@@ -109,7 +116,7 @@ def test_a_twin_that_is_shot_again_and_again_comes_back(
         run.until_state(index)
         run.shoot()
     run.check(steps, offline)
-    found = run.verify()
+    (found,) = run.verify()
     assert found.identical, found.difference
     assert found.verdicts == sum(len(outcome.verdicts) for outcome in offline)
 
@@ -123,4 +130,23 @@ def test_a_twin_that_stood_still_is_given_what_it_missed(
     run.until_state(500)
     run.stand_still(10.0)
     run.check(steps, offline)
-    assert run.verify().identical
+    (found,) = run.verify()
+    assert found.identical, found.difference
+
+
+def test_a_recorder_that_is_shot_leaves_sessions_that_verify(
+    begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
+) -> None:
+    """Each of them from its beginning; the last one has everything."""
+    run = begin(15.0)
+    for index in (100, 330, 480):
+        run.until_state(index)
+        run.recorder.kill()
+        run.record()
+    run.until_state(560)
+    run.shoot()
+    run.check(steps, offline)
+    found = run.verify()
+    assert [one.difference for one in found] == [None] * 4
+    assert found[-1].verdicts == sum(len(outcome.verdicts) for outcome in offline)
+    assert read_session(run.folders[-1]).samples == steps

@@ -21,6 +21,8 @@ LOOK = 0.05
 """Wall seconds between two looks for something missing."""
 PATIENCE = 3.0
 """Wall seconds without anything new after which a node does without what is missing."""
+NONE = 2**64 - 1
+"""As many verdicts as nobody has said: none of them is wanted."""
 MOST_WAITING = 4000
 """Samples that may wait for the worker before more are asked for."""
 
@@ -67,7 +69,7 @@ class CatchingUp:
                 self._since = now  # the worker is busy with what was fetched
                 return
             count = 0 if self._fresh else missing.last + 1 - missing.first
-            question = Past.Request(first=missing.first, count=count, matches=self._matches)
+            question = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
             self._asked = self._client.call_async(question)
             self._asked.add_done_callback(self._on_answer)
 

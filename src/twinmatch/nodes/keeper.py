@@ -28,7 +28,8 @@ PAST = "plant/past"
 """Name of the service."""
 MOST_SAMPLES = 2000
 """In one answer: some milliseconds of work."""
-MOST_MATCHES = 20
+MOST_MESSAGES = 20
+"""Matches and verdicts in one answer, each."""
 
 LINGER = 2.0
 """Wall seconds after a question in which another may come: whoever asks is not left alone."""
@@ -37,14 +38,11 @@ _EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=Reliability
 
 
 class Keeper(TwinmatchNode):
-    """Hears samples and matches, and counts what else a twin says, from the session's first sample on."""
+    """Hears samples and what a twin says of them, from the session's first sample on."""
 
     NAME = "keeper"
-    COUNTED: ClassVar = {
-        "twin/model_score": ModelScore,
-        "twin/forecast": Forecast,
-        "twin/state": TwinState,
-    }
+    KEPT: ClassVar = {"twin/match": Match, "twin/model_score": ModelScore}
+    COUNTED: ClassVar = {"twin/forecast": Forecast, "twin/state": TwinState}
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
@@ -54,13 +52,12 @@ class Keeper(TwinmatchNode):
     def open(self) -> None:
         """Listen and offer the service."""
         self._shelf = Shelf()
-        self._matches = Texts()
-        self._asked_at = -LINGER
+        self._texts = {name: Texts() for name in self.KEPT}
         self._counts = dict.fromkeys(self.COUNTED, 0)
+        self._asked_at = -LINGER
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, _EVERYTHING)
-        self.create_subscription(Match, "twin/match", self._on_match, _EVERYTHING, raw=True)
-        for name, kind in self.COUNTED.items():
-            self.create_subscription(kind, name, partial(self._on_other, name), _EVERYTHING, raw=True)
+        for name, kind in (self.KEPT | self.COUNTED).items():
+            self.create_subscription(kind, name, partial(self._on_said, name), _EVERYTHING, raw=True)
         self.create_service(Past, PAST, self._on_question)
         self.health.say("keeping")
         self.report_on()
@@ -68,14 +65,16 @@ class Keeper(TwinmatchNode):
     def report(self) -> Report:
         """How much there is."""
         self.health.set("samples", len(self._shelf))
-        self.health.set("matches", len(self._matches))
+        for name, texts in self._texts.items():
+            self.health.set(name, len(texts))
         return super().report()
 
     def close(self) -> bool:
         """Let go of the files."""
         if hasattr(self, "_shelf"):
             self._shelf.close()
-            self._matches.close()
+            for texts in self._texts.values():
+                texts.close()
         return True
 
     def _on_sample(self, message: LoopSample) -> None:
@@ -91,14 +90,15 @@ class Keeper(TwinmatchNode):
     def _begin(self, disturbances: int) -> None:
         """Another session begins: what was said about the one before is none of its past."""
         self.close()
-        self._shelf, self._matches = Shelf(disturbances), Texts()
+        self._shelf = Shelf(disturbances)
+        self._texts = {name: Texts() for name in self.KEPT}
         self._counts = dict.fromkeys(self.COUNTED, 0)
 
-    def _on_match(self, data: bytes) -> None:
-        self._matches.push(data)
-
-    def _on_other(self, name: str, _: bytes) -> None:
-        self._counts[name] += 1
+    def _on_said(self, name: str, data: bytes) -> None:
+        if name in self._texts:
+            self._texts[name].push(bytes(data))
+        else:
+            self._counts[name] += 1
 
     @property
     def busy(self) -> bool:
@@ -112,10 +112,12 @@ class Keeper(TwinmatchNode):
         for name in ("index", "stamp", "reference", "output", "input"):
             setattr(answer, name, rows[name].tolist())
         answer.disturbances = rows["disturbances"].ravel().tolist()
-        answer.match = [
-            deserialize_message(data, Match) for data in self._matches.since(request.matches, MOST_MATCHES)
+        matches, scores = self._texts.values()
+        answer.match = [deserialize_message(d, Match) for d in matches.since(request.matches, MOST_MESSAGES)]
+        answer.score = [
+            deserialize_message(d, ModelScore) for d in scores.since(request.scores, MOST_MESSAGES)
         ]
-        answer.matches_heard = len(self._matches)
-        answer.scores_heard, answer.forecasts_heard, answer.states_heard = self._counts.values()
+        answer.matches_heard, answer.scores_heard = len(matches), len(scores)
+        answer.forecasts_heard, answer.states_heard = self._counts.values()
         self.health.count("questions")
         return answer

@@ -19,6 +19,7 @@ from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.recorder_arrivals import Arrivals
+from twinmatch.nodes.recorder_past import RecorderPast
 from twinmatch.nodes.recorder_settings import Settings
 from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
 from twinmatch.nodes.runner import run
@@ -82,6 +83,7 @@ class RecorderNode(TwinmatchNode):
         self._left = threading.Event()
         self.worker = Worker(self._do, self.health, backlog=5000)
         self._settings = Settings(self, self._on_record)
+        self._past = RecorderPast(self, self._keep, self._readers.__contains__)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK, self._on_look, clock=steady)
         self.create_timer(FLUSH, partial(self.worker.put, self._recording.flush), clock=steady)
@@ -110,6 +112,7 @@ class RecorderNode(TwinmatchNode):
             return True
         self.report_now()
         if self.failure is None:
+            self._past.finish()
             self.worker.put(self._leave)
             if not self._left.wait(LEAVE) and self.failure is None:
                 print("recorder: ended before everything was written; run twinmatch repair", file=sys.stderr)
@@ -184,13 +187,18 @@ class RecorderNode(TwinmatchNode):
 
     def _on_message(self, name: str, data: bytes) -> None:
         self._arrivals[name].push(time.monotonic())
+        now = self.get_clock().now().nanoseconds
+        if self._past.take(name, data, now):
+            self._keep(name, data, now)
+
+    def _keep(self, name: str, data: bytes, now: int) -> None:
         if self._taken - self._written > MOST_WAITING:
             self._dropped += 1
             text = f"{self._dropped} messages were dropped: the disk does not keep up"
             self.health.complain("dropped", Level.ERROR, text)
             return
         self._taken += len(data)
-        self._put(partial(self._write, name, data, self.get_clock().now().nanoseconds))
+        self._put(partial(self._write, name, data, now))
 
     def _on_lost(self, name: str, event: Any) -> None:
         self._arrivals[name].lost += event.total_count_change

@@ -66,6 +66,8 @@ class RecorderPast:
         """Whether a message may be written at once; otherwise it is, later."""
         if self._held is None or name not in self._names.values():
             return True
+        if not self._held:
+            self._since = time.monotonic()
         self._held.append(_Held(name, bytes(data), now))
         if name == self._names[SAMPLE] and self._until is None:
             self._until, self._since = decode_sample(bytes(data)).index, time.monotonic()

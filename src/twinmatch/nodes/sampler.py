@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.foreign_topics import ForeignTopics
+from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import TwinmatchNode, missing_readers
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
@@ -236,7 +237,7 @@ def _ahead(topic: str, nanos: int) -> str:
 
 def main() -> None:
     """Console script."""
-    sys.exit(run([SamplerNode]))
+    sys.exit(run([SamplerNode, Keeper]))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 
 from twinmatch.nodes.controller import ControllerNode
+from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.plant_pace import PlantPace
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.tclab_bridge import TCLabBridge
@@ -17,7 +18,7 @@ __all__ = ["main"]
 
 def main() -> None:
     """Console script."""
-    sys.exit(run([TCLabBridge, ControllerNode, PlantPace]))
+    sys.exit(run([TCLabBridge, ControllerNode, PlantPace, Keeper]))
 
 
 if __name__ == "__main__":
