@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from contextlib import closing
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,27 +25,27 @@ def test_rows_are_the_samples_with_these_indices(
     steps: list[int], begin: int, wish: tuple[int, int, int], width: int, data: st.DataObject
 ) -> None:
     first, count, most = wish
-    shelf, samples, index = Shelf(width), [], begin
-    for step in steps:
-        values = data.draw(st.tuples(numbers, numbers, numbers))
-        extra = data.draw(st.lists(numbers, min_size=width, max_size=width))
-        samples.append(Sample(index, index * 1000, *values, tuple(extra)))
-        shelf.push(samples[-1])
-        index += step
-    assert len(shelf) == len(samples)
-    assert shelf.end == (samples[-1].index + 1 if samples else 0)
-    first = max(0, begin - 20) + first
-    wanted = [s for s in samples if first <= s.index < first + count][:most]
-    rows = shelf.rows(first, count, most)
-    found = [
-        Sample(
-            *(row[n].item() for n in ("index", "stamp", "reference", "output", "input")),
-            tuple(row["disturbances"]),
-        )
-        for row in rows
-    ]
-    assert found == wanted
-    shelf.close()
+    samples, index = [], begin
+    with closing(Shelf(width)) as shelf:  # an example may end in the middle
+        for step in steps:
+            values = data.draw(st.tuples(numbers, numbers, numbers))
+            extra = data.draw(st.lists(numbers, min_size=width, max_size=width))
+            samples.append(Sample(index, index * 1000, *values, tuple(extra)))
+            shelf.push(samples[-1])
+            index += step
+        assert len(shelf) == len(samples)
+        assert shelf.end == (samples[-1].index + 1 if samples else 0)
+        first = max(0, begin - 20) + first
+        wanted = [s for s in samples if first <= s.index < first + count][:most]
+        rows = shelf.rows(first, count, most)
+        found = [
+            Sample(
+                *(row[n].item() for n in ("index", "stamp", "reference", "output", "input")),
+                tuple(row["disturbances"]),
+            )
+            for row in rows
+        ]
+        assert found == wanted
 
 
 @given(st.lists(st.binary(max_size=30), max_size=20), st.integers(0, 25), st.integers(0, 25))
