@@ -50,6 +50,13 @@ def test_a_step_test_is_judged_as_set_points_are() -> None:
     assert [(t.window.first, t.window.last) for t in found] == [(0, 229), (0, 230 + SPAN)]
 
 
+def test_one_level_without_the_way_to_it_has_to_wait() -> None:
+    """An input that jumps as the session begins did not rest before: its regime lasts for `span` samples."""
+    found = excited(steps((0.0, 5), (50.0, 195), (20.0, 200), (80.0, 200), (0.0, 10)))
+    assert [t.sample for t in found] == [5 + SPAN, 600]
+    assert np.unique(found[0].window.input).size == 3
+
+
 def test_a_window_begins_where_the_input_had_rested() -> None:
     """At 1000 and more samples the first steps are out of reach: it begins before the oldest that is not."""
     found = excited(steps((0.0, 300), *((50.0, 350), (20.0, 350)) * 2, (80.0, 300)))

@@ -5,12 +5,12 @@ input have to be served by one rule: a step test, whose input stands still for m
 a controller that switches the drive on and off all the time.
 
 A movement of the input by `min_input_step` or more begins a regime. As with set-points, it is judged when the
-next movement ends it, if the input had come to rest before (`min_span` samples without a movement), or else
-`span` samples after it began; what moves meanwhile belongs to it. A driven twin needs no levels that a loop
-holds, and every sample that is still remembered tells it something, so the window reaches back as far as
-`capacity` allows. It prefers to begin `lead` samples before a movement out of rest, where the plant stood as
-still as its input: the twin starts there from rest. An input that never rests gives the newest `capacity`
-samples.
+next movement ends it, provided that it began and ended with an input at rest (`min_span` samples without a
+movement), so that the window holds two levels; or else `span` samples after it began. What moves meanwhile
+belongs to it. A driven twin needs no levels that a loop holds, and every sample that is still remembered
+tells it something, so the window reaches back as far as `capacity` allows. It prefers to begin `lead` samples
+before a movement out of rest, where the plant stood as still as its input: the twin starts there from rest.
+An input that never rests gives the newest `capacity` samples.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ class InputSchedule(Schedule):
     def _restart(self, sample: Sample) -> None:
         super()._restart(sample)
         self._newest = sample.index  # of the movements
+        self._from_rest = False  # whether the regime began out of rest
         # Movements out of rest; the record begins as if after one.
         self._rested: deque[int] = deque([sample.index + self.settings.lead])
 
@@ -59,12 +60,13 @@ class InputSchedule(Schedule):
     def _on_step(self, sample: Sample) -> Trigger | None:
         rested = sample.index - self._newest >= self.settings.min_span
         waits = self._step is not None and not self._judged
-        trigger = self._excited(sample.index, sample.index - 1) if rested and waits else None
+        ends = rested and waits and self._from_rest
+        trigger = self._excited(sample.index, sample.index - 1) if ends else None
         if rested:
             self._rested.append(sample.index)
         self._anchor, self._newest = sample.input, sample.index
         if trigger is not None or not waits:
-            self._step, self._judged = sample.index, False
+            self._step, self._judged, self._from_rest = sample.index, False, rested
         return trigger
 
     def _quiet(self) -> str:
