@@ -48,7 +48,7 @@ class AttachPlan(LivePlan):
 
     def wait_for(self, readers: str) -> list[str]:
         """As for a rig, but longer: one that runs by itself loses nothing while a twin is compiled."""
-        return ["-p", f"readers:={readers}", "-p", "readers_timeout:=180.0"]
+        return ["-p", f"{SAMPLER}:readers:={readers}", "-p", f"{SAMPLER}:readers_timeout:=180.0"]
 
 
 def attach_plan(

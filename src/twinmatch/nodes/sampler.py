@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Final
 
 from rclpy.clock import Clock, ClockType
@@ -92,6 +93,8 @@ class SamplerNode(TwinmatchNode):
         self._heard: dict[str, float] = {}
         self._missed_at = (0, 0)
         self._index = -1
+        self._first: int | None = None
+        """What the sampler calls the first sample that was published, which is sample 0."""
         self._waiting = True
         period = self.values["period"]
         self.create_timer(SEARCH, self._on_search, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -172,9 +175,11 @@ class SamplerNode(TwinmatchNode):
     def _on_look(self) -> None:
         for sample in self._sampler.look(self._now()):
             if self._readers_there():
-                self._publisher.publish(sample_message(sample, self._plant.name))
-                self._index = sample.index
-                self.health.set("sample", sample.index)
+                if self._first is None:
+                    self._first = sample.index
+                self._index = sample.index - self._first
+                self._publisher.publish(sample_message(replace(sample, index=self._index), self._plant.name))
+                self.health.set("sample", self._index)
                 self.health.say("sampling")
         missed, index = self._sampler.grid.missed, self._index
         if missed != self._missed_at[0]:
