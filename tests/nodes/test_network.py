@@ -20,17 +20,24 @@ from twinmatch.nodes.network import (
     sockets_elsewhere,
 )
 
+VERSIONS = {"fastrtps": "FASTRTPS_DEFAULT_PROFILES_FILE", "fastdds": "FASTDDS_DEFAULT_PROFILES_FILE"}
 
-def test_loopback_is_the_default() -> None:
+
+@pytest.mark.parametrize("folder", VERSIONS)
+def test_loopback_is_the_default(tmp_path: Path, folder: str) -> None:
+    """Of both profiles the one that the installed Fast DDS can parse."""
+    (tmp_path / "share" / folder).mkdir(parents=True)
     environment = {
         "HOME": "/",
+        "AMENT_PREFIX_PATH": f"/nowhere:{tmp_path}",
         "ROS_STATIC_PEERS": "10.0.0.1",
         "ROS_DISCOVERY_SERVER": "10.0.0.1:11811",
-        "FASTDDS_DEFAULT_PROFILES_FILE": "/elsewhere.xml",
+        **dict.fromkeys(PROFILES, "/elsewhere.xml"),
     }
     assert prepare(environment) is Network.LOOPBACK
-    for name, profile in PROFILES.items():
-        assert environment[name] == str(profile)
+    assert {name: environment[name] for name in PROFILES if name in environment} == {
+        VERSIONS[folder]: str(PROFILES[VERSIONS[folder]])
+    }
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
     assert "ROS_STATIC_PEERS" not in environment
     assert "ROS_DISCOVERY_SERVER" not in environment
@@ -47,7 +54,7 @@ def test_open_leaves_the_variables_and_says_so(capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize("name", PROFILES)
 def test_closed_when_a_profile_is_missing(tmp_path: Path, name: str) -> None:
     with pytest.raises(NetworkError, match=r"gone\.xml is missing, the nodes would talk"):
-        prepare({}, {**PROFILES, name: tmp_path / "gone.xml"})
+        prepare({"AMENT_PREFIX_PATH": "/nowhere"}, {**PROFILES, name: tmp_path / "gone.xml"})
 
 
 def test_both_profiles_say_the_same() -> None:

@@ -40,8 +40,11 @@ PROFILES = {
     "FASTRTPS_DEFAULT_PROFILES_FILE": Path(__file__).with_name("fastdds2_loopback.xml"),
     "FASTDDS_DEFAULT_PROFILES_FILE": Path(__file__).with_name("fastdds3_loopback.xml"),
 }
-"""Settings that bind Fast DDS to 127.0.0.1, by the variable that names them: the first is read by version 2
-(Jazzy), the second by version 3 (Kilted and later), and neither reads the other's."""
+"""Settings that bind Fast DDS to 127.0.0.1, by the variable that names them: the first is for version 2
+(Jazzy), the second for version 3 (Kilted and later), which still reads the other's variable and cannot parse
+its file."""
+VERSIONS = {"FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps", "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds"}
+"""Folder in `share/` that the version of each variable has."""
 
 DOMAIN = "ROS_DOMAIN_ID"
 LAST_DOMAIN = 232
@@ -95,7 +98,9 @@ def prepare(
             f"unset it, or write {VARIABLE}=open and restrict it yourself"
         )
         raise NetworkError(msg)
-    for name, profile in profiles.items():
+    for name in PROFILES:
+        environment.pop(name, None)
+    for name, profile in _installed(profiles, environment).items():
         if not profile.is_file():
             msg = (
                 f"network: {profile} is missing, the nodes would talk to the whole network; "
@@ -165,6 +170,19 @@ def _check_domain(value: str) -> None:
     if value and not (value.isascii() and value.isdigit() and int(value[:9]) <= LAST_DOMAIN):
         msg = f"network: {DOMAIN} is {value[:40]!r}; it must be a whole number from 0 to {LAST_DOMAIN}"
         raise NetworkError(msg)
+
+
+def _installed(profiles: Mapping[str, Path], environment: Mapping[str, str]) -> Mapping[str, Path]:
+    """Those for the version of Fast DDS that is there; all of them where none is found."""
+    prefixes = [
+        Path(prefix) for prefix in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix
+    ]
+    here = {
+        name: profile
+        for name, profile in profiles.items()
+        if any((prefix / "share" / VERSIONS[name]).is_dir() for prefix in prefixes)
+    }
+    return here or profiles
 
 
 def _find_wheels(environment: MutableMapping[str, str]) -> None:
