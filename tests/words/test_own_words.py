@@ -111,7 +111,7 @@ def test_a_page_speaks_of_the_plant(shown: Shown) -> None:
         state.push_verdict(verdict)
     say(state, judged.settings.gains)
     page.update()
-    text = lettering(document) + document.template_variables["title"]
+    text = lettering(document) + document.title
     shown.speaks_of_itself(text, shown.plant.title, *shown.words, f"plant − twin / {shown.words[1]}")
 
 

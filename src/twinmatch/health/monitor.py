@@ -43,24 +43,22 @@ class Monitor:
     """Watches one plant.
 
     Feed it every sample once, in order, with the parameters of the nominal twin as it stands, or None as
-    long as there is none. A gap in the indices or in the stamps starts the traces anew and keeps what was
-    learned: a time in which nobody looked says nothing about the plant.
+    long as there is none. Of a plant whose file calls no parameters typical, nothing is said about the drive
+    and about slow changes before there is one: defaults are where a search begins, not what is known.
+
+    A gap in the indices or in the stamps starts the traces anew and keeps what was learned: a time in which
+    nobody looked says nothing about the plant.
     """
 
     def __init__(self, settings: HealthSettings | None = None) -> None:
         """Begin with nothing seen."""
         self.settings = settings or HealthSettings()
-        period = self.settings.period
-        self._balance = Balance(self.settings.reference, period)
-        noise = self._balance.noise
-        reference = self.settings.reference
-        self._late = Answer(reference, period) if answers_late(reference, period) else None
-        """Of a plant that the drive moves only after many samples."""
-        self._effect: Effect | Answer = self._late or Effect(period, noise)
+        self._known = bool(self.settings.reference.model.plant.typical)
+        """Whether it is known, if only roughly, what the drive does to this plant."""
+        self._words = Words(self.settings.reference.model.plant, self.settings.period)
+        self._lag = Lag(self.settings.period)
+        self._begin_with(self.settings)
         self._repeats = self._new_repeats()
-        self._lag = Lag(period)
-        self._words = Words(self.settings.reference.model.plant, period)
-        self._slow = Slow(self.settings, self._words)
         self._given: Parameters | None = None
         self._untried = 0  # blocks until the parameters given are tried again
         self._before: Sample | None = None
@@ -72,6 +70,15 @@ class Monitor:
         self._alarms: deque[Alarm] = deque(maxlen=_KEPT)
         self._open = False  # whether the last alarm goes on
         self._slowly = False  # whether a slow change raised it
+
+    def _begin_with(self, settings: HealthSettings) -> None:
+        """Judge what the drive does by the settings' twin."""
+        twin, period = settings.reference, settings.period
+        self._balance = Balance(twin, period)
+        self._late = Answer(twin, period) if answers_late(twin, period) else None
+        """Of a plant that the drive moves only after many samples."""
+        self._effect: Effect | Answer = self._late or Effect(period, self._balance.noise)
+        self._slow = Slow(settings, self._words)
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
@@ -93,7 +100,10 @@ class Monitor:
         self._index = sample.index
         if parameters is not self._given:
             self._given, self._untried = parameters, 0
-            if self._late is not None and parameters is not None:
+            if not self._known and parameters is not None:
+                self._known = True
+                self._begin_with(replace(self.settings, reference=parameters))
+            elif self._late is not None and parameters is not None:
                 self._late.take(parameters)
         if self._possible(sample):
             finding = self._look(sample)
@@ -152,6 +162,9 @@ class Monitor:
         if before is None:
             return None
         movement = self._balance.step(before, sample.output)
+        if not self._known:
+            self._repeats.push(sample.output - before.output, movement)
+            return self._words.frozen(sample, self._repeats) if self._repeats.stands else None
         stood = self._repeats.stands
         after = movement
         if self._late is not None:

@@ -58,9 +58,13 @@ class HealthSettings:
 
     @property
     def followed(self) -> Parameters:
-        """Where the plant begins to be followed: its typical parameters in the structure its file names."""
+        """Where the plant begins to be followed, in the structure its file names: at what it calls
+        typical, or at the values of `reference` where it calls nothing so."""
         plant = self.reference.model.plant
-        return plant.model(plant.followed or None).typical()
+        model = plant.model(plant.followed or None)
+        if plant.typical:
+            return model.typical()
+        return model.parameters(**{n: v for n, v in self.reference.items() if n in model.declared})
 
     @classmethod
     def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:
