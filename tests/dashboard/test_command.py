@@ -27,7 +27,7 @@ def test_it_prints_its_address_and_stays_on_this_machine(page_process: Callable[
 
 
 @pytest.mark.parametrize(
-    ("options", "able"), [((), "but command nothing"), (("--control",), "and command the rig")]
+    ("options", "able"), [((), "but command nothing"), (("--control",), "and command the plant")]
 )
 def test_an_open_page_says_so(page_process: Callable[..., Any], options: tuple[str, ...], able: str) -> None:
     page = page_process("--address", "0.0.0.0", *options)

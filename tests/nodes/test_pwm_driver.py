@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -127,29 +126,6 @@ def test_a_command_is_repeated_and_its_effect_told(bench: Bench) -> None:
     assert applied is not None
     assert (applied.pwm, applied.flags, sample) == (120, Flags.ENABLED, 42)
     bench.drive(-80.0)
-
-
-def stand_still(seconds: float) -> None:
-    """Stop this process, as a suspended machine does, and let it go on."""
-    me = os.getpid()
-    subprocess.run(["sh", "-c", f"(kill -STOP {me}; sleep {seconds}; kill -CONT {me}) &"], check=True)
-    time.sleep(seconds)
-
-
-def test_a_process_that_stood_still_goes_on_where_it_was(stand_in: Bench) -> None:
-    stand_in.drive(120.0)
-    stand_still(4.0)  # longer than a controller may be silent
-    stand_in.until(lambda: stand_in.board.drive().pwm == pytest.approx(120.0, abs=0.16))
-    assert stand_in.gate.fault is None
-    assert "standstills of this process" in str(stand_in.health.report())
-
-
-def test_a_controller_that_is_silent_after_a_standstill_is_not_obeyed(stand_in: Bench) -> None:
-    stand_in.drive(120.0)
-    stand_in.pwm = None
-    stand_still(2.0)
-    stand_in.until(lambda: stand_in.board.drive().pwm == 0.0)
-    stand_in.stays_at_zero()
 
 
 def test_silence_is_zero_first_and_then_off_and_a_new_command_wakes_it(bench: Bench) -> None:

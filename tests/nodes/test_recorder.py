@@ -103,6 +103,11 @@ def wait_for_recorded(folder: Path, **counts: int) -> None:
     wait_for(enough, lambda: str(written(folder)))
 
 
+def fields_of(schema: str) -> list[str]:
+    """Its lines without comments."""
+    return [line for line in (raw.split("#")[0].strip() for raw in schema.splitlines()) if line]
+
+
 def test_everything_is_recorded_as_it_was_sent(record: Record, rig: Rig, tmp_path: Path) -> None:
     rig.references.publish(Float64(data=40.0))
     process = record()
@@ -137,7 +142,9 @@ def test_everything_is_recorded_as_it_was_sent(record: Record, rig: Rig, tmp_pat
     assert qos["/plant/temperature"] == ("best_effort", "volatile")
     assert qos["/plant/reference"] == ("reliable", "transient_local")
     (sample,) = [topic for topic in session.topics if topic.name == "/plant/sample"]
-    assert (sample.schema, sample.type_hash) == (SAMPLE.schema, SAMPLE.type_hash)
+    # Releases of ROS 2 comment on their own types in other words.
+    assert fields_of(sample.schema) == fields_of(SAMPLE.schema)
+    assert sample.type_hash == SAMPLE.type_hash
 
 
 def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Record, rig: Rig, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from twinmatch.dynamics import Pid, Plant, PlantError
 from twinmatch.nodes.controller_parameters import controller_table, profile_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.loop_parameters import pid_gains
-from twinmatch.nodes.node import TwinmatchNode, missing_readers
+from twinmatch.nodes.node import TwinmatchNode, count_readers, missing_readers
 from twinmatch.nodes.parameters import Parameter, ParameterError
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_message
@@ -167,7 +167,7 @@ class ControllerNode(TwinmatchNode):
         """Whether those who must not miss a sample listen, or were waited for long enough."""
         if self._waiting_until is None:
             return True
-        wanted, found = self.values["wait_for"], self._samples.get_subscription_count()
+        wanted, found = self.values["wait_for"], count_readers(self, self._samples.topic_name)
         missing = missing_readers(self, self._samples.topic_name, self.values["readers"])
         if (found < wanted or missing) and time.monotonic() < self._waiting_until:
             return False

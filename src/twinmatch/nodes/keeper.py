@@ -14,7 +14,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from twinmatch.nodes.diagnostics import Level, Report
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.node import KEEPER, TwinmatchNode
 from twinmatch.nodes.parameters import BUILT_IN, Parameter
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.sessions.shelf import Shelf, Texts
@@ -40,7 +40,7 @@ _EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=Reliability
 class Keeper(TwinmatchNode):
     """Hears samples and what a twin says of them, from the session's first sample on."""
 
-    NAME = "keeper"
+    NAME = KEEPER
     KEPT: ClassVar = {"twin/match": Match, "twin/model_score": ModelScore}
     COUNTED: ClassVar = {"twin/forecast": Forecast, "twin/state": TwinState}
 

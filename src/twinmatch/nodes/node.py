@@ -13,7 +13,10 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.diagnostics import Health, Report, Reporter
 from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
 
-__all__ = ["READERS", "TwinmatchNode", "declare", "missing_readers"]
+__all__ = ["KEEPER", "READERS", "TwinmatchNode", "count_readers", "declare", "missing_readers"]
+
+KEEPER = "keeper"
+"""Name of the node that keeps what is heard of a run."""
 
 READERS = Parameter(
     "readers", "", "Nodes to wait for that must have every plant/sample, by name, with spaces."
@@ -96,6 +99,11 @@ class TwinmatchNode(Node):
     def close(self) -> bool:
         """End the node's threads; whether they all did."""
         return True
+
+
+def count_readers(node: Node, topic: str) -> int:
+    """How many read a topic; the keeper beside whoever publishes it is always there and does not count."""
+    return sum(info.node_name != KEEPER for info in node.get_subscriptions_info_by_topic(topic))
 
 
 def missing_readers(node: Node, topic: str, wanted: str) -> list[str]:

@@ -107,13 +107,6 @@ class OutputGate:
             self._guard.clear()
             return fault
 
-    def rest(self) -> None:
-        """Wait for a new command and temperature, because this process stood still; a fault stays."""
-        with self._news:
-            _, times = self._now()
-            self._safety_clock.look_anew(times.wall)
-            self._guard.rest()
-
     def decide(self) -> Decision:
         """What may be sent now. Nothing is armed while the plant's clock stands still."""
         with self._news:

@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.node import READERS, TwinmatchNode, missing_readers
+from twinmatch.nodes.node import READERS, TwinmatchNode, count_readers, missing_readers
 from twinmatch.nodes.pace import Pace
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
@@ -178,12 +178,12 @@ class Player(TwinmatchNode):
         publisher = self._publishers_of[self._session.topic]
         wanted, timeout = self.values["wait_for"], self.values["wait_timeout"]
         deadline = time.monotonic() + timeout
-        while publisher.get_subscription_count() < wanted or self._missing(publisher):
+        while count_readers(self, publisher.topic_name) < wanted or self._missing(publisher):
             if self._ending:
                 return False
             if time.monotonic() > deadline:
                 self._complain_of(self._missing(publisher), publisher.topic_name)
-                found = publisher.get_subscription_count()
+                found = count_readers(self, publisher.topic_name)
                 msg = (
                     f"player: {found} of {wanted} readers of {publisher.topic_name} came within "
                     f"{timeout:g} s; start them first, or lower wait_for"

@@ -34,12 +34,6 @@ Tell = Callable[[Applied | None, int], None]
 IDLE = 0.25
 """Seconds of the wall clock between two questions to a board that is not driven."""
 
-SHORTEST_ABSENCE = 1.0
-"""Seconds between two turns of the thread, of which it makes many in a second, after which the process
-itself is taken to have stood still …"""
-LONGEST_ABSENCE = 60.0
-"""… up to this; a longer one is for a person to look into."""
-
 
 @dataclass(frozen=True)
 class DriverSettings:
@@ -84,7 +78,6 @@ class PwmDriver:
         self._sent_at = 0.0
         self._asked_at = 0.0
         self._attempts = 0
-        self._turned_at: float | None = None  # monotonic; None while the link is down
         self._thread = threading.Thread(target=self._run, name="pwm driver", daemon=True)
 
     def start(self) -> None:
@@ -160,7 +153,6 @@ class PwmDriver:
         if self._clear_wanted.is_set():
             self._link.clear()
             self._clear_wanted.clear()
-        self._notice_standstill()
         decision = self._gate.decide()
         if decision.armed:
             due = decision.time - self._sent_at >= self._settings.repeat
@@ -176,19 +168,6 @@ class PwmDriver:
             self._tell(self._link.query(), decision.sample)
             return
         self._gate.wait(self._settings.poll)
-
-    def _notice_standstill(self) -> None:
-        """Where the process was stopped, or the machine slept, the board has switched off by itself.
-
-        What was heard last is old then, and no fault of the rig: nothing is latched, but nothing passes
-        either until a new command and a new temperature have come.
-        """
-        now, before = time.monotonic(), self._turned_at
-        self._turned_at = now
-        if before is not None and SHORTEST_ABSENCE < now - before < LONGEST_ABSENCE:
-            self._gate.rest()
-            self._driving = False
-            self._health.count("standstills of this process")
 
     def _drive(self, decision: Decision) -> None:
         if not self._driving:
@@ -222,7 +201,6 @@ class PwmDriver:
         if self._driving:
             self._gate.trip(FaultKind.LINK, str(error))
         self._driving = self.connected = False
-        self._turned_at = None
         self._health.count(type(error).__name__)
         self._health.complain("link", Level.ERROR, str(error))
         self._link.close()

@@ -55,11 +55,6 @@ class SafetyClock:
         """Whether the clock stands still."""
         return self.standing > self.limits.patience
 
-    def look_anew(self, wall: int) -> None:
-        """Nobody looked for a while: the clock is given its patience again from `wall` (ns) on."""
-        if self._seen is not None:
-            self._seen, self.standing = wall, 0.0
-
     def read(self, plant: int, wall: int) -> float:
         """The time now, s, from the plant's clock and a monotonic wall clock (both ns)."""
         if self._plant is not None:

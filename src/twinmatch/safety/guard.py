@@ -161,17 +161,13 @@ class OutputGuard:
             self._armed = not (silent or stale)
         return self._command.value if self._armed else 0.0
 
-    def rest(self) -> None:
-        """Let nothing through until a new command and temperature arrive; a fault stays."""
+    def clear(self) -> None:
+        """Forget the fault; the output stays at zero until a new command and temperature arrive."""
+        self.fault = None
         self._runaway.reset()
         self._command = _Input()
         self._temperature = _Input()
         self._armed = False
-
-    def clear(self) -> None:
-        """Forget the fault; the output stays at zero until a new command and temperature arrive."""
-        self.fault = None
-        self.rest()
 
 
 class _Input:
