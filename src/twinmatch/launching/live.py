@@ -40,7 +40,7 @@ READERS = "twin_simulator discriminator keeper live_watch"
 """Nodes that must have every sample, and the recorder if there is one."""
 
 POLL = 0.1
-DISCOVERY = 1.0
+DISCOVERY = 2.0
 """Seconds in which a graph that runs already is found."""
 SETTLE = 60.0
 """Longest wait for the verdicts that are still due when the profile has ended, s."""

@@ -23,7 +23,10 @@ KEPT_IN = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
 }
 """The page's other table."""
-LIVE = ("/thermal/", "/plant/pwm", "/plant/uniformity")
+LIVE = (
+    "/thermal/",
+    *(f"/plant/{name}" for name in ("pwm", "uniformity", "reading", "command", "applied")),
+)
 """Topics that only a live rig has."""
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 ROW = re.compile(r"^\| `([/\w]+)` \| `(\w+)/(\w+)` \|([^|]*)\|([^|]*)\|[^|]*\|$", re.MULTILINE)
