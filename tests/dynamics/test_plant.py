@@ -119,7 +119,7 @@ def test_faulty_equations_are_refused_in_words(change: dict[str, str], message: 
 
 
 def test_faulty_declarations_are_refused_in_words() -> None:
-    with pytest.raises(PlantError, match=r"bounds \(2.0, 1.0\)"):
+    with pytest.raises(PlantError, match=r"is \(2.0, 1.0\); give two finite numbers that grow"):
         Parameter(default=1.0, bounds=(2.0, 1.0))
     for body, message in (
         ({}, "declares 0 of Drive; it needs one"),

@@ -173,7 +173,7 @@ def test_a_broken_description_is_one_line(
         ({"patience": "long"}, "takes a finite number"),
         ({"surprise": 1}, "it names 'surprise'"),
         ({"variables": {"temperature": "celsius"}}, "variables says nothing of pwm"),
-        ({"parameters": {"k": {"default": 1, "bounds": [2, 1]}}}, "must grow"),
+        ({"parameters": {"k": {"default": 1, "bounds": [2, 1]}}}, "numbers that grow"),
     ],
 )
 def test_a_map_that_is_wrong_is_told_so(exchange_fmu: Path, tmp_path: Path, changes, words: str) -> None:

@@ -91,7 +91,8 @@ def motor(kind: str = "") -> Monitor:
     return monitor
 
 
-def test_another_plant_is_judged_by_what_its_file_says() -> None:
+def test_another_plant_is_judged_by_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Motor, "typical", {"k": 0.05})
     assert motor().alarms == ()
     assert Fault.DRIVE_WEAK in {a.fault for a in motor("weak").alarms}
     # No parameter has a role, so a load that nobody measures has no name, and gets none.

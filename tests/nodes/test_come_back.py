@@ -28,6 +28,10 @@ def offline(steps: list[Sample]) -> list[Outcome]:
     return [twin.push(sample) for sample in steps]
 
 
+AROUND = 20
+"""States around a shot that were under way: more than a second of them."""
+
+
 class Run:
     """Player, twin and recorder, and what is heard of them."""
 
@@ -78,23 +82,37 @@ class Run:
             self.listener.spin_once()
         self.twin.thaw()
 
-    def check(self, steps: list[Sample], offline: list[Outcome]) -> None:
-        """Everything was said that is said offline, and nothing twice."""
+    def check(self, steps: list[Sample], offline: list[Outcome], shots: int = 0) -> None:
+        """Everything was said that is said offline, and nothing twice.
+
+        What a process that was shot had just sent reaches some readers and others not, so around a shot a
+        state or a forecast may be missing here, or come once more.
+        """
         verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
         matches = [outcome.match for outcome in offline if outcome.match is not None]
         self.listener.spin_until(
-            lambda: len(self.scores) >= len(verdicts) and len(self.states) >= len(steps),
+            lambda: (
+                len(self.scores) >= len(verdicts)
+                and bool(self.states)
+                and self.states[-1].index >= steps[-1].index
+            ),
             lambda: (
                 f"{len(self.scores)} of {len(verdicts)} verdicts, {len(self.states)} of {len(steps)} states"
             ),
         )
         assert [repr(verdict_from(m)) for m in self.scores] == [repr(v) for v in verdicts]
         assert [repr(match_from(m)) for m in self.matches] == [repr(m) for m in matches]
-        assert [state.index for state in self.states] == [sample.index for sample in steps]
         last = steps[-1].index
         self.listener.spin_until(lambda: self.forecasts[-1].sample == last, "the last forecast")
-        foretold = [forecast.sample for forecast in self.forecasts]
-        assert foretold == list(range(foretold[0], last + 1))
+        told, foretold = [s.index for s in self.states], [f.sample for f in self.forecasts]
+        if shots == 0:
+            assert told == [sample.index for sample in steps]
+            assert foretold == list(range(foretold[0], last + 1))
+            return
+        for said in (told, foretold):
+            every = range(said[0], last + 1)
+            assert len(said) - len(set(said)) <= AROUND * shots
+            assert len(set(every) - set(said)) <= AROUND * shots
 
     def verify(self) -> list[Verification]:
         self.recorder.end()
@@ -115,7 +133,7 @@ def test_a_twin_that_is_shot_again_and_again_comes_back(
     for index in (40, 150, 260, 400):
         run.until_state(index)
         run.shoot()
-    run.check(steps, offline)
+    run.check(steps, offline, shots=4)
     (found,) = run.verify()
     assert found.identical, found.difference
     assert found.verdicts == sum(len(outcome.verdicts) for outcome in offline)

@@ -75,7 +75,7 @@ def test_four_parameters_are_the_authors_equations(
     def theirs(_: float, x: FloatArray) -> list[float]:
         inside, heater = x
         to_air = g_heater * (heater - inside)
-        return [(to_air - g_box * (inside - 21.5)) / c_air, (12.0 * 10.45 * on - to_air) / c_heater]
+        return [(to_air - g_box * (inside - 21.5)) / c_air, (plant["power"] * on - to_air) / c_heater]
 
     states = np.array(start)
     for _ in range(20):

@@ -38,12 +38,12 @@ def test_a_heater_that_is_lost_is_told_and_the_session_verifies(
     config = tmp_path / "kit.yaml"
     config.write_text(
         "controller:\n  ros__parameters:\n"
-        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [240.0, 330.0, 60.0]\n"
+        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [240.0, 420.0, 60.0]\n"
         "    profile.repeat: false\n    exit_at_end: true\n"
     )
     session = tmp_path / "run"
     words = ("--plant", "tclab", "--virtual", "--speed", f"{SPEED}", "--config", config, "--session", session)
-    process = Process(sys.executable, LIVE, *words, "--fault", "drive-lost@500", output=tmp_path / "live.txt")
+    process = Process(sys.executable, LIVE, *words, "--fault", "drive-lost@580", output=tmp_path / "live.txt")
     running.append(process)
     assert process.wait(PATIENCE + 900 / SPEED) == 0, process.text
     found = verify_session(session)
