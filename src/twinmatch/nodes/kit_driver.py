@@ -8,7 +8,6 @@ holds the port says it.
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from twinmatch.links.kit_errors import KitAbsentError, KitError, KitSilentError
 from twinmatch.links.kit_link import KitLink, KitReading
 from twinmatch.nodes.diagnostics import Health, Level
+from twinmatch.nodes.driver_thread import DriverThread
 from twinmatch.nodes.output_gate import Decision, OutputGate
 from twinmatch.safety import FaultKind
 
@@ -41,8 +41,11 @@ class KitPace:
     """… up to this."""
 
 
-class KitDriver:
+class KitDriver(DriverThread):
     """Lets the kit at the end of a link do what the gate lets through, and nothing else."""
+
+    NAME = "kit driver"
+    CLOSING = 5.0
 
     def __init__(
         self,
@@ -58,46 +61,18 @@ class KitDriver:
 
         `other` is what the second heater does while commands pass, %.
         """
-        self.failure: Exception | None = None
-        """What ended the thread before its time."""
-        self._link, self._gate, self._tell, self._health = link, gate, tell, health
         self._other, self._pace = other, pace or KitPace()
-        self._ending, self._clear_wanted = threading.Event(), threading.Event()
+        super().__init__(self._pace.first_pause, self._pace.longest_pause)
+        self._link, self._gate, self._tell, self._health = link, gate, tell, health
         self._known = False  # whether the kit has answered before
         self._sent: tuple[float, float] | None = None
         self._sent_at = 0.0
         self._said_at = 0.0
-        self._attempts = 0
-        self._thread = threading.Thread(target=self._run, name="kit driver", daemon=True)
 
     @property
     def connected(self) -> bool:
         """Whether the kit answered last time."""
         return self._link.is_open and self._sent is not None
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def clear(self) -> None:
-        """Let the kit be driven again after a silence."""
-        self._clear_wanted.set()
-
-    def close(self, timeout: float = 5.0) -> bool:
-        """Set zero, let go of the port, end the thread; whether it did within the timeout (s)."""
-        self._ending.set()
-        if self._thread.ident is not None:
-            self._thread.join(timeout)
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
-        try:
-            while not self._ending.is_set():
-                self._turn()
-        except Exception as error:  # handed to the main thread, which ends the process with it
-            self.failure = error
-        finally:
-            self._let_go()
 
     def _turn(self) -> None:
         try:
@@ -146,9 +121,7 @@ class KitDriver:
         self._health.complain("link", Level.ERROR, str(error))
         self._link.close()
         self._tell(None, 0)
-        pause = min(self._pace.first_pause * 2.0 ** min(self._attempts, 30), self._pace.longest_pause)
-        self._attempts += 1
-        self._ending.wait(pause)
+        self._pause()
 
     def _let_go(self) -> None:
         if self._link.is_open:

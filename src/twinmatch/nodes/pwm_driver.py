@@ -8,7 +8,6 @@ lets go of the plate by itself. Whatever ends the thread, its last words are zer
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from twinmatch.links.pwm import (
     PwmVersionError,
 )
 from twinmatch.nodes.diagnostics import Health, Level
+from twinmatch.nodes.driver_thread import DriverThread
 from twinmatch.nodes.output_gate import Decision, OutputGate
 from twinmatch.safety import FaultKind
 
@@ -49,8 +49,11 @@ class DriverSettings:
     """… up to this."""
 
 
-class PwmDriver:
+class PwmDriver(DriverThread):
     """Lets the board at the end of a link do what the gate lets through, and nothing else."""
+
+    NAME = "pwm driver"
+    CLOSING = 3.0
 
     def __init__(
         self,
@@ -61,48 +64,19 @@ class PwmDriver:
         settings: DriverSettings | None = None,
     ) -> None:
         """`tell` is given each report of the board (None: nobody knows) and the sample it answers."""
-        self.failure: Exception | None = None
-        """What ended the thread before its time."""
+        self._settings = settings or DriverSettings()
+        super().__init__(self._settings.first_pause, self._settings.longest_pause)
         self.connected = False
         """Whether the board answered last time."""
         self._link = link
         self._gate = gate
         self._tell = tell
         self._health = health
-        self._settings = settings or DriverSettings()
-        self._ending = threading.Event()
-        self._clear_wanted = threading.Event()
         self._known = False  # whether the board has been cleared before
         self._driving = False  # whether the last set-point was one that passed the gate
         self._sent = 0.0
         self._sent_at = 0.0
         self._asked_at = 0.0
-        self._attempts = 0
-        self._thread = threading.Thread(target=self._run, name="pwm driver", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def clear(self) -> None:
-        """Let the board's own latch go, before anything else is sent."""
-        self._clear_wanted.set()
-
-    def close(self, timeout: float = 3.0) -> bool:
-        """Set zero, let go of the port, end the thread; whether it did within the timeout (s)."""
-        self._ending.set()
-        if self._thread.ident is not None:
-            self._thread.join(timeout)
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
-        try:
-            while not self._ending.is_set():
-                self._turn()
-        except Exception as error:  # handed to the main thread, which ends the process with it
-            self.failure = error
-        finally:
-            self._let_go()
 
     def _turn(self) -> None:
         try:
@@ -205,10 +179,7 @@ class PwmDriver:
         self._health.complain("link", Level.ERROR, str(error))
         self._link.close()
         self._tell(None, 0)
-        settings = self._settings
-        pause = min(settings.first_pause * 2.0 ** min(self._attempts, 30), settings.longest_pause)
-        self._attempts += 1
-        self._ending.wait(pause)
+        self._pause()
 
     def _let_go(self) -> None:
         self.connected = False
