@@ -15,6 +15,8 @@ import scipy.io
 from hypothesis import settings
 
 from tests.support.places import PROJECT, TESTS
+from twinmatch.fmu import is_fmu
+from twinmatch.plants import PLANTS
 from twinmatch.signals import Window
 
 RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "shared" / "rig_recordings"))
@@ -74,6 +76,18 @@ def ros(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> None:  # n
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
     os.environ.pop(network.VARIABLE, None)
     network.prepare()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_adopted_structures() -> Iterator[None]:
+    """Return every plant to its own structures after each test file: FMUs that one adopts are no other's."""
+    yield
+    for plant in PLANTS.values():
+        for name in [name for name in plant.structures if is_fmu(name)]:
+            source = plant.structures[name].elsewhere
+            plant.disown(name)
+            if hasattr(source, "runner"):
+                source.runner.close()
 
 
 @pytest.fixture(scope="session")

@@ -175,6 +175,7 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
         ]
         told = " ".join(words(panels.nodes(state.roster, now)))
         assert told.count("has ended with the replay") == 2
+        assert "no sample" not in told
         assert "the replay has ended" in what_to_do(state)
     state.push_health("matcher", 2, "trouble", {}, 401.0)  # an error is its own all the same
     assert "1 of 2 nodes need a look" in words(panels.status(state, 401.0))

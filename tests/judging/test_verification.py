@@ -175,7 +175,20 @@ def test_a_single_bit_is_found(
 def test_a_last_verdict_may_have_come_too_late_for_the_recorder(record: Callable[..., Path]) -> None:
     found = verify_session(record(lambda _, scores: scores.pop()))
     assert found.identical
-    assert found.notes == ("1 verdicts at the very end were not recorded any more",)
+    assert found.notes == ("1 verdict at the very end came after the recording had stopped",)
+
+
+@pytest.mark.usefixtures("judged")
+def test_sentences_may_be_worded_better_by_a_later_version(record: Callable[..., Path]) -> None:
+    def word(matches: list[Any], scores: list[Any]) -> None:
+        matches[0].suggestion = "A step up, please."
+        scores[0].reason = "There was nothing to judge."
+
+    found = verify_session(record(word))
+    assert found.identical
+    assert found.notes == (
+        "sentences are worded differently by this version, and were not compared: reason, suggestion",
+    )
 
 
 @pytest.mark.usefixtures("judged")

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
 from tests.support.waiting import wait_for
+from twinmatch.dashboard.roster import Player, Roster, Standing
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.diagnostics import Health, Level, Report, status_message
 from twinmatch.nodes.samples import SampleWatch
@@ -72,6 +73,11 @@ def test_watch_of_gaps_and_silence() -> None:
     assert "no sample" not in health.report().message
     watch.look(10.1)
     assert "no sample for 5 s" in health.report().message
+    # The dashboard leaves this out once a replay has ended, so it must know the words.
+    roster = Roster(
+        {"matcher": Standing(Level.WARN, health.report().message, 0.0)}, ended=Player("", False, 1.0, "")
+    )
+    assert "no sample" not in roster.message("matcher")
     watch.push(4, 10.2)
     watch.look(10.2)
     assert "no sample" not in health.report().message

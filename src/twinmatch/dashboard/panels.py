@@ -175,14 +175,14 @@ def events_table(events: Sequence[Event], session: int, period: float) -> str:
 def nodes(roster: Roster, now: float) -> str:
     """Every node that reports, and what it says."""
     shown = []
-    for name, standing in sorted(roster.standing.items()):
+    for name in sorted(roster.standing):
         rest = roster.at_rest(name)
         level = roster.level(name, now)
         colour = LEVELS[TrustLevel.UNKNOWN if rest else NODE_LEVELS[level]]
         shown.append(
             f'<div><span class="dot" style="background:{colour}"></span><b>'
             f"{text(name.removesuffix(': health'))}</b> {AT_REST if rest else NODE_WORDS[level]}"
-            f'<div class="quiet">{text(standing.message)}</div></div>'
+            f'<div class="quiet">{text(roster.message(name))}</div></div>'
         )
     if not shown:
         return '<p class="quiet">No node has reported yet.</p>'

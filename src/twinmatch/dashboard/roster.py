@@ -18,6 +18,8 @@ MOST = 64
 """Names that are kept; more would not be nodes of one graph."""
 
 _DIGITS = re.compile(r"[\d.,]+")
+_SILENCE = re.compile(r"no sample for \d+ s(?:; )?")
+"""What a node reports while it waits for samples; after the end of a replay that is as it should be."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,11 @@ class Roster:
     def at_rest(self, name: str) -> bool:
         """Whether a node has nothing more to do since the replay ended: only an error may be its own."""
         return self.ended is not None and self.standing[name].level < ERROR
+
+    def message(self, name: str) -> str:
+        """The last message of a node; once a replay has ended, without the missing samples."""
+        said = self.standing[name].message
+        return _SILENCE.sub("", said) if self.at_rest(name) else said
 
     def level(self, name: str, now: float) -> int:
         """How a node is, in the levels of REP 107; one that is silent is stale, unless a replay has ended."""

@@ -14,6 +14,7 @@ from twinmatch.judging.judgement import Judgement, Watch, judge
 from twinmatch.judging.terms import prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
 from twinmatch.sessions import Session, Topic, open_any
+from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
 
 __all__ = ["Difference", "Verification", "VerifyError", "compare", "holds_verdicts", "verify_session"]
@@ -22,7 +23,9 @@ SCORES = "twin/model_score"
 MATCHES = "twin/match"
 DESCRIPTION = "plant/description"
 AT_THE_END = 60
-"""What was set off within so many samples of the end may have come after the recorder had gone."""
+"""A verdict triggered so few samples, or seconds, before the end may have come after the recorder stopped."""
+SENTENCES = frozenset({"reason", "certainty", "suggestion", "determined"})
+"""Fields for people to read. What they say is in other fields too, so a later version may word them better."""
 
 
 class VerifyError(TwinmatchError):
@@ -134,15 +137,14 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
     computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]
     computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]
-    last = session.samples[-1].index
-    apart: set[str] = set()
-    other_match = _compare("match", matches, computed_matches, last, apart)
-    difference = other_match or _compare("verdict", scores, computed_scores, last, apart)
-    notes = [*session.notes, *_another_form(apart)]
-    if difference is None and len(scores) < len(computed_scores):
-        notes.append(
-            f"{len(computed_scores) - len(scores)} verdicts at the very end were not recorded any more"
-        )
+    comparison = _Comparison(session.samples[-1])
+    difference = comparison.first("match", matches, computed_matches)
+    difference = difference or comparison.first("verdict", scores, computed_scores)
+    notes = [*session.notes, *comparison.notes()]
+    missing = len(computed_scores) - len(scores)
+    if difference is None and missing > 0:
+        count = "1 verdict" if missing == 1 else f"{missing} verdicts"
+        notes.append(f"{count} at the very end came after the recording had stopped")
     if session.samples[0].index:
         notes.append(f"the recording begins at sample {session.samples[0].index}; the twin may know more")
     return Verification(
@@ -185,31 +187,55 @@ def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
     return result
 
 
-def _another_form(apart: set[str]) -> list[str]:
-    """A note on fields that recorded and computed do not share."""
-    if not apart:
-        return []
-    fields = ", ".join(sorted(apart))
-    return [f"recorded in another form; only what both forms have was compared, which leaves out {fields}"]
+class _Comparison:
+    """Compares recorded trees with computed ones, and collects what does not count as a difference."""
 
+    def __init__(self, last: Sample) -> None:
+        self._last = last
+        self._apart: set[str] = set()
+        self._worded: set[str] = set()
 
-def _compare(
-    what: str, recorded: list[Tree], computed: list[Tree], last: int, apart: set[str]
-) -> Difference | None:
-    """The first difference; fields that only one form has go into `apart`."""
-    for number, (one, other) in enumerate(zip(recorded, computed, strict=False), 1):
-        missing: set[str] = set()
-        found = list(differences(one, other, apart=missing))
-        apart |= {field.removeprefix("candidates.") for field in missing}
-        if found:
-            field, was, now = found[0]
-            return Difference(what, number, one["sample"], _owner(one, field), field, was, now)
-    number = min(len(recorded), len(computed))
-    if len(recorded) > number:
-        return Difference(what, number + 1, recorded[number]["sample"], "", "all of it", "there", "absent")
-    if len(computed) > number and computed[number]["sample"] <= last - AT_THE_END:
-        return Difference(what, number + 1, computed[number]["sample"], "", "all of it", "absent", "there")
-    return None
+    def first(self, what: str, recorded: list[Tree], computed: list[Tree]) -> Difference | None:
+        """The first difference, if there is one."""
+        for number, (one, other) in enumerate(zip(recorded, computed, strict=False), 1):
+            for field, was, now in self._differences(one, other):
+                return Difference(what, number, one["sample"], _owner(one, field), field, was, now)
+        number = min(len(recorded), len(computed))
+        if len(recorded) > number:
+            sample = recorded[number]["sample"]
+            return Difference(what, number + 1, sample, "", "all of it", "there", "absent")
+        if len(computed) > number and not self._at_the_end(computed[number]):
+            sample = computed[number]["sample"]
+            return Difference(what, number + 1, sample, "", "all of it", "absent", "there")
+        return None
+
+    def notes(self) -> list[str]:
+        """What was not compared, in sentences."""
+        notes = []
+        if self._apart:
+            fields = ", ".join(sorted(self._apart))
+            notes.append(
+                f"recorded in another form; only what both forms have was compared, which leaves out {fields}"
+            )
+        if self._worded:
+            fields = ", ".join(sorted(self._worded))
+            notes.append(f"sentences are worded differently by this version, and were not compared: {fields}")
+        return notes
+
+    def _differences(self, one: Tree, other: Tree) -> Iterator[tuple[str, Any, Any]]:
+        apart: set[str] = set()
+        found = list(differences(one, other, apart=apart))
+        self._apart |= {field.removeprefix("candidates.") for field in apart}
+        for field, was, now in found:
+            if field.rsplit(".", 1)[-1] in SENTENCES:
+                self._worded.add(field)
+            else:
+                yield field, was, now
+
+    def _at_the_end(self, tree: Tree) -> bool:
+        """Whether the session may have ended before this could be published."""
+        samples, seconds = self._last.index - tree["sample"], (self._last.stamp - tree["stamp"]) / 1e9
+        return bool(min(samples, seconds) < AT_THE_END)
 
 
 def _owner(tree: Mapping[str, Any], field: str) -> str:
