@@ -16,7 +16,7 @@ from benchmarks.common import Row, document, environment, print_rows
 
 
 def main() -> int:
-    """0: all ran; 1: at least one broke down; 2: a name nobody has. A missed target is no failure."""
+    """0: all ran; 1: at least one failed; 2: an unknown name. A missed target is not a failure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="benchmarks to run (default: all)")
     parser.add_argument("--quick", action="store_true", help="small cases and few rounds: does it run?")

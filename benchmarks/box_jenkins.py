@@ -32,7 +32,7 @@ from twinmatch.signals import FloatArray, Sample
 NAME = "box_jenkins"
 SHORT, LONG = 500, 3600
 LIMIT = 4.0
-"""Seconds after which a peer's ladder goes on to no further order."""
+"""Seconds after which a peer's search stops at its present order."""
 NO_HOPS = "twinmatch, no hops"
 """The minimum next to the start values, which is what a verdict asks for."""
 MODEL_TARGETS = {SHORT: 0.010, LONG: 0.040}
@@ -205,7 +205,7 @@ def _data(kind: str, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small cases, no peers: does it run?")
-    parser.add_argument("--recording", type=Path, metavar="FILE", help="a session or recording of yours")
+    parser.add_argument("--recording", type=Path, metavar="FILE", help="your own session or recording")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write environment and rows to this file")
     options = parser.parse_args()
     if options.recording is None:

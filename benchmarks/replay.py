@@ -1,7 +1,7 @@
 """Replay: recordings against real time, growth with their length, and a full verdict.
 
 One core, in a process that has already loaded everything; `start_up` measures what comes before. The
-recording is simulated; `python -m benchmarks.replay --recording FILE` takes one of yours instead.
+recording is simulated; `python -m benchmarks.replay --recording FILE` takes your own instead.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _growth(quick: bool) -> list[Row]:
 
 
 def _full_verdict(quick: bool) -> list[Row]:
-    """Everything anew: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
+    """Everything computed again: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
     ready, sample, report = _before_a_verdict()
 
     def judge() -> tuple[Verdict, ...]:

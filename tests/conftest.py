@@ -49,8 +49,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def ros_domain() -> Iterator[int]:
     """A ROS domain of its own for every worker of every test run on this machine, in the environment.
 
-    Whoever holds the lock of a domain's file has the domain, for as long as the process lives. Domains
-    above 101 would use ports that the kernel hands out to others.
+    The process that locks a domain's file has the domain for as long as it lives. Domains
+        above 101 would use ports that the kernel hands out to others.
     """
     folder = Path(tempfile.gettempdir()) / f"twinmatch-domains-{os.getuid()}"
     folder.mkdir(exist_ok=True)

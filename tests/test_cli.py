@@ -31,7 +31,7 @@ from twinmatch.signals import Window
 from twinmatch.twin import Outcome
 
 TERMINAL_VARIABLES = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
-"""Of whoever runs the tests; they would change what a terminal is shown."""
+"""Variables of the user who runs the tests; they would change what a terminal is shown."""
 
 
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -128,7 +128,7 @@ def test_a_recording_that_cannot_be_used_is_one_line_and_leaves_nothing(
     assert not list(tmp_path.glob(".session*"))
 
 
-def test_garbage_is_no_recording_and_no_session(tmp_path: Path) -> None:
+def test_garbage_is_not_a_recording_and_no_session(tmp_path: Path) -> None:
     garbage = tmp_path / "noise.mat"
     garbage.write_bytes(np.random.default_rng(3).bytes(5000))
     for command in (("import", garbage, "-o", tmp_path / "s"), ("replay", garbage)):
@@ -283,7 +283,7 @@ def run_on_terminal(*arguments: object, width: int, **environment: str) -> tuple
 def test_a_terminal_shows_the_run_and_ends_with_the_sentence() -> None:
     code, written, stands = run_on_terminal("replay", SHIPPED, width=160)
     assert code == 0
-    assert len(re.findall(r"four_setpoints.* \d+ %, ", written)) > 2  # drawn while it went on
+    assert len(re.findall(r"four_setpoints.* \d+ %, ", written)) > 2  # drawn while it continued
     assert re.search(r"\x1b\[[0-9;]*32[0-9;]*m TRUSTED ", written)
     assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1  # the cursor comes back
     lines = stands.splitlines()
@@ -356,9 +356,9 @@ def test_ctrl_c_ends_a_replay_with_one_line_and_its_code() -> None:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("t / s")  # judging has begun
         process.send_signal(signal.SIGINT)
-        _, complaint = process.communicate(timeout=120)
+        _, written = process.communicate(timeout=120)
     assert process.returncode == 130
-    assert complaint == "twinmatch: interrupted\n"
+    assert written == "twinmatch: interrupted\n"
 
 
 def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Path) -> None:

@@ -97,7 +97,7 @@ def test_numba_alone_runs_old_mathematics(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_whatever_a_kernel_is_made_from_is_compiled_anew(
+def test_whatever_a_kernel_is_made_from_is_compiled_again(
     tmp_path: Path, file: str, old: str, new: str, value: str
 ) -> None:
     write(tmp_path)

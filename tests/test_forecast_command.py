@@ -96,7 +96,7 @@ def test_what_was_never_visited_is_noted(session: Path, tmp_path: Path, capsys: 
     assert not asked(session, tmp_path / "out.json", "--at", AT, "--hold", 50)[0]["notes"]
 
 
-def test_the_answer_is_told_in_plain_words(session: Path, tmp_path: Path, capsys: Any) -> None:
+def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsys: Any) -> None:
     picture = tmp_path / "fan.png"
     assert main(["forecast", str(session), "--at", "500", "--hold", "80", "--figure", str(picture)]) == 0
     said = capsys.readouterr().out
@@ -112,7 +112,7 @@ def test_the_answer_is_told_in_plain_words(session: Path, tmp_path: Path, capsys
         "The leader is the twin to ask what comes next",
     ):
         assert words in said
-    assert "what came" not in said  # the session went on under other set-points
+    assert "what came" not in said  # the session continued under other set-points
     assert picture.stat().st_size > 10_000
 
 
@@ -173,7 +173,7 @@ def test_a_mistake_is_one_clear_line(
     assert all(word in captured.err for word in words), captured.err
 
 
-def test_what_is_no_sample_is_refused_at_once(session: Path, capsys: Any) -> None:
+def test_what_is_not_a_sample_is_refused_at_once(session: Path, capsys: Any) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["forecast", "--at", "500", str(session)])
     assert caught.value.code == 2
@@ -182,7 +182,7 @@ def test_what_is_no_sample_is_refused_at_once(session: Path, capsys: Any) -> Non
     )
 
 
-def test_the_shipped_session_is_foretold_within_its_bands(tmp_path: Path) -> None:
+def test_the_shipped_session_is_forecast_within_its_bands(tmp_path: Path) -> None:
     """Its generator is the paper's plant with a camera's noise, so the bands have every chance to hold it."""
     at = list(range(450, 1650, 100))
     samples = {s.index: s for s in read_session(SHIPPED).samples}

@@ -68,7 +68,7 @@ def test_windows_are_read_only_copies() -> None:
         (lambda: Window(*np.zeros((3, 2)), disturbances=np.zeros((3, 1))), "for each of the 2 samples"),
     ],
 )
-def test_what_is_no_window_is_refused(make: object, message: str) -> None:
+def test_what_is_not_a_window_is_refused(make: object, message: str) -> None:
     with pytest.raises(SignalError, match=message):
         make()  # type: ignore[operator]
 

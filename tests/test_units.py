@@ -14,7 +14,7 @@ from twinmatch.units import UnitError, conversion, measure
     [
         ("K", "°C", 300.0, 26.85),
         ("degC", "°C", 20.0, 20.0),
-        ("C", "°C", 20.0, 20.0),  # in brackets behind a temperature it is no coulomb
+        ("C", "°C", 20.0, 20.0),  # in brackets behind a temperature it is not a coulomb
         ("F", "°C", 212.0, 100.0),
         ("°C", "K", -273.15, 0.0),
         ("ns", "s", 1.5e9, 1.5),

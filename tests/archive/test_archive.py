@@ -1,4 +1,4 @@
-"""Many sessions at once: the same results as one by one, bad ones passed over, runs that go on."""
+"""Many sessions at once: the same results as one by one, bad ones passed over, runs that continue."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Make = Callable[..., Path]
 TERMS = Terms(TwinSettings(), (), None)
 
 
-def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_goes_on(
+def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_continues(
     archive_folder: Path, tmp_path: Path, run_twinmatch: Run
 ) -> None:
     out, table = tmp_path / "results", tmp_path / "all.json"

@@ -39,7 +39,7 @@ def test_patterns_that_the_shell_left_are_resolved(tree: Path) -> None:
     assert relative(tree, "**/deep") == ["a/deep"]
 
 
-def test_a_name_with_brackets_that_exists_is_no_pattern(tmp_path: Path) -> None:
+def test_a_name_with_brackets_that_exists_is_not_a_pattern(tmp_path: Path) -> None:
     odd = tmp_path / "run[1].csv"
     odd.touch()
     assert find_sessions([odd]) == [odd]

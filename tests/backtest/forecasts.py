@@ -41,7 +41,7 @@ def set_points(samples: int, seed: int, levels: tuple[int, int] = (30, 80)) -> F
 
 
 def linear_loop(reference: FloatArray, random: np.random.Generator, past: Window | None = None) -> Window:
-    """A first-order plant under a PI controller, with noise inside the loop; it goes on from a past.
+    """A first-order plant under a PI controller, with noise inside the loop; it continues from a past.
 
     y[k] = 0.95 y[k−1] + 0.02 u[k−1] + 1 + 0.1 e[k]; u[k] = u[k−1] + 8 (ε[k] − 0.9 ε[k−1]) + 2 v[k] with
     ε = r − y, which is an ARX loop of order 1, limits aside.

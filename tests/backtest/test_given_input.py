@@ -23,7 +23,7 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
     return u, np.asarray(y, dtype=np.float64)
 
 
-def test_without_noise_least_squares_foretell_exactly() -> None:
+def test_without_noise_least_squares_forecast_exactly() -> None:
     u, y = second_order(400, 0.0, 1)
     past = Window(np.zeros(300), y[:300], u[:300])
     forecast = InputArx(Lag).forecast(past, u[300:])

@@ -39,7 +39,7 @@ def test_nothing_is_forecast_that_cannot_be_judged() -> None:
 
 
 def test_stretches_are_forecast_by_themselves() -> None:
-    """After a gap the past begins anew, and no forecast reaches over one."""
+    """After a gap the past starts over, and no forecast reaches over one."""
     samples = [Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))]
     held = stretches(samples, 1.0)
     found = at(held, [], 60.0, (10.0, 60.0))

@@ -97,7 +97,7 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
 
 
 def test_who_could_not_answer_is_told() -> None:
-    """After a gap the twins go on at once; ARX begins anew and needs a minute."""
+    """After a gap the twins continue at once; ARX starts over and needs a minute."""
     whole = open_any(SHIPPED)
     session = replace(whole, samples=[*whole.samples[:700], *whole.samples[740:1000]])
     tested = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("arx",)))
@@ -105,7 +105,7 @@ def test_who_could_not_answer_is_told() -> None:
 
 
 def test_nothing_is_forecast_over_a_gap() -> None:
-    """Forty samples are lost: what is said before ends there, and what is said after begins anew."""
+    """Forty samples are lost: what is said before ends there, and what is said after starts over."""
     whole = open_any(SHIPPED)
     session = replace(whole, samples=[*whole.samples[:1000], *whole.samples[1040:1300]])
     tested = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("persistence",)))

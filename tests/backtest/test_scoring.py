@@ -38,7 +38,7 @@ def test_interval_score_is_that_of_scoringrules(
 def test_no_interval_costs_less_than_the_quantiles(
     came: list[float], interval: list[float], confidence: float
 ) -> None:
-    """The rule is proper: whoever knows the distribution does best by giving its quantiles."""
+    """The rule is proper: a forecaster who knows the distribution does best by giving its quantiles."""
     x = np.array(came)
     tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
     low, high = np.quantile(x, tails, method="inverted_cdf")

@@ -1,4 +1,4 @@
-"""The benchmarks run; what they measure is no matter of tests."""
+"""The benchmarks run; what they measure is for a reader, not for a test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def common(monkeypatch: pytest.MonkeyPatch) -> object:
-    """`benchmarks.common`, which is no installed package; it would set the threads of this process."""
+    """`benchmarks.common`, which is not an installed package; it would set the threads of this process."""
     monkeypatch.syspath_prepend(str(PROJECT))
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.setenv(variable, "1")

@@ -56,7 +56,7 @@ def exactly(connection: socket.socket, size: int) -> bytes:
 
 
 def heard(broadcast: Broadcast, connection: socket.socket, number: int) -> bytes:
-    """Publish until the client, whose connection may not be accepted yet, hears it."""
+    """Publish until the client, whose connection may not be accepted yet, receives it."""
     connection.settimeout(0.05)
     while True:
         broadcast.publish(message(number))

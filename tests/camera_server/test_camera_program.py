@@ -1,4 +1,4 @@
-"""The camera program as a process: what it serves, how it ends, what it says when it cannot go on."""
+"""The camera program as a process: what it serves, how it ends, what it says when it cannot continue."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_interrupt_is_a_clean_stop_too(camera: Callable[..., CameraProgram]) -> 
     assert server.process.end(signal.SIGINT) == 0
 
 
-def test_a_fed_plate_is_followed_and_silence_is_no_frame(
+def test_a_fed_plate_is_followed_and_silence_is_not_a_frame(
     camera: Callable[..., CameraProgram], tmp_path: Path
 ) -> None:
     path = tmp_path / "plate.sock"

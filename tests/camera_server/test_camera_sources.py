@@ -65,7 +65,7 @@ def test_a_recording_keeps_its_pace_and_says_what_it_is(tmp_path: Path) -> None:
     source.close()
 
 
-def test_counters_go_on_over_the_rounds(tmp_path: Path) -> None:
+def test_counters_continue_over_the_rounds(tmp_path: Path) -> None:
     source = RecordedSource(recording(tmp_path / "r", [5, 6]), loop=True)
     source.open()
     assert [e.frame_counter for e in drain(source, 6)] == [5, 6, 7, 8, 9, 10]

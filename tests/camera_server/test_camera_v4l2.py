@@ -177,7 +177,7 @@ def test_what_is_asked_of_linuxpy(monkeypatch: pytest.MonkeyPatch) -> None:
         (FakeLinuxpy(capable=False), "doesn't have VIDEO_CAPTURE capability"),
     ],
 )
-def test_a_device_that_is_no_such_camera(
+def test_a_device_that_is_not_such_a_camera(
     monkeypatch: pytest.MonkeyPatch, linuxpy: FakeLinuxpy, message: str
 ) -> None:
     with pytest.raises(SourceError, match=message):

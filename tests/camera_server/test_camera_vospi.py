@@ -75,7 +75,7 @@ def test_discard_packets_within_a_frame_are_passed_over() -> None:
     assert len(feed(Assembler(), [*packets[:30], DISCARD, DISCARD, *packets[30:]])) == 1
 
 
-def test_the_high_nibble_of_the_id_is_no_matter() -> None:
+def test_the_high_nibble_of_the_id_does_not_matter() -> None:
     packets = frame_packets()
     packets[20] = bytes([0x40 | packets[20][0]]) + packets[20][1:]
     assert len(feed(Assembler(), packets)) == 1
@@ -166,7 +166,7 @@ def test_status_bits(bit: int, flag: FrameFlags) -> None:
     assert parse_telemetry(telemetry_rows(status=1 << bit)).flags is flag
 
 
-def test_counts_that_are_no_temperatures() -> None:
+def test_counts_that_are_not_temperatures() -> None:
     found = parse_telemetry(telemetry_rows(c48=0, c49=0))
     assert found.flags is FrameFlags.NOT_RADIOMETRIC
     assert found.resolution == 0.1

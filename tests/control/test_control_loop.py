@@ -98,7 +98,7 @@ def test_a_stale_temperature_switches_off_and_leaves_a_gap():
     assert loop.time == 9
 
 
-def test_temperatures_that_are_no_numbers_age():
+def test_temperatures_that_are_not_numbers_age():
     loop = Loop(Peltier, max_age=1.0)
     tick(loop, 0, 30.0, 29.0)
     assert tick(loop, 1, 30.0, math.nan).output == 29.0
@@ -118,7 +118,7 @@ def test_a_missed_tick_is_counted_and_the_output_continues():
     assert loop.missed == 2
 
 
-def test_a_late_tick_is_no_missed_one():
+def test_a_late_tick_is_not_a_missed_one():
     loop = Loop(Peltier)
     indices = [tick(loop, at, 30.0, 29.0).index for at in (0, 1.9, 2.0, 3.0)]
     assert indices == [0, 1, 2, 3]
@@ -131,7 +131,7 @@ def test_a_late_first_tick_does_not_shift_the_grid():
     assert loop.jitter == pytest.approx(0.9)
 
 
-def test_a_clock_set_back_begins_anew_behind_a_gap():
+def test_a_clock_set_back_starts_over_behind_a_gap():
     loop = Loop(Peltier)
     for k in range(5):
         tick(loop, 100 + k, 30.0, 29.0)
@@ -168,7 +168,7 @@ def test_the_grid_moves_to_the_least_late_tick():
     assert loop.missed == 1
 
 
-def test_a_second_call_at_once_is_no_tick():
+def test_a_second_call_at_once_is_not_a_tick():
     loop = Loop(Peltier)
     tick(loop, 0, 30.0, 29.0)
     late = tick(loop, 2.1, 30.0, 28.0)
@@ -179,7 +179,7 @@ def test_a_second_call_at_once_is_no_tick():
 
 
 @given(st.floats(-255, 255), st.floats(0, 100), st.floats(0, 100))
-def test_the_controller_goes_on_from_the_output_that_stands(pwm, reference, temperature):
+def test_the_controller_continues_from_the_output_that_stands(pwm, reference, temperature):
     loop = Loop(Peltier)
     tick(loop, 0, reference, temperature)
     loop.input = pwm

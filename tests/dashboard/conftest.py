@@ -117,7 +117,7 @@ class Browser:
 
     @contextmanager
     def sized(self, width: int, height: int) -> Iterator[None]:
-        """The page loaded anew in a window of this size, a telephone's if it is narrow."""
+        """The page loaded again in a window of this size, a telephone's if it is narrow."""
         narrow = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", narrow)
         try:
@@ -164,7 +164,7 @@ class Browser:
         )
         return bytes(element.screenshot_as_png)
 
-    def complaints(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Errors in the console since the last look."""
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
 

@@ -41,7 +41,7 @@ def test_a_gap_breaks_the_line() -> None:
     assert np.isnan(columns["value"][3])
 
 
-def test_clear_begins_anew() -> None:
+def test_clear_starts_over() -> None:
     history = filled(5, 10)
     history.clear()
     assert (history.count, history.epoch, history.last) == (0, 1, None)

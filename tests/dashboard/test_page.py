@@ -102,7 +102,7 @@ def test_only_what_is_new_is_sent() -> None:
     assert sent[1].data["value"].tolist() == [100.0]
 
 
-def test_a_new_session_or_period_is_drawn_anew() -> None:
+def test_a_new_session_or_period_is_drawn_again() -> None:
     history = History(("value",), 1000)
     feed = Feed(history)
     for k in range(50):

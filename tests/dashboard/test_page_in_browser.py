@@ -150,7 +150,7 @@ def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
 
 @pytest.fixture
 def node(tmp_path: Path) -> Iterator[Callable[..., Process]]:
-    """Start a node of ours in a process of its own."""
+    """Start one of the project's nodes in its own process."""
     processes = Processes(tmp_path / "nodes")
 
     def start(name: str, *parameters: str) -> Process:
@@ -204,7 +204,7 @@ def test_data_move_as_they_come(page: Any, graph: Graph, browser: Any) -> None: 
     drawn = browser.column("output", 0, "output")
     assert drawn == [40.0 + np.sin(k / 9) for k in shown]
     browser.wait_for(lambda: browser.column("output", 1, "t")[-1] == sent[-1], "the twin's last")
-    assert browser.complaints() == []
+    assert browser.warnings() == []
 
 
 def test_verdicts_family_and_events_are_shown(
@@ -235,7 +235,7 @@ def test_verdicts_family_and_events_are_shown(
         "a row for every order",
     )
     browser.click("all orders")
-    assert browser.complaints() == []
+    assert browser.warnings() == []
 
 
 @pytest.mark.parametrize(("width", "height"), [(1440, 1000), (1024, 900), (390, 844)])
@@ -252,7 +252,7 @@ def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
         for answer in ("leader, the twin", "health of the plant", "what to do", "closed-loop twin / °C"):
             assert answer in seen, answer
         assert browser.run(FAINT) == []
-        assert browser.complaints() == []
+        assert browser.warnings() == []
 
 
 def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
@@ -316,7 +316,7 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
         return "the discriminator is not there" in browser.text
 
     browser.wait_for(missed, "a word of it")
-    assert browser.complaints() == []
+    assert browser.warnings() == []
 
 
 def _ask(browser: Any, level: str, hold: str) -> None:
@@ -336,7 +336,7 @@ def test_a_fault_is_shown_and_goes(page: Any, graph: Graph, browser: Any) -> Non
     graph.fault("")
     browser.wait_for(lambda: "Output held at zero: over temperature" not in browser.text, "the end of it")
     browser.wait_for(lambda: "fault cleared" in browser.text, "a word of it")
-    assert browser.complaints() == []
+    assert browser.warnings() == []
 
 
 def test_the_thermal_image_is_shown(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
@@ -355,7 +355,7 @@ def test_the_thermal_image_is_shown(page: Any, graph: Graph, browser: Any) -> No
         ".reduce((a, b) => Math.max(a, b))"
     )
     assert largest == 71.25
-    assert browser.complaints() == []
+    assert browser.warnings() == []
 
 
 def test_it_survives_that_the_graph_is_started_again(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
@@ -367,7 +367,7 @@ def test_it_survives_that_the_graph_is_started_again(page: Any, graph: Graph, br
     browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 4, "its samples alone")
     assert browser.column("output", 0, "t") == pytest.approx([0.0, 0.9, 1.0, 1.9])
     browser.wait_for(lambda: "a new session began" in browser.text, "a word of it")
-    assert browser.complaints() == []
+    assert browser.warnings() == []
 
 
 def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser: Any) -> None:
@@ -381,7 +381,7 @@ def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser
     browser.driver.close()
     browser.driver.switch_to.window(first)
     browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 400, "twenty minutes")
-    assert browser.complaints() == []
+    assert browser.warnings() == []
 
 
 def test_without_control_nothing_can_be_asked_of_the_rig(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
@@ -438,7 +438,7 @@ def test_control_asks_the_controller_and_the_bridge(
         browser.wait_for(
             lambda: "the PWM board is not connected, which comes first" in browser.text, "the answer"
         )
-        assert browser.complaints() == []
+        assert browser.warnings() == []
     finally:
         ending.set()
         measuring.join()
@@ -461,7 +461,7 @@ def test_an_open_tab_comes_back_with_the_server(
         return "sample 2, 2 s" in browser.text
 
     browser.wait_for(shown, "samples")
-    browser.complaints()  # those of the lost connection
+    browser.warnings()  # those of the lost connection
 
 
 def test_a_replay_is_paused_and_hurried(
@@ -490,4 +490,4 @@ def test_a_replay_is_paused_and_hurried(
     assert "the replay has ended" in browser.text
     assert "silent" not in browser.text
     assert "no sample for" not in browser.text
-    assert browser.complaints() == []
+    assert browser.warnings() == []

@@ -67,7 +67,7 @@ def test_pages_of_other_sites_may_not_speak_to_it(server: PageServer, origin: st
             pass
         return 101
 
-    # Whoever is let in still needs the token that only the page itself has.
+    # A client that is let in still needs the token that only the page itself has.
     assert (asyncio.run(knock()) != 403) == let_in
 
 

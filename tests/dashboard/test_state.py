@@ -1,4 +1,4 @@
-"""What the page knows: bounded, and begun anew with every session. No ROS, no browser."""
+"""What the page knows: bounded, and restarted with every session. No ROS, no browser."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_gap_does_not_spoil_the_period() -> None:
     assert state.session == 1
 
 
-def test_indices_that_begin_anew_are_a_new_session(judged: Judgement) -> None:
+def test_indices_that_start_over_are_a_new_session(judged: Judgement) -> None:
     state = DashboardState()
     for k in range(100):
         state.push_sample(sample(k), 0.0)
@@ -156,7 +156,7 @@ def test_an_image_without_values_leaves_the_one_before() -> None:
 
 
 def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
-    """Samples, twins, verdicts, matches, faults, complaints and images, beyond what is kept of each."""
+    """Samples, twins, verdicts, matches, faults, warnings and images, beyond what is kept of each."""
     kept = 5_000
     state = DashboardState(kept)
     images = [np.full((60, 80), float(k), dtype=np.float32) for k in range(2)]

@@ -152,7 +152,7 @@ def test_state_space_and_transfer_function_are_the_same_model() -> None:
     assert graph_symbol(realised) is realised
 
 
-def test_what_is_no_model_is_refused() -> None:
+def test_what_is_not_a_model_is_refused() -> None:
     with pytest.raises(DiscriminationError, match="a list cannot be compared"):
         graph_symbol([1, 2])
     with pytest.raises(DiscriminationError, match="it has 2 inputs"):

@@ -91,7 +91,7 @@ def closed_loop(rng: np.random.Generator, order: int) -> GraphSymbol:
 
 @pytest.mark.parametrize("order", [2, 3, 4, 5])
 def test_closed_loop_models_against_a_dense_grid(order: int) -> None:
-    """The gap bounds every sample; where it is no winding failure, a dense grid comes close to it."""
+    """The gap bounds every sample; where it is not a winding failure, a dense grid comes close to it."""
     rng = np.random.default_rng(order)
     grid = np.concatenate([[0], np.logspace(-6, math.log10(math.pi), 4000), [math.pi]])
     reached = 0

@@ -85,7 +85,7 @@ def test_there_is_no_margin_without_a_controller() -> None:
 
 
 @pytest.mark.parametrize("samples", [step_test(700, 5), switched(700, 5)], ids=["step test", "switched"])
-def test_models_of_real_windows_foretell_the_window(samples: list) -> None:
+def test_models_of_real_windows_forecast_the_window(samples: list) -> None:
     window = Window.from_samples(samples, PERIOD)
     scale = spans_of(Box).ratio
     told = [score(model, window, absolute=Box.output.absolute) for model in identify(window, scale=scale)]

@@ -42,7 +42,7 @@ def test_a_perfect_prediction_takes_all() -> None:
 
 
 @pytest.mark.parametrize("values", [[], [math.nan], [1.0, math.inf], [[1.0]]])
-def test_what_is_no_criterion_is_refused(values: list[float]) -> None:
+def test_what_is_not_a_criterion_is_refused(values: list[float]) -> None:
     with pytest.raises(DiscriminationError, match="give one number per model"):
         akaike_weights(values)
 

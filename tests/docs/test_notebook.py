@@ -42,7 +42,7 @@ def shown() -> Any:
 
 @pytest.fixture(scope="module")
 def run(shown: Any) -> Any:
-    """The notebook executed anew, with warnings as errors and a question at its end."""
+    """The notebook executed again, with warnings as errors and a question at its end."""
     notebook = nbformat.reads(nbformat.writes(shown), as_version=4)
     strict = nbformat.v4.new_code_cell("import warnings\nwarnings.simplefilter('error')")
     notebook.cells = [strict, *notebook.cells, nbformat.v4.new_code_cell(ASK)]

@@ -1,4 +1,4 @@
-"""What is foretold of a loop, against simulations of it with everything unsure drawn at random."""
+"""What is forecast of a loop, against simulations of it with everything unsure drawn at random."""
 
 from __future__ import annotations
 
@@ -250,7 +250,7 @@ def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
     assert np.all(more.output_variance >= 0.01)  # the reading's own noise counts
 
 
-def test_what_cannot_be_foretold_is_refused() -> None:
+def test_what_cannot_be_forecast_is_refused() -> None:
     rig = MASSIVE.parameters()
 
     def said(**changes: Any) -> Foretold:

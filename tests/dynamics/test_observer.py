@@ -204,7 +204,7 @@ def test_a_surprise_within_the_limit_changes_nothing() -> None:
     assert most.states[0] - 303.15 == pytest.approx(3.0 / math.sqrt(variance), rel=1e-9)
 
 
-def test_it_goes_on_in_the_middle_of_a_session() -> None:
+def test_it_continues_in_the_middle_of_a_session() -> None:
     """A second observer that is given states and covariance continues to the last bit."""
     rig = MASSIVE.parameters()
     wandering = {"conductance": Wander(1e-3, 0.05)}

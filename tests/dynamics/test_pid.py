@@ -40,7 +40,7 @@ def test_every_recorded_command_is_reproduced(
         assert np.max(np.abs(pwm)) == 255.0  # saturation was among them
 
 
-def test_a_controller_picked_up_anywhere_in_a_recording_goes_on(
+def test_a_controller_picked_up_anywhere_in_a_recording_continues(
     recorded_hour: Callable[[int], Window],
 ) -> None:
     hour = recorded_hour(5)
@@ -109,7 +109,7 @@ def test_a_limited_follower_without_exact_back_calculation_forgets_its_error() -
     assert abs(leader.state.integral - follower.state.integral) < 1e-9  # the first free sample tells it
 
 
-def test_a_simulation_from_a_found_state_goes_on_where_the_first_left_off() -> None:
+def test_a_simulation_from_a_found_state_continues_where_the_first_left_off() -> None:
     rig, reference = Peltier.model().parameters(), np.repeat([30.0, 70.0, 40.0], 60)
     whole = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
     window = Window(reference, whole.output, whole.input).part(100, 179)
@@ -137,7 +137,7 @@ def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_i
         np.testing.assert_allclose(again, input_[first + 2 :], atol=1e-9)
 
 
-def test_what_is_no_number_is_refused_and_changes_nothing() -> None:
+def test_what_is_not_a_number_is_refused_and_changes_nothing() -> None:
     pid = Pid(RIG, PidState(3.0, 1.0))
     with pytest.raises(PlantError, match="PID: output is nan"):
         pid.step(40.0, math.nan)

@@ -162,7 +162,7 @@ def test_where_a_plant_cannot_be_held_is_said() -> None:
 def test_an_observer_finds_the_state_no_sensor_shows() -> None:
     """The heat sink, 15 K off at first, within three times what the observer says of itself.
 
-    And the surprises have the variance that was foretold.
+    And the surprises have the variance that was forecast.
     """
     rig = MASSIVE.parameters()
     u = 120.0 * np.sign(np.sin(np.arange(1200) / 60.0))

@@ -80,7 +80,7 @@ def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:
     assert [path.suffix for path in (tmp_path / "cache").iterdir() if path.is_file()] == [".py"]
 
 
-def test_a_changed_plant_is_derived_anew(start: Start, tmp_path: Path) -> None:
+def test_a_changed_plant_is_derived_again(start: Start, tmp_path: Path) -> None:
     assert float(ended(start())[0]) == pytest.approx(1.5)
     (tmp_path / "tank.py").write_text(PLANT.replace("self.inflow / self.area", "2 * self.inflow / self.area"))
     out, said = ended(start())

@@ -115,7 +115,7 @@ def test_what_is_opened_is_found() -> None:
     assert crept.values[of.rate] == pytest.approx(0.02, rel=0.1)
 
 
-def test_traces_foretell_what_a_jump_leaves_in_the_surprises() -> None:
+def test_traces_forecast_what_a_jump_leaves_in_the_surprises() -> None:
     """The gain they promise is the one that following the jump for itself brings."""
     of = tracker()
     learned, _ = of.run(first(of), stretch(1, 300), 0)

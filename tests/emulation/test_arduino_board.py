@@ -196,7 +196,7 @@ def test_a_lasting_fault_trips_again_after_clearing(board: Board, wire: Wire) ->
     assert wire.status("Q 3").flags & Flags.DRIVER
 
 
-def test_the_low_flag_of_a_driver_that_is_off_is_no_fault(board: Board, wire: Wire) -> None:
+def test_the_low_flag_of_a_driver_that_is_off_is_not_a_fault(board: Board, wire: Wire) -> None:
     wire.ready()
     board.set_fault(True)
     board.advance(0.5)
@@ -265,7 +265,7 @@ def test_opening_and_closing_at_1200_baud_leads_to_the_boot_loader(board: Board,
     mode = termios.tcgetattr(wire.descriptor)
     wire.close()
     board.advance(0.01)
-    assert board.drive().enabled  # closing alone is no reason to stop at once
+    assert board.drive().enabled  # closing alone is not a reason to stop at once
     wire.descriptor = os.open(board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     mode[4] = mode[5] = termios.B1200
     termios.tcsetattr(wire.descriptor, termios.TCSANOW, mode)

@@ -68,7 +68,7 @@ def test_no_such_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sent", [b"warm", b"", b"nan", b"1e9"])
-def test_what_is_no_temperature(path: Path, sent: bytes) -> None:
+def test_what_is_not_a_temperature(path: Path, sent: bytes) -> None:
     receiver = PlateReceiver(path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(sent, str(path))

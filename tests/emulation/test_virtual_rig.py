@@ -92,7 +92,7 @@ def test_killed_it_leaves_no_orphans_and_the_next_one_tidies_up(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_it_ends_with_whoever_reads_its_output(tmp_path: Path) -> None:
+def test_it_ends_with_the_reader_of_its_output(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "twinmatch.cli", "virtual-rig", "--board", "python"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as running:
@@ -129,7 +129,7 @@ def test_the_clock_tells_plant_time_and_never_runs_ahead(rig: Start) -> None:
     assert abs(first / 1e9 - time.time()) < 3600
 
 
-def test_a_broken_wire_lets_the_plate_go_while_the_board_goes_on(rig: Start, controller: Start) -> None:
+def test_a_broken_wire_lets_the_plate_go_while_the_board_continues(rig: Start, controller: Start) -> None:
     running = rig("--speed", "20", "--board", "python", "--fault", "drive-lost@60")
     loop = controller(running)
     loop.hold(45.0, 50.0)
@@ -143,7 +143,7 @@ def test_a_broken_wire_lets_the_plate_go_while_the_board_goes_on(rig: Start, con
     assert state["pwm"] > 200  # the controller does what it can
 
 
-def test_a_frozen_sensor_goes_on_sending_but_has_no_news(rig: Start, controller: Start) -> None:
+def test_a_frozen_sensor_keeps_sending_but_has_no_news(rig: Start, controller: Start) -> None:
     running = rig("--speed", "20", "--board", "python")
     loop = controller(running)
     wait_for(loop.thermal.news, "an image")
@@ -220,7 +220,7 @@ def test_a_fault_of_the_driver_trips_the_board(rig: Start, controller: Start) ->
 
 
 @pytest.mark.parametrize("board", BOARDS)
-def test_a_hung_board_is_started_anew_by_its_watchdog(rig: Start, controller: Start, board: str) -> None:
+def test_a_hung_board_is_restarted_by_its_watchdog(rig: Start, controller: Start, board: str) -> None:
     running = rig("--speed", "2", "--board", board)
     loop = controller(running)
     loop.hold(30.0, 1.0)

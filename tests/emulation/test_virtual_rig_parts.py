@@ -212,7 +212,7 @@ def test_a_reader_that_sleeps_misses_updates_and_holds_nobody_up() -> None:
     assert len(received) < 60_000
 
 
-def test_a_stream_that_is_no_clock_is_refused() -> None:
+def test_a_stream_that_is_not_a_clock_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         client = ClockClient(listener.getsockname(), lambda _: None)
         client.start()

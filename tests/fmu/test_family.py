@@ -1,4 +1,4 @@
-"""FMUs among the structures of a running plant: matched, compared, foretold with, and done without."""
+"""FMUs among the structures of a running plant: matched, compared, forecast with, and done without."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_wrong_physics_loses_the_choice_of_structures(
 
 
 @pytest.mark.usefixtures("only_fmus")
-def test_wrong_physics_foretells_worse(
+def test_wrong_physics_forecasts_worse(
     adopted: Callable[..., Model], exchange_fmu: Path, wrong_fmu: Path
 ) -> None:
     right, wrong = adopted(exchange_fmu, "right"), adopted(wrong_fmu, "wrong")

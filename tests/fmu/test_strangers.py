@@ -65,7 +65,7 @@ def test_one_that_gives_no_numbers_is_not_believed(run_of, adopted, tmp_path) ->
         adopted(worse)
 
 
-def test_what_one_prints_is_no_answer(run_of) -> None:
+def test_what_one_prints_is_not_an_answer(run_of) -> None:
     assert "nan" not in run_of("prints")()
 
 

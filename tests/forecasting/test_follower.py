@@ -9,7 +9,7 @@ from twinmatch.forecasting import Follower
 from twinmatch.signals import Sample
 
 
-def test_a_twin_whose_states_are_lost_begins_anew() -> None:
+def test_a_twin_whose_states_are_lost_starts_over() -> None:
     """One reading far below zero empties the tank beyond what its equations can say."""
     follower = Follower(Tank.model().parameters(), 1.0, states=np.array([1.0]))
     for index, output in enumerate((-3.0, 0.1, 0.12)):

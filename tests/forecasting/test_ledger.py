@@ -45,7 +45,7 @@ def test_the_price_is_minus_the_logarithm_of_the_density() -> None:
     assert gain == pytest.approx(2 * np.log10(8.0), abs=0.06)  # standard error of the mean price 0.011
 
 
-def test_who_foretells_better_saves_more_and_persistence_saves_nothing() -> None:
+def test_who_forecasts_better_saves_more_and_persistence_saves_nothing() -> None:
     poor = drawn(4.0, 200, 1)
     ledger = entered({PERSISTENCE: poor, "a": drawn(0.5, 200, 2), "b": drawn(0.6, 200, 3), "same": poor})
     a, b, same = ledger.gains(["a", "b", "same"])[:, 0]
@@ -83,7 +83,7 @@ def test_the_past_is_forgotten() -> None:
     assert ledger.forecasts("turned") == pytest.approx(1 / 0.03, rel=0.01)
 
 
-def test_a_newcomer_is_an_average_member_and_an_heir_goes_on() -> None:
+def test_a_newcomer_is_an_average_member_and_an_heir_continues() -> None:
     ledger = entered({PERSISTENCE: drawn(5.0, 60, 1), "a": drawn(0.5, 60, 2), "b": drawn(1.0, 60, 3)})
     ledger.inherit("heir", "a")
     ledger.inherit("nobody's", "gone")

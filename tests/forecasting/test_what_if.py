@@ -71,7 +71,7 @@ def test_an_empty_question_asks_what_comes_if_nothing_is_changed(outlook: Outloo
     np.testing.assert_array_equal(answer.forecast.input.high, expected.input.high)
 
 
-def test_a_session_that_went_beyond_the_limits_can_be_asked_how_it_goes_on(outlook: Outlook) -> None:
+def test_a_session_that_went_beyond_the_limits_can_be_asked_how_it_continues(outlook: Outlook) -> None:
     """Only what is asked for is checked, not the set-point that stands."""
     beyond = replace(outlook, sample=replace(outlook.sample, reference=150.0))
     assert set(what_if(beyond, Question()).forecast.reference) == {150.0}
@@ -119,7 +119,7 @@ def test_questions_without_an_answer(outlook: Outlook, question: dict[str, Any],
         what_if(outlook, Question(**question))
 
 
-def test_a_snapshot_does_not_change_when_the_forecaster_goes_on() -> None:
+def test_a_snapshot_does_not_change_when_the_forecaster_continues() -> None:
     made = forecaster()
     snapshot = made.snapshot()
     before = what_if(snapshot.outlook(), Question((0.0,), (70.0,))).forecast

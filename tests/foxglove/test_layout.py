@@ -30,7 +30,7 @@ def field_type(path: str) -> str:
     topic = path.split(".", maxsplit=1)[0]
     kind = KINDS[topic].replace("/msg/", "/")
     for name in path.removeprefix(topic).strip(".").split("."):
-        name, _, element = name.partition("[")  # noqa: PLW2901 (the index is no part of the name)
+        name, _, element = name.partition("[")  # noqa: PLW2901 (the index is not part of the name)
         if name:
             package, short = re.sub(r"^sequence<|>$|\[\d*\]$", "", kind).split("/")
             message = getattr(importlib.import_module(f"{package}.msg"), short)

@@ -50,7 +50,7 @@ def test_nothing_can_be_sent_through_it(server: GraphServer, view: Callable[[str
     assert viewer.info["capabilities"] == ["time"]
 
 
-def test_who_comes_later_is_given_the_newest_message_and_nobody_else_is(
+def test_a_late_subscriber_is_given_the_newest_message_and_no_other_is(
     server: GraphServer, view: Callable[[str], Any]
 ) -> None:
     server.advertise("/a", "std_msgs/msg/Float64", TEXT)

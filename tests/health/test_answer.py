@@ -59,7 +59,7 @@ def test_a_lost_heater_is_told_within_half_a_minute(lost: int, seed: int) -> Non
 
 
 def test_it_stays_lost_until_it_is_back() -> None:
-    """For six minutes the kit cools down to the room; then the wire is mended, and the drive proves it."""
+    """For six minutes the kit cools down to the room; then the wire is repaired, and the drive proves it."""
     told = alarms(1560, lost=1000, back=1360)
     assert [alarm.fault for alarm in told] == [Fault.DRIVE_LOST]
     assert told[0].last is not None

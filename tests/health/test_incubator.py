@@ -40,7 +40,7 @@ def test_nothing_is_told_of_one_that_is_left_alone(seed: int) -> None:
     assert watch(run(some_incubator(seed), seed, 1200)) == ()
 
 
-def test_a_room_that_is_measured_is_no_hypothesis() -> None:
+def test_a_room_that_is_measured_is_not_a_hypothesis() -> None:
     """What it does is in the equations: 8 °C within ten minutes are the room's and not the plant's."""
     asked = Changes(HealthSettings.of(Incubator, PERIOD).followed, PERIOD).hypotheses
     assert {h.kind for h in asked} == set(Kind) - {Kind.ROOM}

@@ -128,7 +128,7 @@ def test_a_failure_is_told_in_time_and_by_name(
 
 
 @pytest.mark.parametrize("kind", ["drive-lost", "sensor-frozen", "sensor-off"])
-def test_what_is_mended_is_healthy_again_and_stays_in_the_record(kind: str) -> None:
+def test_what_is_repaired_is_healthy_again_and_stays_in_the_record(kind: str) -> None:
     monitor, healths = rig.watch(holding(60.0, rig.Break(kind, 400, 30)))
     assert healths[-1].state is State.HEALTHY
     alarm = monitor.alarms[0]
@@ -141,7 +141,7 @@ def test_what_is_mended_is_healthy_again_and_stays_in_the_record(kind: str) -> N
     assert monitor.fault_between(alarm.last + 200, alarm.last + 300) is None
 
 
-def test_healthy_steps_saturation_and_corrections_of_the_camera_are_no_fault() -> None:
+def test_healthy_steps_saturation_and_corrections_of_the_camera_are_not_faults() -> None:
     for seed in range(3):
         samples, _ = rig.run(rig.profile(seed, 2400), rig=rig.some_rig(seed), seed=seed)
         assert max(abs(s.input) for s in samples) == 255.0
@@ -163,7 +163,7 @@ def test_a_weak_drive_that_is_lost_in_the_end_is_told_twice() -> None:
     weak, _ = rig.watch(holding(60.0, rig.Break("supply*0.5", 400, 200)))
     assert [a.fault for a in weak.alarms] == [Fault.DRIVE_WEAK]
     assert "should to the plate temperature" in weak.alarms[0].reason
-    assert weak.alarms[0].last is not None  # the supply was mended
+    assert weak.alarms[0].last is not None  # the supply was repaired
     assert 600 - 10 <= weak.alarms[0].last <= 660
     worse, _ = rig.watch(holding(60.0, Worsening()))
     assert [a.fault for a in worse.alarms] == [Fault.DRIVE_WEAK, Fault.DRIVE_LOST]
@@ -199,7 +199,7 @@ def test_an_impossible_reading_is_told_at_once(value: float) -> None:
     assert len(monitor.alarms) == 1
 
 
-def test_a_gap_starts_anew_and_a_new_session_has_a_new_record() -> None:
+def test_a_gap_starts_over_and_a_new_session_has_a_new_record() -> None:
     samples = holding(60.0, rig.Break("sensor-off", 300))
     monitor = Monitor()
     for s in samples[:310]:
@@ -218,7 +218,7 @@ def stamped(samples: list[Sample]) -> list[Sample]:
 
 
 @pytest.mark.parametrize("counted", [True, False])
-def test_a_time_in_which_nobody_looked_is_no_evidence(counted: bool) -> None:
+def test_a_time_in_which_nobody_looked_is_not_evidence(counted: bool) -> None:
     """A process stood still for 30 s, the output off meanwhile; it may have counted on, or not."""
     whole = stamped(holding(70.0, rig.Break("drive-lost", 400, 30)))
     seen = [s for s in whole if not 400 <= s.index < 430]
@@ -231,7 +231,7 @@ def test_a_time_in_which_nobody_looked_is_no_evidence(counted: bool) -> None:
         assert rig.watch(stamped(seen))[0].alarms != ()
 
 
-def test_ticks_that_come_late_are_no_gap() -> None:
+def test_late_ticks_are_not_a_gap() -> None:
     samples = stamped(holding(70.0, None))
     late = [dataclasses.replace(s, stamp=s.stamp + (s.index % 7 == 0) * 900_000_000) for s in samples]
     assert [h.share for h in rig.watch(late)[1]] == pytest.approx(

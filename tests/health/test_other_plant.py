@@ -1,4 +1,4 @@
-"""The health of a plant that is not thermal and a hundred times as fast, told in its own words."""
+"""The health of a plant that is not thermal and a hundred times as fast, in its own names and units."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def noisy(repeats: Repeats, samples: int) -> None:
         repeats.push(float(change), STILL)
 
 
-def test_ten_equal_readings_of_a_noisy_camera_are_no_chance() -> None:
+def test_ten_equal_readings_of_a_noisy_camera_are_not_a_coincidence() -> None:
     repeats = Repeats(1.0, 10.0, NOISE)
     noisy(repeats, 100)
     for count in range(1, 12):
@@ -104,7 +104,7 @@ def test_a_lag_is_found(lag: int, seed: int) -> None:
 
 
 @given(seed=st.integers(0, 1000))
-def test_a_dead_drive_is_no_lag(seed: int) -> None:
+def test_a_dead_drive_is_not_a_lag(seed: int) -> None:
     random = np.random.default_rng(seed)
     trace = Lag(1.0)
     for drive in np.convolve(random.normal(0.0, 2.0, 60), np.ones(4) / 2, "valid"):

@@ -58,7 +58,7 @@ def test_unstated_period_counts_as_one() -> None:
         (control.ss(np.eye(1), np.ones((1, 2)), np.eye(1), np.zeros((1, 2)), 1.0), "2 inputs"),
     ],
 )
-def test_systems_that_are_no_model(system: control.TransferFunction, message: str) -> None:
+def test_systems_that_are_not_models(system: control.TransferFunction, message: str) -> None:
     with pytest.raises(IdentificationError, match=message):
         BoxJenkins.from_transfer_function(system)
 
@@ -68,7 +68,7 @@ def test_control_is_not_imported_before_it_is_needed() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_simulation_goes_on_from_recorded_outputs(model: BoxJenkins, u: np.ndarray) -> None:
+def test_simulation_continues_from_recorded_outputs(model: BoxJenkins, u: np.ndarray) -> None:
     whole = lfilter(B, F, u, zi=[0.3, -0.2])[0]
     np.testing.assert_allclose(model.simulate(u, outputs=whole[:3]), whole, rtol=1e-9, atol=1e-10)
     np.testing.assert_array_equal(model.simulate(u, outputs=[5.0, 6.0, 7.0])[:3], [5.0, 6.0, 7.0])

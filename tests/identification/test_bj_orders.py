@@ -32,7 +32,7 @@ def test_covering_respects_the_span_of_b() -> None:
 
 
 @pytest.mark.parametrize("order", ["2222", "222211", "two", (2, 2, 2, 2), (1.5, 2, 2, 2, 1)])
-def test_what_is_no_order(order: str) -> None:
+def test_what_is_not_an_order(order: str) -> None:
     with pytest.raises(IdentificationError, match="five whole numbers"):
         parse_order(order)
 

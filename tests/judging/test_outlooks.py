@@ -85,7 +85,7 @@ def test_a_session_that_ends_there_gives_the_same_bits(
     assert_same(alone.outlook.forecast(ahead), known[at].outlook.forecast(ahead))
 
 
-def test_so_it_is_whoever_is_asked(samples: list[Sample], session: Session, tmp_path: Path) -> None:
+def test_so_it_is_for_every_candidate(samples: list[Sample], session: Session, tmp_path: Path) -> None:
     cut = stored(samples[: MIDDLE + 1], tmp_path / "cut")
     names = {known.leader for known in prospects(session, TERMS, [MIDDLE]).values()} | {"150 rad/s"}
     assert len(names) > 1
@@ -107,7 +107,7 @@ def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Pros
 
 
 def test_the_band_holds_what_came(session: Session, known: dict[int, Prospect]) -> None:
-    """The load goes on changing, slowly; within two seconds it moves the speed by less than its noise."""
+    """The load keeps changing, slowly; within two seconds it moves the speed by less than its noise."""
     reference = [s.reference for s in session.samples[LAST + 1 : LAST + 41]]
     forecast = known[LAST].outlook.forecast(reference)
     came = np.array([s.output for s in session.samples[LAST + 1 : LAST + 41]])

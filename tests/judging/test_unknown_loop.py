@@ -1,4 +1,4 @@
-"""A session judged without its controller: recorded, verified, foretold, tested and written up."""
+"""A session judged without its controller: recorded, verified, forecast, tested and written up."""
 
 from __future__ import annotations
 

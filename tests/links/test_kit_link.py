@@ -78,7 +78,7 @@ def test_a_command_that_is_none_never_reaches_it(kit: BenchKit, link: KitLink, v
     assert kit.highest == 50.0
 
 
-def test_who_commands_is_shot(kit: BenchKit, link: KitLink) -> None:
+def test_who_commands_is_killed(kit: BenchKit, link: KitLink) -> None:
     """Its end of the pipe closes, as the kernel does for a process that is killed."""
     link.drive(80.0, 0.0)
     assert link._process is not None
@@ -87,7 +87,7 @@ def test_who_commands_is_shot(kit: BenchKit, link: KitLink) -> None:
     off(kit)
 
 
-def test_who_holds_the_port_is_shot_and_the_next_one_begins_with_zero(kit: BenchKit, link: KitLink) -> None:
+def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero(kit: BenchKit, link: KitLink) -> None:
     link.drive(80.0, 0.0)
     os.kill(keeper(link), signal.SIGKILL)
     with pytest.raises(KitError, match="process that holds its port"):
@@ -151,7 +151,7 @@ def test_a_wrong_port_is_one_clear_line(port: str, words: str) -> None:
 
 
 def test_another_device_is_told_as_such() -> None:
-    """A modem, say: it hears everything and answers nothing."""
+    """A modem, say: it receives everything and answers nothing."""
     master, slave = pty.openpty()
     try:
         require_port(os.ttyname(slave))

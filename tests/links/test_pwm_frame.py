@@ -55,7 +55,7 @@ def test_a_serial_monitors_carriage_return_is_allowed() -> None:
     assert FrameReader().feed(seal("Q 1")[:-1] + b"\r\n") == [b"Q 1"]
 
 
-def test_a_colon_begins_the_frame_anew() -> None:
+def test_a_colon_starts_the_frame_over() -> None:
     assert FrameReader().feed(b":P 7 25" + seal("Q 1")) == [b"Q 1"]
 
 

@@ -77,7 +77,9 @@ def test_current_comes_in_amperes(board: Board, link: pwm_link.PwmLink) -> None:
 
 
 @pytest.mark.parametrize("pwm", [math.nan, math.inf, -math.inf, 255.001, -256, np.float64("nan")])
-def test_what_is_no_set_point_is_refused_before_anything_is_sent(link: pwm_link.PwmLink, pwm: float) -> None:
+def test_what_is_not_a_set_point_is_refused_before_anything_is_sent(
+    link: pwm_link.PwmLink, pwm: float
+) -> None:
     before = link.query()
     with pytest.raises(PwmRangeError, match="is no set-point"):
         link.command(pwm)
@@ -94,7 +96,7 @@ def test_a_fresh_board_wants_clearing(board: Board) -> None:
     assert caught.value.flags & Flags.RESET
 
 
-def test_silence_latches_and_clear_mends_it(link: pwm_link.PwmLink) -> None:
+def test_silence_latches_and_clear_releases_it(link: pwm_link.PwmLink) -> None:
     link.command(50)
     wait_for(lambda: link.query().flags & Flags.TRIPPED, "the trip")
     with pytest.raises(PwmLatchedError, match="no new set-point in time") as caught:
@@ -128,7 +130,7 @@ def test_the_port_is_ours_alone(board: Board, link: pwm_link.PwmLink) -> None:
         pwm_link.PwmLink(board.port, PATIENT).open()
 
 
-def test_a_pulled_cable_is_noticed_and_mended(board: Board, link: pwm_link.PwmLink) -> None:
+def test_a_pulled_cable_is_noticed_and_the_port_reopened(board: Board, link: pwm_link.PwmLink) -> None:
     link.command(100)
     board.unplug()
     wait_for(lambda: not Path(board.port).exists(), "the port's end")
@@ -314,7 +316,7 @@ def test_another_version_of_the_protocol_is_refused(impostor: Make) -> None:
         link.open()
     assert not link.is_open
     with pytest.raises(PwmVersionError, match="another protocol"):
-        link.reopen(patience=1000, sleep=lambda _: pytest.fail("waiting does not mend a version"))
+        link.reopen(patience=1000, sleep=lambda _: pytest.fail("waiting does not change a version"))
 
 
 def test_a_board_that_knows_no_greeting_is_refused(impostor: Make) -> None:

@@ -124,7 +124,7 @@ def test_frames_arrive_with_honest_stamps() -> None:
         assert client.status.state is LinkState.STREAMING
 
 
-def test_nothing_blocks_when_nobody_answers() -> None:
+def test_nothing_blocks_without_an_answer() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with ThermalClient("127.0.0.1", port, QUICK) as client:
@@ -259,7 +259,7 @@ def test_a_boot_id_that_changes_in_a_connection() -> None:
         assert "boot id changed" in str(failed_with(client, ThermalOrderError))
 
 
-def test_frozen_frames_are_no_news() -> None:
+def test_frozen_frames_are_not_news() -> None:
     sent = [
         frame(0, counter=10),
         frame(1, counter=11),
@@ -288,7 +288,7 @@ def test_frozen_frames_are_no_news() -> None:
         assert count(client.news()) == 30001
 
 
-def test_the_same_image_after_a_new_connection_is_no_news() -> None:
+def test_the_same_image_after_a_new_connection_is_not_news() -> None:
     def first(connection: socket.socket) -> None:
         connection.sendall(frame(0, counter=4))
         connection.close()

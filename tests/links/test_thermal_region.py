@@ -72,6 +72,6 @@ def test_no_valid_pixel() -> None:
 
 
 @pytest.mark.parametrize("flag", [FrameFlags.GAIN_CONTROL, FrameFlags.NOT_RADIOMETRIC])
-def test_counts_that_are_no_temperatures(flag: FrameFlags) -> None:
+def test_counts_that_are_not_temperatures(flag: FrameFlags) -> None:
     with pytest.raises(RegionError, match="no temperatures; switch TLinear on"):
         celsius(exposure(np.ones((6, 8)), flags=flag))

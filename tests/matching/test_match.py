@@ -95,7 +95,7 @@ def test_a_step_near_the_end_is_too_late(record: Recorder) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
-def test_a_handful_of_samples_is_no_excitation(size: int) -> None:
+def test_a_handful_of_samples_is_not_excitation(size: int) -> None:
     window = Window(np.linspace(20.0, 60.0, size), np.full(size, 20.0), np.zeros(size))
     assert match(window, start=START).status is Status.NO_EXCITATION
 

@@ -84,7 +84,7 @@ def test_the_first_samples_are_not_judged() -> None:
     np.testing.assert_array_equal(fitted.measured[0][0], frozen[2 + SETTLE :])
 
 
-def test_a_search_goes_on_from_an_earlier_fit() -> None:
+def test_a_search_continues_from_an_earlier_fit() -> None:
     window = recorded(TRUTH, seed=2)
     thorough = fit_structure([window], FULL)
     again = fit_structure([window], FULL, start=thorough, thorough=False)

@@ -70,7 +70,7 @@ class Ears:
         self.until(lambda: len(self.temperatures) >= seen + 3, "temperatures")
 
     @property
-    def complaint(self) -> str:
+    def warning(self) -> str:
         return self.health[-1].message if self.health else ""
 
     @property
@@ -153,10 +153,8 @@ def test_a_camera_that_goes_and_comes_back(
     start("camera_bridge", "-p", f"port:={first.port}", "-p", "stale_after:=1.0")
     ears.go_on()
     first.process.kill()
-    ears.until(
-        lambda: ears.level == b"\x02" and "is the camera server running" in ears.complaint, "the error"
-    )
-    ears.until(lambda: "no new image for" in ears.complaint, "the age")
+    ears.until(lambda: ears.level == b"\x02" and "is the camera server running" in ears.warning, "the error")
+    ears.until(lambda: "no new image for" in ears.warning, "the age")
     silent = len(ears.temperatures)
     seen = len(ears.health)
     ears.until(lambda: len(ears.health) > seen + 1, "reports")
@@ -174,7 +172,7 @@ def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
     start("camera_bridge", "-p", f"port:={program.port}", "-p", "stall_timeout:=0.5")
     ears.go_on()
     program.process.freeze()
-    ears.until(lambda: "no whole frame within" in ears.complaint, "the stall")
+    ears.until(lambda: "no whole frame within" in ears.warning, "the stall")
     program.process.thaw()
     ears.go_on()
     ears.until(lambda: ears.level == b"\x00", "health")
@@ -196,7 +194,7 @@ def test_an_image_too_small_for_the_region_is_shown_but_not_measured(
     start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
 ) -> None:
     start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "roi.x:=75")
-    ears.until(lambda: "leave the image of 60 by 80" in ears.complaint, "the complaint")
+    ears.until(lambda: "leave the image of 60 by 80" in ears.warning, "the warning")
     assert int(ears.values["unusable frames"]) > 0
     ears.until(lambda: len(ears.raw) > 3, "images")
     assert not ears.temperatures

@@ -1,4 +1,4 @@
-"""A twin that was shot or stopped says what it would have said: all of it, once, bit for bit."""
+"""A twin that was killed or stopped says what it would have said: all of it, once, bit for bit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ AROUND = 20
 
 
 class Run:
-    """Player, twin and recorder, and what is heard of them."""
+    """Player, twin and recorder, and what is received of them."""
 
     def __init__(
         self, start: Callable[..., Process], listener: Listener, session: Path, folder: Path, rate: float
@@ -85,7 +85,7 @@ class Run:
     def check(self, steps: list[Sample], offline: list[Outcome], shots: int = 0) -> None:
         """Everything was said that is said offline, and nothing twice.
 
-        What a process that was shot had just sent reaches some readers and others not, so around a shot a
+        What a process that was killed had just sent reaches some readers and others not, so around a kill a
         state or a forecast may be missing here, or come once more.
         """
         verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
@@ -126,7 +126,7 @@ def begin(
     return lambda rate: Run(start, listener, session, tmp_path, rate)
 
 
-def test_a_twin_that_is_shot_again_and_again_comes_back(
+def test_a_twin_that_is_killed_again_and_again_comes_back(
     begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
 ) -> None:
     run = begin(15.0)
@@ -152,7 +152,7 @@ def test_a_twin_that_stood_still_is_given_what_it_missed(
     assert found.identical, found.difference
 
 
-def test_a_recorder_that_is_shot_leaves_sessions_that_verify(
+def test_a_recorder_that_is_killed_leaves_sessions_that_verify(
     begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
 ) -> None:
     """Each of them from its beginning; the last one has everything."""

@@ -56,7 +56,7 @@ class Bench:
         self.listener.spin_until(fed, what)
 
     def pass_time(self, seconds: float) -> None:
-        """Go on publishing the temperature."""
+        """Keep publishing the temperature."""
         deadline = time.monotonic() + seconds
         self.feed(lambda: time.monotonic() > deadline, "time")
 
@@ -114,7 +114,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
     start("controller", *FAST, "-p", "profile.levels:=[30.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 20, "samples")
     bench.listener.spin_until(
-        lambda: bench.said("the output is off: the newest temperature is"), "the complaint"
+        lambda: bench.said("the output is off: the newest temperature is"), "the warning"
     )
     assert bench.commands[-1].pwm == 0
     ended = bench.samples[-1].index
@@ -134,7 +134,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
 def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Process], bench: Bench) -> None:
     bench.stamp = 1000
     start("controller", *FAST)
-    bench.feed(lambda: bench.said("s old; is the camera up?"), "the complaint")
+    bench.feed(lambda: bench.said("s old; is the camera up?"), "the warning")
     assert not bench.samples
 
 
@@ -212,7 +212,7 @@ def test_it_waits_for_its_readers(start: Callable[..., Process], bench: Bench) -
 
 def test_readers_that_do_not_come_are_said(start: Callable[..., Process], bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=5", "-p", "wait_timeout:=0.5")
-    bench.feed(lambda: bench.said("of 5 readers of /plant/sample came"), "the complaint")
+    bench.feed(lambda: bench.said("of 5 readers of /plant/sample came"), "the warning")
     assert bench.samples
 
 

@@ -16,14 +16,14 @@ from twinmatch.nodes.samples import SampleWatch
 from twinmatch.nodes.worker import Worker
 
 
-def test_nothing_to_complain_about() -> None:
+def test_nothing_to_warn_about() -> None:
     health = Health()
     health.set("rate", 0.1)
     health.set("name", "plate")
     assert health.report() == Report(Level.OK, "working", {"rate": "0.1", "name": "plate"})
 
 
-def test_worst_complaint_is_the_level_and_comes_first() -> None:
+def test_worst_warning_is_the_level_and_comes_first() -> None:
     health = Health()
     health.complain("a", Level.WARN, "slow")
     health.complain("b", Level.ERROR, "wrong")
@@ -93,19 +93,19 @@ def test_worker_keeps_the_order_and_is_idle_then() -> None:
     assert done == list(range(1000))
 
 
-def test_worker_reports_errors_of_the_outside_and_goes_on() -> None:
+def test_worker_reports_errors_of_the_outside_and_continues() -> None:
     health = Health()
     done: list[int] = []
 
     def handle(number: int) -> None:
         if number == 0:
-            raise TwinmatchError("zero is no number of ours")
+            raise TwinmatchError("zero is not a share")
         done.append(number)
 
     worker = Worker(handle, health)
     worker.put(0)
     wait_for(lambda: worker.idle, "the end of the work")
-    assert health.report()[:2] == (Level.ERROR, "zero is no number of ours")
+    assert health.report()[:2] == (Level.ERROR, "zero is not a share")
     worker.put(1)
     wait_for(lambda: worker.idle, "the end of the work")
     assert worker.failure is None

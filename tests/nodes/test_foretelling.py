@@ -27,7 +27,7 @@ pytestmark = pytest.mark.ros
 
 
 class Offline:
-    """What the core foretells on the samples, as messages."""
+    """What the core forecasts on the samples, as messages."""
 
     def __init__(self, samples: list[Sample]) -> None:
         settings = TwinSettings()
@@ -118,7 +118,7 @@ def test_every_sample_has_the_offline_forecast(
 def test_questions_are_answered_while_a_match_is_awaited(
     start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
-    """After the first match nobody matches any more: verdicts wait, answers do not."""
+    """Matching stops after the first match: verdicts wait, answers do not."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     matches = listener.hear(Match, "twin/match", EVERYTHING)
@@ -140,7 +140,7 @@ def test_questions_are_answered_while_a_match_is_awaited(
         samples.publish(sample_message(sample))
     listener.spin_until(
         lambda: len({request.sample for request in requests}) > len({m.sample for m in matches}),
-        "a request that nobody answers",
+        "a request without an answer",
     )
     given = listener.spin_until(lambda: _answered(ask()), "an answer")
     waits = max(request.sample for request in requests)
@@ -172,7 +172,7 @@ def test_a_discriminator_that_was_killed_answers_again(
 def test_questions_that_make_no_sense_are_answered_in_one_line(
     start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
-    """And the next one is answered; what went wrong with a question is no fault of the node."""
+    """And the next one is answered; what went wrong with a question is not a fault of the node."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     for name in ("matcher", "discriminator"):

@@ -23,7 +23,7 @@ class Clocks:
         return self.times
 
     def step(self, stamps: float, plant: float | None = None, wall: float | None = None) -> None:
-        """Let the clocks go on by so many seconds; all alike if only one number is given."""
+        """Let the clocks continue by so many seconds; all alike if only one number is given."""
         moves = (stamps, stamps if plant is None else plant, stamps if wall is None else wall)
         self.times = Times(*(now + round(by * SECOND) for now, by in zip(self.times, moves, strict=True)))
 
@@ -107,7 +107,7 @@ def test_a_standing_clock_closes_the_gate_by_the_wall_clock() -> None:
     assert gate.decide()[:2] == (0.0, False)  # it latched
 
 
-def test_nothing_is_armed_before_the_clock_has_moved_and_that_is_no_fault() -> None:
+def test_nothing_is_armed_before_the_clock_has_moved_and_that_is_not_a_fault() -> None:
     clocks = Clocks(0.0, 0.0)
     gate = OutputGate(clocks)
     for _ in range(30):

@@ -61,7 +61,7 @@ def test_after_the_wait_the_message_is_due(rate: float, first: float, wait: floa
     assert pytest.approx(0.0, abs=1e-3) == pace.wait(recorded, now=wait + rest)
 
 
-def test_change_goes_on_from_where_the_recording_stands() -> None:
+def test_change_continues_from_where_the_recording_stands() -> None:
     pace = Pace(2.0, 100.0)
     pace.resume(10.0)
     pace.change(10.0, 13.0)

@@ -24,7 +24,7 @@ def test_a_second_ago_is_many_in_a_fast_simulation(speed: float) -> None:
     assert found == pytest.approx(ros - 0.01 * speed * SECOND, abs=1e-6 * SECOND)
 
 
-def test_leaps_of_the_clock_are_no_pace() -> None:
+def test_leaps_of_the_clock_do_not_count_as_pace() -> None:
     past = RosPast()
     for wall, ros in ((0, 0), (1, 1), (2, 1_000_000), (3, 5)):
         past.at(0, wall=wall * SECOND, ros=ros * SECOND, simulated=True)

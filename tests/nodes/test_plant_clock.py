@@ -65,7 +65,7 @@ def test_plant_time_becomes_the_clock_and_standing_is_an_error(
     ticking.stands = True
     listener.spin_until(
         lambda: health[-1].status[0].level == b"\2" and "stands still" in health[-1].status[0].message,
-        "the complaint",
+        "the warning",
     )
     ticking.stands = False
     listener.spin_until(lambda: health[-1].status[0].level == b"\0", "its withdrawal")

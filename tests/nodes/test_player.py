@@ -89,7 +89,7 @@ def test_clock_goes_with_the_samples(
     assert max(times) == samples[-1].stamp
 
 
-def test_pause_and_go_on(start: Callable[..., Process], listener: Listener, tmp_path: Path) -> None:
+def test_pause_and_continue(start: Callable[..., Process], listener: Listener, tmp_path: Path) -> None:
     path = write_session(tmp_path / "paused", counted(50, 1.0))
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))

@@ -117,7 +117,7 @@ class Rig:
         self.until(future.done, name)
         return future.result()
 
-    def complaints(self) -> str:
+    def warnings(self) -> str:
         """What the newest report of the bridge says."""
         statuses = [status for message in self.health for status in message.status]
         messages = [status.message for status in statuses if status.name == "pwm_bridge: health"]
@@ -237,7 +237,7 @@ def test_doubt_is_zero_and_latches_until_cleared(
     for name, value in break_it.items():
         setattr(rig, name, value)
     rig.wait_for_fault(kind, board)
-    rig.until(lambda: kind in rig.complaints(), "the diagnostics")
+    rig.until(lambda: kind in rig.warnings(), "the diagnostics")
     for name, value in good.items():
         setattr(rig, name, value)
     rig.stays_at_zero(board)  # what is good again changes nothing
@@ -334,7 +334,7 @@ def simulated(rig: Rig) -> Iterator[SimulatedTime]:
 def test_a_simulated_clock_that_stands_still_is_zero(
     start: Callable[..., Process], rig: Rig, board: StandInArduino, simulated: SimulatedTime
 ) -> None:
-    """Although commands and temperatures go on coming: in their time none of them is old."""
+    """Although commands and temperatures keep arriving: in their time none of them is old."""
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.drive(120.0, board)
     simulated.running = False
@@ -361,7 +361,7 @@ def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.pwm, rig.stamp = 120.0, lambda: 0
-    rig.until(lambda: "the clock stands still" in rig.complaints(), "the complaint")
+    rig.until(lambda: "the clock stands still" in rig.warnings(), "the warning")
     rig.stays_at_zero(board)
     assert rig.fault == ""
 
@@ -371,20 +371,20 @@ def test_no_samples_no_runaway_watch_and_that_is_said(
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(50.0, board)
-    rig.until(lambda: "nobody watches for a runaway" in rig.complaints(), "the warning")
+    rig.until(lambda: "nobody watches for a runaway" in rig.warnings(), "the warning")
     rig.reference = 25.0
-    rig.until(lambda: "watches" not in rig.complaints(), "samples that are seen")
+    rig.until(lambda: "watches" not in rig.warnings(), "samples that are seen")
 
 
 def test_two_controllers_are_warned_of(
     start: Callable[..., Process], rig: Rig, board: StandInArduino
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
-    rig.until(lambda: rig.complaints() and "two nodes" not in rig.complaints(), "health")
+    rig.until(lambda: rig.warnings() and "two nodes" not in rig.warnings(), "health")
     other = rig.listener.node.create_publisher(PwmCommand, "plant/pwm_command", 10)
-    rig.until(lambda: "two nodes send commands" in rig.complaints(), "the warning")
+    rig.until(lambda: "two nodes send commands" in rig.warnings(), "the warning")
     rig.listener.node.destroy_publisher(other)
-    rig.until(lambda: "two nodes" not in rig.complaints(), "health")
+    rig.until(lambda: "two nodes" not in rig.warnings(), "health")
 
 
 @pytest.mark.parametrize(

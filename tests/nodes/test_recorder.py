@@ -208,7 +208,7 @@ def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
     assert not {"/clock", "/rosout", "/diagnostics", "/one/thermal/image_raw"} & set(session.counts)
 
 
-def test_a_publisher_that_offers_less_is_heard_too(
+def test_a_publisher_that_offers_less_is_received_too(
     record: Record, listener: Listener, rig: Rig, tmp_path: Path
 ) -> None:
     process = record()
@@ -386,7 +386,7 @@ def test_rates_and_silence_are_on_diagnostics(record: Record, rig: Rig) -> None:
     for k in range(40):
         rig.sample(k)
         time.sleep(0.05)
-    rig.listener.spin_until(lambda: rig.said("silent: /plant/sample"), "the complaint")
+    rig.listener.spin_until(lambda: rig.said("silent: /plant/sample"), "the warning")
     values = {
         value.key: value.value
         for message in rig.health
@@ -417,7 +417,7 @@ recorder.main()
 """)
     rig.listener.node.create_publisher(String, "notes", 10)
     rig.listener.spin_until(
-        lambda: rig.said("/notes is not recorded: session: the definition"), "the complaint"
+        lambda: rig.said("/notes is not recorded: session: the definition"), "the warning"
     )
     rig.wait_for_reader()
 

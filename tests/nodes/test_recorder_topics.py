@@ -61,7 +61,7 @@ def endpoint(reliable=True, latched=False, depth=10):
 def test_the_weakest_offer_is_taken(endpoints, qos):
     assert offered(endpoints) == qos
     profile = reader_profile(qos)
-    for one in endpoints:  # a reader that asks for more than is offered hears nothing
+    for one in endpoints:  # a reader that asks for more than is offered receives nothing
         assert profile.reliability == ReliabilityPolicy.BEST_EFFORT or (
             one.qos_profile.reliability == ReliabilityPolicy.RELIABLE
         )

@@ -99,7 +99,7 @@ def test_end_may_take_as_long_as_a_node_says(start_script: Callable[[str], Proce
     assert process.end() == 0
 
 
-def test_thread_that_goes_on_does_not_hold_the_end_up(start_script: Callable[[str], Process]) -> None:
+def test_thread_that_continues_does_not_hold_the_end_up(start_script: Callable[[str], Process]) -> None:
     process = start_script(program(closing="return False"))
     process.said("^up$")
     assert process.end() == 0

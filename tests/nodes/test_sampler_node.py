@@ -23,7 +23,7 @@ pytestmark = pytest.mark.ros
 
 
 class Beside:
-    """A rig, a sampler, and what is heard of them."""
+    """A rig, a sampler, and what is received of them."""
 
     def __init__(self, processes: Processes, listener: Listener, folder: Path) -> None:
         self.listener = listener

@@ -57,7 +57,7 @@ def test_a_keeper_that_lags_is_asked_again() -> None:
     stream, keeper = Stream(lambda s: out.append(s.index)), Keeper(10)
     stream.push(sample(2))
     assert stream.missing == Missing(0, 1)
-    assert not keeper.answer(stream)  # it has heard of nothing yet
+    assert not keeper.answer(stream)  # it has received nothing yet
     keeper.made = [0]
     assert keeper.answer(stream)
     assert stream.missing == Missing(1, 1)
@@ -67,7 +67,7 @@ def test_a_keeper_that_lags_is_asked_again() -> None:
     assert out == [0, 1, 2]
 
 
-def test_without_a_keeper_it_goes_on_behind_the_gap() -> None:
+def test_without_a_keeper_it_continues_behind_the_gap() -> None:
     out: list[int] = []
     stream = Stream(lambda s: out.append(s.index))
     for k in (5, 6, 9):

@@ -173,10 +173,10 @@ def test_a_wire_off_its_sensor(start: Callable[..., Process], rig: Rig, kit: Ben
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_the_node_is_shot_or_stands_still(
+def test_the_node_is_killed_or_stands_still(
     start: Callable[..., Process], rig: Rig, kit: BenchKit, stopped: bool
 ) -> None:
-    """The process that holds the port sees the end of its pipe, or hears nothing for its deadline."""
+    """The process that holds the port sees the end of its pipe, or receives nothing for its deadline."""
     process = bridge(start, kit)
     rig.drive(50.0, kit)
     if stopped:

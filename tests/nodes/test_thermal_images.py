@@ -53,6 +53,6 @@ def test_a_closed_shutter_shows_nothing() -> None:
     assert np.isnan(np.frombuffer(bytes(celsius_image(closed, no_header).data), "<f4")).all()
 
 
-def test_a_picture_is_no_temperatures() -> None:
+def test_a_picture_does_not_hold_temperatures() -> None:
     with pytest.raises(RegionError, match="counts are no temperatures"):
         celsius_image(exposure([[1, 2]], flags=FrameFlags.GAIN_CONTROL), no_header)

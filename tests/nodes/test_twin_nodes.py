@@ -157,7 +157,7 @@ def test_sample_of_another_plant_is_an_error_on_diagnostics(
     listener.spin_until(samples.get_subscription_count, "the simulator")
     samples.publish(LoopSample(index=5, reference=[1.0], output=[1.0, 2.0], input=[3.0]))
     said = "plant/sample: sample 5 has 1 references, 2 outputs and 1 inputs; a twin runs one loop"
-    listener.spin_until(lambda: any(said in m.status[0].message for m in health), "the complaint")
+    listener.spin_until(lambda: any(said in m.status[0].message for m in health), "the warning")
     samples.publish(sample_message(steps[0]))
     listener.spin_until(lambda: [state.index for state in states] == [0], "the next state")
 
@@ -171,7 +171,7 @@ def test_gap_is_an_error_on_diagnostics(
     listener.spin_until(samples.get_subscription_count, "the discriminator")
     for sample in [*steps[:5], *steps[8:12]]:
         samples.publish(sample_message(sample))
-    listener.spin_until(lambda: any("missing" in m.status[0].message for m in health), "the complaint")
+    listener.spin_until(lambda: any("missing" in m.status[0].message for m in health), "the warning")
     status = next(m.status[0] for m in health if "missing" in m.status[0].message)
     assert status.level == b"\x02"
     assert status.name == "discriminator: health"

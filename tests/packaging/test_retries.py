@@ -18,7 +18,7 @@ def is_flaky(node: ast.AST) -> bool:
     return isinstance(node, ast.Attribute) and node.attr == "flaky"
 
 
-def complaints(source: str, where: str) -> Iterator[str]:
+def warnings(source: str, where: str) -> Iterator[str]:
     """What is wrong with the retries in a file of tests."""
     tree = ast.parse(source)
     allowed = set()
@@ -41,7 +41,7 @@ def complaints(source: str, where: str) -> Iterator[str]:
 def test_retries_are_on_single_tests_with_their_reasons() -> None:
     files = sorted(TESTS.rglob("*.py"))
     assert len(files) > 100
-    found = [words for file in files for words in complaints(file.read_text(), str(file.relative_to(TESTS)))]
+    found = [words for file in files for words in warnings(file.read_text(), str(file.relative_to(TESTS)))]
     assert found == []
 
 
@@ -65,10 +65,10 @@ def test_no_run_tries_everything_again() -> None:
     ],
 )
 def test_what_is_refused(source: str, where: str, words: str) -> None:
-    (found,) = complaints(source, where)
+    (found,) = warnings(source, where)
     assert words in found
 
 
 def test_what_is_allowed() -> None:
     source = "@pytest.mark.flaky(reruns=1, reason='discovery of another DDS is slow')\ndef test_a(): ..."
-    assert list(complaints(source, "system/test_a.py")) == []
+    assert list(warnings(source, "system/test_a.py")) == []

@@ -176,7 +176,7 @@ def test_a_box_with_mass_leaves_a_third_of_that(run: Callable[[str], Window]) ->
     assert figures[1] <= 0.15
 
 
-def test_the_data_pay_for_walls_with_mass_and_for_the_sensors_lag(run: Callable[[str], Window]) -> None:
+def test_the_data_justify_walls_with_mass_and_the_sensors_lag(run: Callable[[str], Window]) -> None:
     """Which structure the runs need is what the authors left open."""
     models = [Incubator.model(name) for name in Incubator.structures]
     choice = choose_structure([run(FIRST), run(SECOND)], models)
@@ -184,7 +184,7 @@ def test_the_data_pay_for_walls_with_mass_and_for_the_sensors_lag(run: Callable[
     order = sorted(choice.scores, key=lambda s: s.evidence.bic)
     names = [s.name for s in order]
     assert names.index("box with mass") < names.index("air and bed") < names.index("two parameters")
-    assert names.index("air and bed") < names.index("four parameters")  # the fourth is not paid for
+    assert names.index("air and bed") < names.index("four parameters")  # the data do not justify the fourth
 
 
 def test_what_one_run_says_of_the_other(run: Callable[[str], Window]) -> None:

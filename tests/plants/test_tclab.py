@@ -166,7 +166,7 @@ def test_real_kits_are_matched_in_open_loop(
         ("two_heaters_600s.csv", "sensor lag, radiation, neighbour", 0.9),
     ],
 )
-def test_the_first_five_minutes_of_a_real_kit_foretell_the_next(
+def test_the_first_five_minutes_of_a_real_kit_forecast_the_next(
     kit_recording: Callable[[str], Window], name: str, structure: str, most: float
 ) -> None:
     """Under the heaters that came, steps of 30 to 80 %: with a third of the error that no change has."""

@@ -1,4 +1,4 @@
-"""Reports on sessions that hold verdicts of their own: these are computed anew, and compared."""
+"""Reports on sessions that hold verdicts of their own: these are computed again, and compared."""
 
 from __future__ import annotations
 

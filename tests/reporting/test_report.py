@@ -134,7 +134,7 @@ def test_the_forecasts_stand_beside_what_came_and_beside_the_peers(page: Element
         assert line in page.text
 
 
-def test_what_it_foretold_stands_beside_what_came(page: Element, shipped: Report) -> None:
+def test_what_it_forecast_stands_beside_what_came(page: Element, shipped: Report) -> None:
     samples = {s.index: s for s in shipped.judged.judgement.samples}
     shown = {f.sample: f for f in shipped.judged.tested.shown}
     rows = grid(tables_of(page)["What it foretold, and what came"])

@@ -86,7 +86,7 @@ def test_runaway_latches() -> None:
     assert guard.output(100.0) == 0.0
 
 
-def test_while_it_waits_silence_is_no_fault() -> None:
+def test_while_it_waits_silence_is_not_a_fault() -> None:
     guard = OutputGuard()
     guard.temperature(25.0, 0.0)
     assert guard.output(60.0) == 0.0

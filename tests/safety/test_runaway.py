@@ -48,7 +48,7 @@ def test_a_reversed_cable_is_found_at_once() -> None:
     assert first_alarm(lambda _: 60.0, lambda _, u: -u) < 30
 
 
-def test_a_clock_set_back_starts_the_watch_anew() -> None:
+def test_a_clock_set_back_starts_the_watch_again() -> None:
     watch = Runaway()
     assert watch.check(100.0, 60.0, 25.0, 255.0) is None
     assert watch.check(10.0, 60.0, 25.0, 255.0) is None

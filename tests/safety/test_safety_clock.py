@@ -21,7 +21,7 @@ def test_time_begins_at_zero_and_follows_the_plant() -> None:
 
 
 def test_a_clock_that_goes_back_extends_no_deadline() -> None:
-    """A guard that heard its last command at 100 s trips on time, although the clock went back to 0."""
+    """A guard that received its last command at 100 s trips on time, although the clock went back to 0."""
     clock, guard = SafetyClock(), OutputGuard()
     wall = 0
     now = clock.read(100 * SECOND, wall)
@@ -38,7 +38,7 @@ def test_a_clock_that_goes_back_extends_no_deadline() -> None:
     assert guard.fault.kind is FaultKind.COMMAND_SILENT
 
 
-def test_a_clock_that_goes_back_again_and_again_is_no_way_to_stay_young() -> None:
+def test_a_clock_that_goes_back_again_and_again_is_not_a_way_to_stay_young() -> None:
     clock = SafetyClock()
     now = [clock.read((10 - k % 2) * SECOND, k * SECOND // 10) for k in range(8)]
     assert now[-1] == 3.0

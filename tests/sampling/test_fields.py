@@ -74,7 +74,7 @@ def test_a_path_to_a_number_is_found(kind: str, path: str, found: str) -> None:
         ("std_msgs/msg/Float64", "data[-1]", "is no path of fields"),
     ],
 )
-def test_what_is_no_number_is_refused_with_what_there_is(kind: str, path: str, words: str) -> None:
+def test_what_is_not_a_number_is_refused_with_what_there_is(kind: str, path: str, words: str) -> None:
     with pytest.raises(SamplingError, match=words):
         check_path(kind, path, fields_of)
 
@@ -127,6 +127,6 @@ def test_blanks_around_a_channel_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "/cmd:", ":data", "/a b:c", "/cmd/:data", "/cmd:da ta", "/cmd:1"])
-def test_what_is_no_channel_is_refused(text: str) -> None:
+def test_what_is_not_a_channel_is_refused(text: str) -> None:
     with pytest.raises(SamplingError):
         parse_channel(text)

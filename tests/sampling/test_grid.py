@@ -30,7 +30,7 @@ def test_no_tick_is_missed_that_is_late_or_drifts(period: float, drift: float, l
 
 @given(st.integers(1, 50), st.integers(2, 1000), st.floats(0.0, 0.9))
 def test_a_gap_in_time_is_a_gap_in_the_numbers(before: int, gap: int, phase: float) -> None:
-    """Behind it ticks may come at any moment of the period: a loop was started anew."""
+    """Behind it ticks may come at any moment of the period: a loop was restarted."""
     times = np.concatenate([np.arange(before), before - 1 + gap + phase + np.arange(50)])
     expected = [*range(before), *range(before - 1 + gap, before + 49 + gap)]
     assert numbers(times) == expected
@@ -40,11 +40,11 @@ def test_a_burst_is_one_tick() -> None:
     assert numbers(np.array([0.0, 1.0, 4.2, 4.21, 4.22, 5.0, 6.0])) == [0, 1, 4, None, None, 5, 6]
 
 
-def test_a_clock_that_is_set_back_begins_anew_behind_a_gap() -> None:
+def test_a_clock_that_is_set_back_starts_over_behind_a_gap() -> None:
     assert numbers(np.array([100.0, 101.0, 5.0, 6.0])) == [0, 1, 3, 4]
 
 
-def test_a_message_a_little_before_the_last_is_no_tick() -> None:
+def test_a_message_a_little_before_the_last_is_not_a_tick() -> None:
     assert numbers(np.array([0.0, 1.0, 0.9, 2.0])) == [0, 1, None, 2]
 
 

@@ -75,7 +75,7 @@ def test_a_pause_of_the_loop_is_a_gap_in_the_indices() -> None:
     assert [s.index for s in samples] == [*range(10), *range(15, 35)]
 
 
-def test_a_timer_goes_on_while_a_value_grows_old_and_says_so() -> None:
+def test_a_timer_continues_while_a_value_grows_old_and_says_so() -> None:
     told = [entry for entry in loop(40) if not (entry[1] == "output" and 10 < entry[0] < 18)]
     told += [(k + 0.5, "timer", 0.0) for k in range(40)]
     sampler = Sampler(SIGNALS, 1.0, "timer")
@@ -146,7 +146,7 @@ def test_a_clock_that_was_set_back_leaves_no_value_of_the_time_to_come() -> None
     assert "after the tick" in sampler.troubles["output"]
 
 
-def test_values_that_are_no_numbers_are_only_counted() -> None:
+def test_values_that_are_not_numbers_are_only_counted() -> None:
     sampler = Sampler(SIGNALS, 1.0)
     told = [(k + 0.01, "output", np.nan) for k in range(10)] + [(3.02, "input", np.inf)]
     samples = run(sampler, sorted(told + loop(10)), 12.0)

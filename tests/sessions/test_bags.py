@@ -218,7 +218,7 @@ def test_a_damaged_bag_is_one_line(tmp_path: Path, plant: Path, storage: Storage
     assert "has no metadata.yaml" in done.stderr
 
 
-def test_a_session_of_ours_is_a_bag_like_any_other(tmp_path: Path, plant: Path) -> None:
+def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) -> None:
     first = tmp_path / "first"
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     words = ["import", source, "--plant", plant, "--map", *MAP, "-o", first]
@@ -243,9 +243,7 @@ def test_a_session_of_ours_is_a_bag_like_any_other(tmp_path: Path, plant: Path) 
     st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(-100.0, 100.0)), min_size=1, max_size=30),
     st.lists(st.floats(0.01, 3.0), min_size=2, max_size=20),
 )
-def test_means_give_the_plant_what_it_was_given(
-    steps: list[tuple[float, float]], widths: list[float]
-) -> None:
+def test_means_keep_what_the_drive_delivered(steps: list[tuple[float, float]], widths: list[float]) -> None:
     """The sum over the rows is that over the commands, summed step by step."""
     held = dict([(-1.0, 5.0), *steps])
     signal = _Signal(np.array(sorted(held)), np.array([held[at] for at in sorted(held)]))

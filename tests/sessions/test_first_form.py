@@ -93,7 +93,7 @@ def test_the_commands_read_it(
     assert "first_form.html" in (out := capsys.readouterr().out) or "Nominal: 40 °C set" in out
 
 
-def test_a_mended_copy_stays_in_its_form(tmp_path: Path) -> None:
+def test_a_repaired_copy_stays_in_its_form(tmp_path: Path) -> None:
     """What was recorded is kept, whatever the form."""
     torn = tmp_path / "torn"
     torn.mkdir()

@@ -212,7 +212,7 @@ def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
         ("period: -1\ncolumns: {output: T}", "period is -1"),
     ],
 )
-def test_files_that_are_no_map_are_explained(tmp_path: Path, text: str, message: str) -> None:
+def test_files_that_are_not_maps_are_explained(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "map.yaml"
     path.write_text(text)
     with pytest.raises(RecordingError, match=message):

@@ -177,7 +177,7 @@ def test_a_repair_that_was_interrupted_is_done_again(tmp_path):
         (lambda path: (path.mkdir(), (path / "a.mcap").write_text("no such thing")), "begins otherwise"),
     ],
 )
-def test_what_is_no_session_is_said(tmp_path, prepare, message):
+def test_what_is_not_a_session_is_said(tmp_path, prepare, message):
     prepare(tmp_path / "run")
     with pytest.raises(SessionError, match=message):
         repair_session(tmp_path / "run")

@@ -169,7 +169,7 @@ def test_a_damaged_mat_file_gives_our_error_or_numbers(tmp_path_factory, damage,
 
 
 @pytest.mark.parametrize("content", [b"", b"garbage", bytes(500), b"MATLAB 5", os.urandom(0) + b"\xff" * 900])
-def test_a_file_that_is_no_mat_file_is_refused(tmp_path, content):
+def test_a_file_that_is_not_a_mat_file_is_refused(tmp_path, content):
     (tmp_path / "run.mat").write_bytes(content)
     with pytest.raises(RecordingError, match="is no MATLAB file of version 5"):
         read_recording(tmp_path / "run.mat")
@@ -214,13 +214,13 @@ def test_tables_that_cannot_be_used_are_explained(tmp_path, text, message):
         read_recording(table(tmp_path / "run.csv", text))
 
 
-def test_a_csv_that_is_no_text_is_refused(tmp_path):
+def test_a_csv_that_is_not_text_is_refused(tmp_path):
     (tmp_path / "run.csv").write_bytes(b"\xff\xfe\x00garbage")
     with pytest.raises(RecordingError, match="is no text in UTF-8"):
         read_recording(tmp_path / "run.csv")
 
 
-def test_paths_that_are_no_recording_are_refused(tmp_path):
+def test_paths_that_are_not_recordings_are_refused(tmp_path):
     with pytest.raises(RecordingError, match="does not exist"):
         read_recording(tmp_path / "run.mat")
     with pytest.raises(RecordingError, match="is a folder"):

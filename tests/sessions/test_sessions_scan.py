@@ -75,14 +75,14 @@ def test_a_whole_file_has_no_fault(tmp_path, whole):
 
 def test_every_cut_gives_the_messages_before_it(tmp_path, whole):
     ends = [whole.index(encode_sample(sample)) + len(encode_sample(sample)) for sample in SAMPLES]
-    # A stride that meets every place within a record, for their length is no multiple of it.
+    # A stride that meets every place within a record, for their length is not a multiple of it.
     for cut in range(len(MAGIC), len(whole), 11):
         count, fault = scan(tmp_path / "x.mcap", whole[:cut])
         assert count == sum(end <= cut for end in ends)
         assert fault.startswith("the file is truncated")
 
 
-def test_a_cut_within_the_first_bytes_is_no_session(tmp_path, whole):
+def test_a_cut_within_the_first_bytes_is_not_a_session(tmp_path, whole):
     for cut in range(1, len(MAGIC)):
         with pytest.raises(SessionError, match="is no session"):
             scan(tmp_path / "x.mcap", whole[:cut])

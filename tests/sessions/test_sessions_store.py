@@ -165,7 +165,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
         ([Sample(5, 2**61, 1.0, 2.0, 3.0)], "outside 1970 to 2038"),
     ],
 )
-def test_samples_that_are_no_session_leave_nothing(tmp_path, samples, message):
+def test_samples_that_are_not_a_session_leave_nothing(tmp_path, samples, message):
     with pytest.raises(SessionError, match=message):
         write_session(tmp_path / "run", samples)
     assert names(tmp_path) == []

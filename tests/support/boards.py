@@ -93,7 +93,7 @@ class RealBoard:
         self._skip()
 
     def close(self) -> None:
-        """Nothing of ours to end."""
+        """Nothing to end: the process is not ours."""
 
     def _skip(self) -> NoReturn:
         pytest.skip("needs an emulated board")

@@ -87,7 +87,7 @@ CULPRITS = {
     "says nothing": "if time_now > 20: self.plate = float('nan')",
     "refuses": "if time_now > 20: return False",
     "eats": "self.hoard = bytearray(1 << 33) if time_now > 20 else b''",
-    "prints": "print('what an FMU prints is no answer'); os.write(1, b'garbage' * 100)",
+    "prints": "print('what an FMU prints is not an answer'); os.write(1, b'garbage' * 100)",
 }
 """What an FMU may do wrong from the twentieth second of a run on."""
 

@@ -1,4 +1,4 @@
-"""A rig of somebody else: an oven under PI control that knows rclpy and standard messages, nothing of ours.
+"""Somebody else's rig: an oven under PI control that uses rclpy and standard messages, and nothing from here.
 
     python foreign_rig.py [--period 0.05] [--hold 240] [--stamped] [--kelvin] [--no-set-point]
 

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Listener:
-    """A node in this process that keeps what it hears."""
+    """A node in this process that keeps what it receives."""
 
     def __init__(self, context: Context) -> None:
         self.node = Node("listener", context=context)

@@ -27,7 +27,7 @@ from twinmatch_msgs.msg import Forecast, Match, MatchRequest, ModelScore
 
 ATTACH = LAUNCH_SCRIPTS / "attach.py"
 FIRST = 4 * PATIENCE
-"""Until the first verdict: the code of a plant's first match is compiled while the rig goes on."""
+"""Until the first verdict: the code of a plant's first match is compiled while the rig continues."""
 ENTRIES = [f"{name}={text}" for name, text in MAP.items()]
 
 
@@ -56,7 +56,7 @@ def attach(processes: Processes, tmp_path: Path) -> Callable[..., Process]:
 def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     processes: Processes, attach: Callable[..., Process], tmp_path: Path
 ) -> None:
-    """Killed and started again on the way: windows begin anew there, and the twin goes on."""
+    """Killed and started again on the way: windows start over there, and the twin continues."""
     rig = processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
     entries = [
         e if not e.startswith("output") else "temperature=/oven/temperature:temperature" for e in ENTRIES
@@ -135,7 +135,7 @@ def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, t
     assert "Traceback" not in done.stderr
 
 
-def test_a_topic_that_nobody_publishes_ends_it_with_those_there_are(
+def test_a_topic_that_has_no_publisher_ends_it_with_those_there_are(
     processes: Processes, attach: Callable[..., Process], tmp_path: Path
 ) -> None:
     processes.python(RIG, "--period", PERIOD)

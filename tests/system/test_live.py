@@ -1,4 +1,4 @@
-"""The whole live graph on a virtual rig, and what happens when a process of it is shot."""
+"""The whole live graph on a virtual rig, and what happens when a process of it is killed."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_a_lost_drive_is_told_in_time_and_never_matched(judge: Callable[[int], J
 
 
 def frozen(hour: Window, first: int, last: int) -> Window:
-    """The hour as a camera that stops at a sample and goes on at another would have shown it."""
+    """The hour as a camera that stops at a sample and continues at another would have shown it."""
     output = hour.output.copy()
     output[first:last] = output[first]
     return replace(hour, output=output)

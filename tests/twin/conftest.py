@@ -12,7 +12,7 @@ from twinmatch.twin import Outcome, Twin
 
 @pytest.fixture(scope="session")
 def simulated_session() -> list[Sample]:
-    """The samples of the shipped session, made anew by its generator."""
+    """The samples of the shipped session, made again by its generator."""
     return samples_of(four_setpoints())
 
 

@@ -1,4 +1,4 @@
-"""Candidates that foretell, on a plant whose truth is known."""
+"""Candidates that forecast, on a plant whose truth is known."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
 
 
 def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
-    """Foretold from every twentieth sample; 100 forecasts that overlap are worth some thirty, so that the
+    """Forecast from every twentieth sample; 100 forecasts that overlap are worth some thirty, so that the
     share within has a standard error of 0.05."""
     forecaster = Forecaster(GAINS)
     forecaster.enter(entrants(truth=TRUTH))
@@ -76,7 +76,7 @@ def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
 
 
 def test_a_forecast_knows_nothing_of_what_comes(samples: list[Sample]) -> None:
-    """Whether the session is cut there or goes on, the bits are the same, whoever is asked."""
+    """Whether the session is cut there or continues, the bits are the same, for every candidate."""
     twin, whole = Twin(), {}
     for sample in samples[:1300]:
         twin.push(sample)
@@ -127,7 +127,7 @@ def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(samples: list[Sa
         forecaster.push(sample)
     assert forecaster.outlook().sample.index == samples[1009].index
     assert forecaster.scores[0].forecasts == learned
-    assert forecaster.promise(60) is None, "nothing was foretold since the gap"
+    assert forecaster.promise(60) is None, "nothing was forecast since the gap"
 
 
 def test_a_plant_that_changes_breaks_its_promises(samples: list[Sample]) -> None:

@@ -74,7 +74,7 @@ def test_an_input_that_switches_all_the_time_is_judged_every_span() -> None:
     assert {len(t.window) for t in found[3:]} == {CAPACITY}
 
 
-def test_noise_is_no_step() -> None:
+def test_noise_is_not_a_step() -> None:
     """A controller's output that trembles: 20 units of noise are never reached."""
     tremble = 50.0 + 0.5 * np.random.default_rng(4).standard_normal(2000)
     assert Drive(unit="%", limits=(0.0, 100.0), noise=0.5).least_step == SETTINGS.min_input_step
@@ -97,7 +97,7 @@ def test_the_operating_point_is_where_the_output_came_to(width: float, point: fl
     assert [t.operating_point for t in pushed if t is not None and t.excited] == [point]
 
 
-def test_a_gap_starts_anew() -> None:
+def test_a_gap_starts_over() -> None:
     schedule = InputSchedule(SETTINGS)
     for k in range(200):
         schedule.push(Sample(k, k, 0.0, 0.0, 50.0 * (k >= 100)))

@@ -48,7 +48,7 @@ def test_too_few_samples_tell_nothing() -> None:
     assert now.look(recorded(RIG, 1).part(0, 40)) is None
 
 
-def test_after_a_fault_it_begins_anew() -> None:
+def test_after_a_fault_it_starts_over() -> None:
     now, window = present(), recorded(RIG, 6)
     first = now.look(window)
     again = now.look(window)

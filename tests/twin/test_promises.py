@@ -1,4 +1,4 @@
-"""What was foretold, and what came of it."""
+"""What was forecast, and what came of it."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_since_when_and_between_which_levels() -> None:
     promises.push(BROKEN, 120, np.array([50.0, 70.0]))
     promises.push(BROKEN, 180, np.array([70.0, 75.0]))
     assert promises.since == 120
-    assert promises.held == (30.0, 50.0), "where it was broken is no level to trust it at"
+    assert promises.held == (30.0, 50.0), "a level at which it failed is not one to trust it at"
     promises.push(KEPT, 240, np.array([80.0, 82.0]))
     assert promises.since is None
     assert promises.held == (80.0, 82.0), "what lies between was not seen to hold"

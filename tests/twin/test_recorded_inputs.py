@@ -14,7 +14,7 @@ from twinmatch.twin import Twin, TwinSettings
 
 
 def foretold(window: Window, settings: TwinSettings, at: int, count: int) -> tuple[Twin, FloatArray]:
-    """A twin that has seen the samples up to one, and what came minus what it foretells after it."""
+    """A twin that has seen the samples up to one, and what came minus what it forecasts after it."""
     twin = Twin(settings)
     for k in range(at + 1):
         twin.push(
@@ -33,7 +33,7 @@ def foretold(window: Window, settings: TwinSettings, at: int, count: int) -> tup
     return twin, np.asarray(window.output[ahead] - forecast.output.mean)
 
 
-def test_a_step_test_of_the_kit_foretells_its_second_half(
+def test_a_step_test_of_the_kit_forecasts_its_second_half(
     kit_recording: Callable[[str], Window],
 ) -> None:
     """Two levels of the heater tell what a third, much hotter one brings.
@@ -48,7 +48,7 @@ def test_a_step_test_of_the_kit_foretells_its_second_half(
     assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
-def test_a_switched_incubator_foretells_five_minutes(incubator_folder: Path) -> None:
+def test_a_switched_incubator_forecasts_five_minutes(incubator_folder: Path) -> None:
     """Half an hour of on and off tells the next five minutes to a few steps of the sensor."""
     window = read_run(incubator_folder, SECOND)
     twin, off = foretold(window, TwinSettings.of(Incubator, period=window.period), 700, 100)

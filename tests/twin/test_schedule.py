@@ -61,7 +61,7 @@ def test_a_slow_ramp_is_judged_too() -> None:
     assert all(np.ptp(t.window.reference) > 2.0 for t in excited)
 
 
-def test_a_gap_starts_anew() -> None:
+def test_a_gap_starts_over() -> None:
     schedule = Schedule()
     for sample in samples(steps((30.0, 100), (50.0, 50))):
         schedule.push(sample)
@@ -71,7 +71,7 @@ def test_a_gap_starts_anew() -> None:
     assert [t.sample for t in triggers if t.excited] == [1120 + 240]
 
 
-def test_small_changes_are_no_step() -> None:
+def test_small_changes_are_not_a_step() -> None:
     assert not any(t.excited for t in run(steps((50.0, 300), (51.5, 600))))
 
 

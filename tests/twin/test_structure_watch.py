@@ -70,7 +70,7 @@ def test_a_replay_chooses_the_same(hour: Window) -> None:
     assert figures[0] == figures[1]
 
 
-def test_a_gap_or_a_clock_set_back_begins_anew(hour: Window) -> None:
+def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
     watch = StructureWatch(SETTINGS)
     assert watch.push(hour.part(0, 299)) is not None
     assert watch.push(hour.part(350, 640)) is None

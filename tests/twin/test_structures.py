@@ -1,4 +1,4 @@
-"""Structures side by side: richness is bought when the data pay for it, and only then."""
+"""Structures side by side: richness is bought when the data justify it, and only then."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_plain_plant_is_not_sold_richness(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_rich_plant_pays_for_its_sink(seed: int) -> None:
+def test_a_rich_plant_justifies_its_sink(seed: int) -> None:
     choice = choose_structure(recorded(RICH, seed), SOME)
     assert choice.chosen == FULL
     assert choice.parameters["conductance"] == pytest.approx(RICH["conductance"], rel=0.1)
@@ -45,7 +45,7 @@ def test_a_rich_plant_pays_for_its_sink(seed: int) -> None:
 
 
 @pytest.mark.parametrize("zeros", [0, 13, 40, 60, 100])
-def test_stretches_without_any_error_are_no_trouble(zeros: int) -> None:
+def test_stretches_without_any_error_do_no_harm(zeros: int) -> None:
     """As a saturated output leaves them, or a sensor that stands still: exact zeros, thirteen and more."""
     errors = 50.0 * np.random.default_rng(1).normal(size=100)
     errors[:zeros] = 0.0
@@ -77,7 +77,7 @@ def test_prediction_errors_are_those_of_the_noise_behind_the_twin() -> None:
     assert abs(lagged) < 0.02
     spiked = coloured.copy()
     spiked[::200] += 300.0
-    # A kick and the twelve samples foretold from it are one sample in fifteen, each cut at 3 σ: 0.6 more.
+    # A kick and the twelve samples forecast from it are one sample in fifteen, each cut at 3 σ: 0.6 more.
     # Plain least squares lets the kicks shape the model and leaves 12.
     assert np.mean(prediction_errors([spiked]) ** 2) < 2.5
 
@@ -88,7 +88,7 @@ def test_one_model_serves_all_windows() -> None:
     assert prediction_errors([one, other, np.ones(5)]).size == 800 - 2 * 12
 
 
-def test_a_second_half_is_foretold_from_the_first(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_second_half_is_forecast_from_the_first(recorded_hour: Callable[[int], Window]) -> None:
     """Two hours of the real rig: more than the three-parameter twin reaches there (0.868, 0.852 of u)."""
     for number in (2, 14):
         hour = recorded_hour(number)

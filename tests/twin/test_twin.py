@@ -169,7 +169,7 @@ def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_s
 
 
 def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
-    """A run whose drive is lost, and may come back: the controller goes on, the plate gets nothing."""
+    """A run whose drive is lost, and may come back: the controller continues, the plate gets nothing."""
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     levels = (40.0, 70.0, 45.0, 80.0, 50.0, 75.0, 40.0, 70.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
@@ -201,7 +201,7 @@ def test_a_lost_drive_is_told_by_name_at_once_and_never_becomes_a_candidate() ->
     assert all(c.last < told.sample for c in verdicts[-1].candidates)
 
 
-def test_a_drive_that_comes_back_is_told_and_the_family_goes_on() -> None:
+def test_a_drive_that_comes_back_is_told_and_the_family_continues() -> None:
     at, again = 1010, 1060
     twin = Twin()
     verdicts = verdicts_of([twin.push(s) for s in drive_lost(at, 1600, again)])
@@ -225,7 +225,7 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     judge = twin.discriminator
     newest = max(verdicts[-1].candidates, key=lambda c: c.last)
     last = simulated_session[-1]
-    # A reading no plate can have, in a session whose index goes on: the alarm starts at that very sample.
+    # A reading no plate can have, in a session whose index continues: the alarm starts at that very sample.
     broken = dataclasses.replace(last, index=last.index + 1, output=400.0)
     told = judge.push_sample(broken).verdicts[-1]
     assert told.fault == "sensor-implausible"
@@ -239,7 +239,7 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     assert after == Step((), None)
 
 
-def test_a_gap_in_the_samples_starts_the_windows_anew(simulated_session: list[Sample]) -> None:
+def test_a_gap_in_the_samples_starts_the_windows_again(simulated_session: list[Sample]) -> None:
     twin = Twin()
     kept = simulated_session[:500] + [
         dataclasses.replace(s, index=s.index + 1000) for s in simulated_session[500:1200]

@@ -1,4 +1,4 @@
-"""A plant of which only a combination of the parameters shows: the twin says so and goes on."""
+"""A plant of which only a combination of the parameters shows: the twin says so and continues."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def test_a_match_says_that_nothing_tells_them_apart(outcomes: list[Outcome]) -> 
         assert found.parameters["hole"] ** 2 / found.parameters["area"] == pytest.approx(0.162, rel=0.03)
 
 
-def test_its_twins_foretell_all_the_same(outcomes: list[Outcome]) -> None:
+def test_its_twins_forecast_all_the_same(outcomes: list[Outcome]) -> None:
     verdicts: list[Verdict] = [v for o in outcomes for v in o.verdicts]
     last = verdicts[-1]
     assert last.leader
-    assert last.miss_y < 2.0  # half widths of the band: what was foretold came true
+    assert last.miss_y < 2.0  # half widths of the band: what was forecast came true
     assert all(np.isfinite(s.gain) for s in last.forecasts)

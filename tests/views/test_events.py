@@ -58,7 +58,7 @@ def report(sample: int, status: Status) -> MatchReport:
     return MatchReport(sample, 50.0, match)
 
 
-def test_whoever_takes_the_lead_is_told() -> None:
+def test_a_new_leader_is_reported() -> None:
     story = [verdict(60, TrustLevel.UNKNOWN, nominal=None), verdict(120, TrustLevel.TRUSTED)]
     story += [replace(story[1], sample=180, leader=name) for name in ("a", "a", "b")]
     found = [e for e in events(story) if e.kind is EventKind.LEADER]

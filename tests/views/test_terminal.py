@@ -28,7 +28,7 @@ def judged() -> Judgement:
 
 
 def shown(judged: Judgement, width: int, height: int = 60, *, until: int = 720, **options: object) -> str:
-    """Everything that was written to a terminal of this size while the run went on and ended."""
+    """Everything that was written to a terminal of this size while the run continued and ended."""
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=width, height=height, **options)  # type: ignore[arg-type]
     screen = Screen(console, judged.name, 1.0, len(judged.samples))
@@ -124,7 +124,7 @@ def test_no_line_is_wider_than_the_terminal_and_no_number_is_cut(judged: Judgeme
         assert score.chosen_order in narrow[score.name]
 
 
-def test_a_low_terminal_is_never_overfilled_while_the_run_goes_on(judged: Judgement) -> None:
+def test_a_low_terminal_is_never_overfilled_while_the_run_continues(judged: Judgement) -> None:
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, height=24)
     screen = Screen(console, judged.name, 1.0, None)

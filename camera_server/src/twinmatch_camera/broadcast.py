@@ -53,7 +53,7 @@ class _Client:
 
 
 class Broadcast:
-    """Listens, and sends each published message to whoever is connected.
+    """Listens, and sends each published message to every client.
 
     Raises:
         ListenError: the address is not ours or taken.

@@ -14,7 +14,7 @@ __all__ = ["CameraError", "ListenError", "SourceError", "UsageError"]
 
 
 class CameraError(Exception):
-    """The program cannot go on; its message is one line that says what to do."""
+    """The program cannot continue; its message is one line that says what to do."""
 
     exit_code = 1
 

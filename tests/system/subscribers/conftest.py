@@ -1,4 +1,4 @@
-"""Programs of other people beside the graph: how they are started, and what they are to hear."""
+"""Programs of other people beside the graph: how they are started, and what they are to receive."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def stranger(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment of somebody who has done nothing for twinmatch.
 
     Where ROS 2 was sourced and not installed with pip, what sourcing has set belongs to it. Our own nodes
-    find the equations that were prepared here: deriving them anew takes a minute.
+    find the equations that were prepared here: deriving them again takes a minute.
     """
     kept = ["PATH", "LANG"]
     if not (Path(sys.prefix) / "share" / "rclpy").is_dir():

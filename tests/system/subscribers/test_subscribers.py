@@ -58,14 +58,14 @@ def as_text(messages: Sequence[Any]) -> list[str]:
 
 
 def assert_heard_from_then_on(heard: Sequence[Any], said: Sequence[Any]) -> None:
-    """What is not latched is heard from when its reader was found, then without a hole."""
+    """What is not latched is received from when its reader was found, then without a hole."""
     assert as_text(heard) == as_text(said[-len(heard) :])
     assert heard[0]["sample"] <= SETTLED < heard[-1]["sample"]
 
 
 @dataclass
 class Replayed:
-    """What was heard while the launch script played a session."""
+    """What was received while the launch script played a session."""
 
     scores: dict[str, list[Any]]
     last_words: dict[str, str]
@@ -174,7 +174,7 @@ def test_cyclone_reads_every_sample(programs: Any, session: Path) -> None:
 
 @pytest.fixture(scope="module")
 def last_verdict(lasting_programs: Any, session: Path) -> Any:
-    """The last verdict on a session that was played to a twin, which stands for whoever comes late."""
+    """The last verdict on a session that was played to a twin, which is latched for late subscribers."""
     start = lasting_programs.start
     scores = lasting_programs.start_reader(
         "twinmatch_msgs/ModelScore", "/late/twin/model_score", "everything"
@@ -197,7 +197,7 @@ def last_verdict(lasting_programs: Any, session: Path) -> Any:
 
 
 def test_late_reader_is_given_the_nominal(programs: Any, last_verdict: Any) -> None:
-    """Nothing is published any more when it subscribes, so that it was given what stood is certain."""
+    """When it subscribes, publishing has ended: what it receives can only be what was latched."""
     late = programs.start_reader("twinmatch_msgs/Candidate", "/late/twin/nominal", "latched")
     late.said("{")
     (nominal,) = late.json

@@ -1,4 +1,4 @@
-"""A reader on another machine hears nothing, unless the network was opened."""
+"""A reader on another machine receives nothing, unless the network was opened."""
 
 from __future__ import annotations
 

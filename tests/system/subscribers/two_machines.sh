@@ -1,7 +1,7 @@
 #!/bin/sh
 # Two machines with a cable between them, as far as the network can tell: run in namespaces of its own by
 #   unshare --map-root-user --net --mount sh two_machines.sh PYTHON SESSION READER OUTPUT SECONDS
-# A player here, a reader over there. Once the reader has subscribed it is given until it has heard something,
+# A player here, a reader over there. Once the reader has subscribed it is given until it has received something,
 # at most SECONDS.
 set -eu
 python=$1 session=$2 reader=$3 output=$4 seconds=$5

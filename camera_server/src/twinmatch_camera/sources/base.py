@@ -9,8 +9,8 @@ from twinmatch.links.thermal_frame import Exposure
 __all__ = ["EndOfRecording", "Source"]
 
 
-class EndOfRecording(Exception):  # noqa: N818 (it is no error)
-    """A source has nothing more to show, and that is no fault."""
+class EndOfRecording(Exception):  # noqa: N818 (it is not an error)
+    """A source has nothing more to show, which is not a fault."""
 
 
 class Source(Protocol):

@@ -115,7 +115,7 @@ class LeptonSource:
                 self._fetch()
             frame = self._assembler.feed(self._packets.popleft())
         except SyncLost as lost:
-            _log.debug("%s; synchronising anew", lost)
+            _log.debug("%s; synchronising again", lost)
             self._resynchronise()
             return None
         if frame is None:

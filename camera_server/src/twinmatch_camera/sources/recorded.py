@@ -22,14 +22,14 @@ __all__ = ["RecordedSource"]
 _PAUSE_BETWEEN_ROUNDS = 0.2
 
 
-class _Ended(Exception):  # noqa: N818 (it is no error)
+class _Ended(Exception):  # noqa: N818 (it is not an error)
     """The file ends."""
 
 
 class RecordedSource:
     """Plays a recording once, or again and again.
 
-    Stamps are of now. Frame counters go on over the rounds, so that each round's frames are news.
+    Stamps are of now. Frame counters continue over the rounds, so that each round's frames count as new.
     """
 
     def __init__(self, path: str | Path, *, loop: bool = False) -> None:

@@ -19,7 +19,7 @@ __all__ = ["PACKET_BYTES", "RESYNC_SILENCE", "Assembler", "SyncLost", "VospiFram
 
 PACKET_BYTES = 164
 RESYNC_SILENCE = 0.2
-"""Seconds without a clock edge after which the camera begins anew."""
+"""Seconds without a clock edge after which the camera starts over."""
 
 _ROWS, _COLUMNS = LEPTON_SHAPE
 _TELEMETRY_ROWS = 3
