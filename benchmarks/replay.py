@@ -74,7 +74,7 @@ def _growth(quick: bool) -> list[Row]:
 
 
 def _full_verdict(quick: bool) -> list[Row]:
-    """Everything computed again: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
+    """All over again: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
     ready, sample, report = _before_a_verdict()
 
     def judge() -> tuple[Verdict, ...]:

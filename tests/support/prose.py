@@ -171,7 +171,7 @@ def findings(text: str, line: int = 1) -> list[Found]:
         return line + shown.count("\n", 0, words[bisect_right(starts, position) - 1].start())
 
     return sorted(
-        Found(line_of(m.start()), m[0], rule.instead)
+        Found(line_of(m.start()), m[0].strip(), rule.instead)
         for rule in RULES
         for m in re.finditer(rule.pattern, flat, re.IGNORECASE)
     )

@@ -25,7 +25,7 @@ DESCRIPTION = "plant/description"
 AT_THE_END = 60
 """A verdict triggered so few samples, or seconds, before the end may have come after the recorder stopped."""
 SENTENCES = frozenset({"reason", "certainty", "suggestion", "determined"})
-"""Fields for people to read. What they say is in other fields too, so a later version may word them better."""
+"""Fields for people to read. What they say is in other fields too, so later versions may reword them."""
 
 
 class VerifyError(TwinmatchError):
