@@ -145,7 +145,7 @@ def test_a_twin_that_stood_still_is_given_what_it_missed(
     run = begin(20.0)
     run.until_state(100)
     run.stand_still(10.0)
-    run.until_state(500)
+    run.listener.spin_until(lambda: run.matches, "a match")  # its verdict is being made
     run.stand_still(10.0)
     run.check(steps, offline)
     (found,) = run.verify()

@@ -19,8 +19,10 @@ __all__ = ["CatchingUp", "samples_of_answer"]
 
 LOOK = 0.05
 """Wall seconds between two looks for something missing."""
-PATIENCE = 3.0
+PATIENCE = 6.0
 """Wall seconds without anything new after which a node does without what is missing."""
+ANSWER = 2.0
+"""Wall seconds after which a question without an answer is asked again; the keeper needs milliseconds."""
 NONE = 2**64 - 1
 """As many verdicts as nobody has said: none of them is wanted."""
 MOST_WAITING = 4000
@@ -48,6 +50,7 @@ class CatchingUp:
         self._node, self._stream, self._waiting, self._learn = node, stream, waiting, learn
         self._client = node.create_client(Past, PAST)
         self._asked: Any = None  # the future of the question that is out
+        self._asked_at = 0.0
         self._since: float | None = None  # when something was missing without anything new
         self._fresh = True
         self._matches = 0
@@ -64,6 +67,8 @@ class CatchingUp:
             self._since = now
         if now - self._since > PATIENCE:
             self._do_without(f"samples {missing.first} to {missing.last} cannot be had")
+        elif self._asked is not None and now - self._asked_at > ANSWER:
+            self._asked = None  # an answer to a process that stood still may be lost
         elif self._asked is None and self._client.service_is_ready():
             if self._waiting() > MOST_WAITING:
                 self._since = now  # the worker is busy with what was fetched
@@ -71,6 +76,7 @@ class CatchingUp:
             count = 0 if self._fresh else missing.last + 1 - missing.first
             question = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
             self._asked = self._client.call_async(question)
+            self._asked_at = now
             self._asked.add_done_callback(self._on_answer)
 
     def _do_without(self, why: str) -> None:

@@ -147,7 +147,8 @@ class DiscriminatorNode(SampleNode):
         self.health.set("nominal", verdict.nominal or "none")
         self._said += 1
         if self._said > self._heard:
-            self._scores.publish(score_message(verdict, self._stamps.get(verdict.sample, 0)))
+            message = score_message(verdict, self._stamps.get(verdict.sample, 0))
+            self.publish(self._scores, message)
         if self._said < self._heard:
             return
         chosen = next((c for c in verdict.candidates if c.name == verdict.nominal), None)

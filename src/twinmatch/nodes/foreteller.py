@@ -9,8 +9,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Outlook, what_if
 from twinmatch.nodes.conversions import leader_message
 from twinmatch.nodes.forecast_messages import answer_message, forecast_message, question_from, shown_samples
-from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.samples import LATCHED, RELIABLE
+from twinmatch.nodes.samples import LATCHED, RELIABLE, TwinNode
 from twinmatch.twin import Discriminator, Snapshot
 from twinmatch_msgs.msg import Forecast, ForecastScore
 from twinmatch_msgs.srv import WhatIf
@@ -28,9 +27,9 @@ class Foreteller:
     from the newest one in the thread of the callbacks, so that they never wait for a judgement.
     """
 
-    def __init__(self, node: TwinmatchNode) -> None:
+    def __init__(self, node: TwinNode) -> None:
         """Make topics and service of a node."""
-        self._health = node.health
+        self._node, self._health = node, node.health
         self._snapshot = Snapshot()
         self._leader: Outlook | None = None
         self._ahead: tuple[int, ...] = ()
@@ -64,7 +63,7 @@ class Foreteller:
             if not outlook.parameters.model.is_elsewhere:
                 raise
             return  # whoever leads at the next sample can be run
-        self._forecasts.publish(forecast_message(forecast, sample.stamp, self._ahead))
+        self._node.publish(self._forecasts, forecast_message(forecast, sample.stamp, self._ahead))
         self._health.set("leader", name)
         self._health.set("forecast from sample", sample.index)
 

@@ -38,7 +38,7 @@ class MatcherNode(TwinNode):
                 self._at_work.discard((item.sample, item.first))
         self.health.count("matches")
         self.health.set("last match", f"{report.match.status.value} at sample {report.sample}")
-        self._publisher.publish(match_message(report, nanoseconds(item.header.stamp)))
+        self.publish(self._publisher, match_message(report, nanoseconds(item.header.stamp)))
 
     def _on_request(self, message: MatchRequest) -> None:
         self.health.say("working")

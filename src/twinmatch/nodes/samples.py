@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from twinmatch.nodes.catching_up import CatchingUp
@@ -14,6 +15,7 @@ from twinmatch.nodes.diagnostics import Health, Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.nodes.standstill import Standstill
 from twinmatch.nodes.stream import Stream
 from twinmatch.nodes.twin_parameters import settings_from, understood
 from twinmatch.nodes.worker import Worker
@@ -97,6 +99,8 @@ class TwinNode(TwinmatchNode):
 
     def open(self) -> None:
         """Start the worker."""
+        self._standstill = Standstill()
+        self._standstill.start()
         self.worker = Worker(self.work, self.health)
         self.report_on()
 
@@ -108,6 +112,11 @@ class TwinNode(TwinmatchNode):
         """Leave an item to the worker."""
         if self.worker is not None:
             self.worker.put(item)
+
+    def publish(self, publisher: Publisher, message: Any) -> None:
+        """Publish from the worker's thread; after a standstill, once the readers are back."""
+        self._standstill.wait()
+        publisher.publish(message)
 
     def report(self) -> Report:
         """The queue."""
@@ -122,6 +131,8 @@ class TwinNode(TwinmatchNode):
 
     def close(self) -> bool:
         """End the worker."""
+        if self.worker is not None:
+            self._standstill.end()
         return self.worker is None or self.worker.close()
 
 

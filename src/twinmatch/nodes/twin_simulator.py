@@ -50,7 +50,8 @@ class TwinSimulatorNode(SampleNode):
             state = self._mirror.push(item)
             self._made += 1
             if self._made > self._heard:
-                self._publisher.publish(state_message(state, self._leader, self.settings.plant.states))
+                message = state_message(state, self._leader, self.settings.plant.states)
+                self.publish(self._publisher, message)
             return
         self._mirror.parameters = parameters_from(item.parameters)
         self._leader = item.name
