@@ -63,7 +63,7 @@ docs: setup
 	@echo "docs: build/docs/index.html"
 
 dist: setup
-	@rm -rf dist
+	@rm -rf dist build/lib build/bdist.* $(MESSAGES)/build  # or modules deleted since would be packed
 	@$(RUN) -m pip --quiet wheel --no-build-isolation --no-deps --wheel-dir dist . ./$(MESSAGES)
 	@echo "dist: $$(ls dist | tr '\n' ' ')"
 

@@ -10,13 +10,18 @@ from pathlib import Path
 from setuptools import setup
 
 HERE = Path(__file__).resolve().parent
-CONFIG = [f"config/{path.name}" for path in sorted((HERE / "config").glob("*")) if path.is_file()]
+SHARED = sorted(
+    path.relative_to(HERE)
+    for path in [*(HERE / "config").glob("*"), *(HERE / "camera_server" / "src").rglob("*.py")]
+    if path.is_file()
+)
+"""Files that are found at run time: configurations, and the camera program that the virtual rig starts."""
 
 setup(
     python_requires=">=3.10",
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/twinmatch"]),
         ("share/twinmatch", ["package.xml"]),
-        ("share/twinmatch/config", CONFIG),
+        *((f"share/twinmatch/{path.parent}", [str(path)]) for path in SHARED),
     ],
 )

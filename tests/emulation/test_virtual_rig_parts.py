@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.waiting import wait_for
+from twinmatch import shipped
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.emulation import virtual_rig_board, virtual_rig_camera
 from twinmatch.emulation.arduino_pins import ArduinoError, Drive
@@ -349,9 +350,9 @@ def test_noise_on_the_line_writes_and_takes(tmp_path: Path) -> None:
 def test_a_camera_program_that_cannot_listen_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(VirtualCameraError, match=r"has ended by itself: .*emulated Lepton"):
         VirtualCamera(ambient=float("nan"))
-    monkeypatch.setattr(virtual_rig_camera, "_SOURCES", Path("/nowhere"))
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(VirtualCameraError, match=r"pip install ./camera_server"):
+    monkeypatch.setattr(shipped, "__file__", "/nowhere/src/twinmatch/shipped.py")
+    monkeypatch.setattr("sys.prefix", "/nowhere")
+    with pytest.raises(VirtualCameraError, match=r"camera_server/src is in none of .* install twinmatch"):
         VirtualCamera(ambient=22.0)
 
 

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from tests.support.fmus import build_python_fmu, write_map
+from twinmatch.cli import main
 from twinmatch.dynamics import Model, PlantError, Structure, StructureLostError, begin, simulate_closed_loop
 from twinmatch.fmu import is_fmu
 from twinmatch.judging.foreign import ForeignError, check_fmus
@@ -18,6 +19,7 @@ from twinmatch.judging.judgement import Judgement, judge_samples
 from twinmatch.nodes.twin_parameters import ParameterError, read_settings, recorded_values
 from twinmatch.plants import Peltier
 from twinmatch.record.named import parameters_of, parameters_tree
+from twinmatch.sessions import write_session
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Twin, TwinSettings
 from twinmatch.twin.structure_watch import watched
@@ -142,6 +144,21 @@ def test_a_configuration_lets_fmus_run_and_a_recording_does_not(exchange_fmu: Pa
     config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": "nowhere.yaml"}}}))
     with pytest.raises(ParameterError, match=r"nowhere\.yaml"):
         read_settings(config)
+
+
+@pytest.mark.usefixtures("only_fmus")
+def test_a_report_is_written_with_an_fmu(exchange_fmu: Path, tmp_path: Path) -> None:
+    maps = write_map(tmp_path, exchange_fmu, "for the report")
+    write_session(tmp_path / "run", a_session(600))
+    page = tmp_path / "run.html"
+    try:
+        assert main(["report", str(tmp_path / "run"), "--allow-fmu", str(maps), "-o", str(page)]) == 0
+        (name,) = [name for name in Peltier.structures if is_fmu(name)]
+    finally:
+        for name in [name for name in Peltier.structures if is_fmu(name)]:
+            Peltier.structures[name].elsewhere.runner.close()  # type: ignore[union-attr]
+            Peltier.disown(name)
+    assert name in page.read_text(encoding="utf-8")
 
 
 def test_a_session_is_verified_with_its_own_fmu_only(

@@ -27,7 +27,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copy = tmp_path_factory.mktemp("sources")
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
         shutil.copy(PROJECT / name, copy)
-    for name in ("src/twinmatch", "config", "resource"):
+    for name in ("src/twinmatch", "camera_server/src", "config", "resource"):
         shutil.copytree(PROJECT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
     return copy
 
@@ -44,6 +44,8 @@ def test_wheel_carries_share_and_profile(sources: Path, tmp_path: Path) -> None:
     assert "twinmatch/nodes/fastdds3_loopback.xml" in names
     for path in (PROJECT / "config").iterdir():
         assert f"share/twinmatch/config/{path.name}" in names
+    for path in (PROJECT / "camera_server" / "src").rglob("*.py"):
+        assert f"share/twinmatch/{path.relative_to(PROJECT)}" in names
 
 
 def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import argparse
 import time
 from pathlib import Path
 
-from twinmatch.launching.configs import shipped_config
 from twinmatch.launching.page import add_page_options, page_of
+from twinmatch.shipped import shipped
 
 __all__ = ["add_arguments", "run"]
 
@@ -43,7 +43,7 @@ def _live(speed: float) -> int:
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
 
     session = Path("out") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
-    plan = LivePlan(config=shipped_config("demo.yaml"), session=session, virtual=VirtualPlan(speed=speed))
+    plan = LivePlan(config=shipped("config/demo.yaml"), session=session, virtual=VirtualPlan(speed=speed))
     run = Live(plan)
     code = run_live(run)
     return code or _look_back(session)

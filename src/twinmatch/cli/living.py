@@ -6,8 +6,8 @@ import argparse
 import time
 from pathlib import Path
 
-from twinmatch.launching.configs import shipped_config
 from twinmatch.launching.page import add_page_options, page_of
+from twinmatch.shipped import shipped
 
 __all__ = ["add_arguments", "run"]
 
@@ -50,12 +50,12 @@ def run(options: argparse.Namespace) -> int:
         usage.error("--speed, --fault and --board are for a rig that is --virtual")
     rig, twin = CONFIGS[options.plant]
     if options.twin_config is None and twin is not None:
-        options.twin_config = shipped_config(twin)
+        options.twin_config = shipped(f"config/{twin}")
     session = options.session or Path("sessions") / time.strftime("%Y-%m-%d_%H-%M-%S")
     refuse_existing(None if options.no_record else session)
     virtual = VirtualPlan(options.speed, tuple(options.fault), options.board, options.seed, options.plant)
     plan = LivePlan(
-        config=options.config or shipped_config(rig),
+        config=options.config or shipped(f"config/{rig}"),
         session=None if options.no_record else session,
         twin_config=options.twin_config,
         virtual=virtual if options.virtual else None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twinmatch.cli.files import add_fmus, add_plant
+from twinmatch.judging.options import add_fmus, add_plant
 from twinmatch.judging.progress import Progress
 
 __all__ = ["add_arguments", "run"]

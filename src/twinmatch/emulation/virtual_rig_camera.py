@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import io
 import math
 import os
@@ -14,11 +13,11 @@ import sys
 import time
 from collections import deque
 from enum import Enum
-from pathlib import Path
 
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.shipped import NotShippedError, shipped
 
 __all__ = ["Serving", "VirtualCamera", "VirtualCameraError"]
 
@@ -28,7 +27,6 @@ _PATIENCE = 30.0
 """Longest start of the camera program, s."""
 _GARBAGE = 512
 """Bytes of noise in place of an image."""
-_SOURCES = Path(__file__).resolve().parents[3] / "camera_server" / "src"
 
 
 class VirtualCameraError(TwinmatchError):
@@ -196,15 +194,13 @@ class _Garbage:
 
 
 def _environment() -> dict[str, str]:
-    """The environment of the camera program; in a checkout it need not be installed."""
-    environment = dict(os.environ)
-    if _SOURCES.is_dir():
-        paths = [str(_SOURCES), environment.get("PYTHONPATH", "")]
-        environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
-    elif importlib.util.find_spec("twinmatch_camera") is None:
-        msg = "virtual camera: the camera program is not installed; pip install ./camera_server"
-        raise VirtualCameraError(msg)
-    return environment
+    """The environment of the camera program, which comes along with twinmatch and need not be installed."""
+    try:
+        sources = shipped("camera_server/src")
+    except NotShippedError as error:
+        raise VirtualCameraError(f"virtual camera: {error}") from error
+    paths = [str(sources), os.environ.get("PYTHONPATH", "")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
 
 def _pipe(pipe: object) -> io.FileIO:

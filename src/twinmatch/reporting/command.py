@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.interrupt import held_interrupts
+from twinmatch.judging.options import add_terms
 from twinmatch.judging.progress import Progress
 
 if TYPE_CHECKING:
@@ -28,13 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--figures", type=Path, metavar="DIR", help="write the figures into this folder, too")
     parser.add_argument("--format", choices=FORMATS, default="png", help="of those figures (default: png)")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="parameters (.yaml) instead of the recorded ones"
-    )
-    parser.add_argument(
-        "--plant", metavar="NAME|FILE.py", help="the plant, if the session does not say it or it is in a file"
-    )
-    parser.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
+    add_terms(parser)
 
 
 def run(options: argparse.Namespace) -> int:
