@@ -35,10 +35,10 @@ from rich.console import Console
 from rich.table import Table
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketError, websocket_connect
+from twinmatch.launching.configs import shipped_config
 
 from twinmatch.emulation.virtual_rig_control import ControlError, tell
 from twinmatch.errors import TwinmatchError
-from twinmatch.launching.configs import shipped_config
 
 ALLOWED = 2.0
 """MB by which a process may grow from its second hour to the last: noise of the allocator."""
