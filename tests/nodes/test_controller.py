@@ -13,7 +13,9 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
@@ -198,6 +200,56 @@ def test_the_set_point_may_come_from_a_topic(start: Callable[..., Process], benc
         plain.publish(Float64(data=wrong))
         bench.feed(lambda wrong=wrong: bench.said(f"set-point {wrong:g} °C refused"), "the refusal")
     assert list(bench.samples[-1].reference) == [44.0]
+
+
+def test_the_profile_can_be_changed_while_it_runs(start: Callable[..., Process], bench: Bench) -> None:
+    start("controller", *FAST, "-p", "profile.levels:=[30.0, 31.0]", "-p", "profile.holds:=[1000.0, 1000.0]")
+    client = bench.listener.node.create_client(SetParameters, "controller/set_parameters")
+    bench.feed(lambda: bench.samples and client.service_is_ready(), "samples")
+
+    def put(name: str, value: object) -> Any:
+        given = RosParameter(name, value=value).to_parameter_msg()
+        answer = client.call_async(SetParameters.Request(parameters=[given]))
+        bench.feed(answer.done, "the answer")
+        return answer.result().results[0]
+
+    def asked() -> float:
+        return float(bench.samples[-1].reference[0])
+
+    assert put("profile.levels", [50.0, 51.0]).successful
+    bench.feed(lambda: asked() == 50.0, "the first of the new levels")
+    assert put("profile.holds", [0.5, 1000.0]).successful
+    bench.feed(lambda: asked() == 51.0, "the second one")
+    for name, value, why in (
+        ("profile.levels", [50.0, 51.0, 52.0], "3 levels and 2 times"),
+        ("profile.levels", [50.0, 500.0], "allowed is"),
+        ("profile.highest", 40.0, "level 1 is 50 °C"),
+        ("profile.highest", 150.0, "restart the controller with it"),
+        (
+            "pid.proportional",
+            9.0,
+            "pid.proportional cannot change now: it is read once",
+        ),
+    ):
+        refused = put(name, value)
+        assert not refused.successful
+        assert why in refused.reason, refused.reason
+    assert put("profile.highest", 60.0).successful
+    bench.pass_time(0.3)
+    assert asked() == 51.0
+
+
+def test_a_narrower_range_holds_for_the_set_point_that_stands(
+    start: Callable[..., Process], bench: Bench
+) -> None:
+    latched = bench.listener.node.create_publisher(Float64, "plant/reference", LATCHED)
+    latched.publish(Float64(data=70.0))
+    start("controller", *FAST, "-p", "reference_source:=topic")
+    client = bench.listener.node.create_client(SetParameters, "controller/set_parameters")
+    bench.feed(lambda: bench.samples and client.service_is_ready(), "samples")
+    given = RosParameter("profile.highest", value=60.0).to_parameter_msg()
+    client.call_async(SetParameters.Request(parameters=[given]))
+    bench.feed(lambda: list(bench.samples[-1].reference) == [60.0], "the highest set-point")
 
 
 def test_it_waits_for_its_readers(start: Callable[..., Process], bench: Bench) -> None:

@@ -14,11 +14,11 @@ from std_msgs.msg import Float64
 
 from twinmatch.control import Loop, Profile
 from twinmatch.dynamics import Pid, Plant, PlantError
-from twinmatch.nodes.controller_parameters import controller_table, profile_from
+from twinmatch.nodes.controller_parameters import changed_profile, controller_table, profile_from
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.loop_parameters import pid_gains
 from twinmatch.nodes.node import TwinmatchNode, count_readers, missing_readers
-from twinmatch.nodes.parameters import Parameter, ParameterError
+from twinmatch.nodes.parameters import Parameter, ParameterError, Values
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import LATCHED, RELIABLE
@@ -59,6 +59,8 @@ class ControllerNode(TwinmatchNode):
         values = self.values
         self._plant: type[Plant] = find_plant(values["plant"])
         self._profile: Profile | None = profile_from(values)
+        self._begun = 0.0
+        """When the profile began, s since sample 0."""
         self._gains = pid_gains(values)
         self._loop = Loop(self._plant, self._gains, max_age=values["max_age"])
         self._asked: float | None = None
@@ -86,6 +88,15 @@ class ControllerNode(TwinmatchNode):
         self.create_timer(self.values["command_period"], self._on_repeat)
         self.health.say("waiting")
         self.report_on()
+
+    def change(self, values: Values) -> None:
+        """Adopt another profile or a narrower range; other levels begin now, with the first of them."""
+        self._profile = changed_profile(self.values, values)
+        if any(values[name] != self.values[name] for name in ("profile.levels", "profile.holds")):
+            self._begun = self._loop.time
+        if self._profile is None and self._asked is not None:
+            low, high = values["profile.lowest"], values["profile.highest"]
+            self._asked = min(max(self._asked, low), high)
 
     def report(self) -> Report:
         """Ticks, lateness, and why there are no samples."""
@@ -148,6 +159,7 @@ class ControllerNode(TwinmatchNode):
         """The set-point at a time since sample 0; publishes it when it is another."""
         if self._profile is None:
             return self._asked
+        at -= self._begun
         if self.values["exit_at_end"] and self._profile.ended(at):
             self.get_logger().info("the profile has come to its end")
             self.exit_code = 0

@@ -12,7 +12,7 @@ from twinmatch.nodes.node import READERS
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.plants import Peltier, find_plant, written_name
 
-__all__ = ["controller_table", "profile_from"]
+__all__ = ["changed_profile", "controller_table", "profile_from"]
 
 _WAY = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
 """Where in the range of sensible set-points the usual profile goes."""
@@ -40,9 +40,15 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
             "Where the set-point comes from: the profile below, or the topic plant/reference.",
             choices=("profile", "topic"),
         ),
-        Parameter("profile.levels", levels, "Set-points, one after the other.", y.unit, low, high),
-        Parameter("profile.holds", [300.0] * 4, "How long each of them is asked for.", "s", 0.1, 1e6),
-        Parameter("profile.repeat", True, "Begin again at the end; otherwise the last level stays."),
+        Parameter(
+            "profile.levels", levels, "Set-points, one after the other.", y.unit, low, high, changeable=True
+        ),
+        Parameter(
+            "profile.holds", [300.0] * 4, "How long each of them is held.", "s", 0.1, 1e6, changeable=True
+        ),
+        Parameter(
+            "profile.repeat", True, "Begin again at the end; otherwise the last level stays.", changeable=True
+        ),
         Parameter(
             "profile.ramp",
             0.0,
@@ -50,17 +56,25 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
             f"{y.unit}/s",
             0.0,
             high - low,
+            changeable=True,
         ),
         Parameter(
             "profile.lowest",
             max(low, y.safe[0]),
-            "Lowest set-point that is accepted, also from the topic.",
+            "Lowest set-point that is accepted, also from the topic; while the node runs it can only rise.",
             y.unit,
             low,
             high,
+            changeable=True,
         ),
         Parameter(
-            "profile.highest", min(high, y.safe[1]), "Highest set-point that is accepted.", y.unit, low, high
+            "profile.highest",
+            min(high, y.safe[1]),
+            "Highest set-point that is accepted; while the node runs it can only fall.",
+            y.unit,
+            low,
+            high,
+            changeable=True,
         ),
         Parameter("exit_at_end", False, "End when the profile, not repeated, is over."),
         Parameter("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
@@ -100,3 +114,22 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
     group = {n.removeprefix("profile."): v for n, v in values.items() if n.startswith("profile.")}
     group["levels"], group["holds"] = tuple(group["levels"]), tuple(group["holds"])
     return Profile(**group, unit=unit)
+
+
+def changed_profile(before: Mapping[str, Any], values: Mapping[str, Any]) -> Profile | None:
+    """The profile from values of which some were changed while the controller runs.
+
+    The range of set-points was given for this rig when the controller was started, so it can only shrink.
+
+    Raises:
+        ControlError: as for `profile_from`; the range would grow.
+    """
+    for name, outside in (("lowest", float.__lt__), ("highest", float.__gt__)):
+        was, wanted = before[f"profile.{name}"], values[f"profile.{name}"]
+        if outside(wanted, was):
+            msg = (
+                f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
+                f"is beyond {was:g}; restart the controller with it"
+            )
+            raise ControlError(msg)
+    return profile_from(values)

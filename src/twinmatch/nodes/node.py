@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 
 from twinmatch.errors import TwinmatchError
@@ -32,6 +32,8 @@ class TwinmatchNode(Node):
 
     NAME: ClassVar[str]
     PARAMETERS: ClassVar[Sequence[Parameter]] = ()
+    FIXED: ClassVar[str] = "it is read once, when the node starts"
+    """Why a parameter that is not changeable cannot be set while the node runs."""
     CLOSING: ClassVar[int] = 0
     """Seconds that `close` may take beyond what every end may take."""
 
@@ -57,6 +59,7 @@ class TwinmatchNode(Node):
         except TwinmatchError:
             self.destroy_node()
             raise
+        self.add_on_set_parameters_callback(self._on_set)
 
     def report_on(self, **tasks: Callable[[], Report]) -> None:
         """Publish the node's health on /diagnostics from now on, and these parts beside it."""
@@ -83,6 +86,13 @@ class TwinmatchNode(Node):
     def read_parameters(self) -> None:
         """Make of `self.values` what the node needs; an error here means that there will be no node."""
 
+    def change(self, values: Values) -> None:
+        """Adopt values of changeable parameters that were set while the node runs.
+
+        Raises:
+            TwinmatchError: they do not go together; then everything stays as it was.
+        """
+
     def open(self) -> None:
         """Make publishers, subscriptions and threads."""
 
@@ -99,6 +109,26 @@ class TwinmatchNode(Node):
     def close(self) -> bool:
         """End the node's threads; whether they all did."""
         return True
+
+    def _on_set(self, parameters: Sequence[Any]) -> SetParametersResult:
+        """Answer `ros2 param set`: check by the table, then let the node adopt the values."""
+        given = {parameter.name: parameter.value for parameter in parameters}
+        table = {parameter.name: parameter for parameter in self.table_for(self.values)[0]}
+        values = dict(self.values)
+        try:
+            for name, value in given.items():
+                if name not in table:  # one of those that every ROS 2 node has
+                    continue
+                if not table[name].changeable:
+                    msg = f"{self.NAME}: {name} cannot change now: {self.FIXED}; restart the node with it"
+                    raise ParameterError(msg)
+                values[name] = table[name].accept(value, self.NAME)
+            if values != self.values:
+                self.change(values)
+        except TwinmatchError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.values = values
+        return SetParametersResult(successful=True)
 
 
 def count_readers(node: Node, topic: str) -> int:
@@ -143,7 +173,8 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """What `ros2 param describe` shows."""
     limits = parameter.limits
     text = f"{parameter.description} ({limits})" if limits else parameter.description
-    descriptor = ParameterDescriptor(description=text, read_only=not parameter.changeable)
+    constraint = "" if parameter.changeable else "read once, when the node starts"
+    descriptor = ParameterDescriptor(description=text, additional_constraints=constraint)
     low, high = parameter.low, parameter.high
     if math.isfinite(low) and math.isfinite(high):
         if type(parameter.default) is float:

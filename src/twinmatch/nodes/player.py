@@ -12,7 +12,6 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
@@ -24,7 +23,7 @@ from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, TwinmatchNode, count_readers, missing_readers
 from twinmatch.nodes.pace import Pace
-from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.parameters import Parameter, Values
 from twinmatch.nodes.runner import run
 from twinmatch.sessions import Message, Qos, Topic, read_session
 
@@ -110,7 +109,6 @@ class Player(TwinmatchNode):
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self.values["clock"] else None
         self._pace = Pace(self.values["rate"], self._session.start / 1e9)
         self.create_service(SetBool, "~/pause", self._on_pause)
-        self.add_on_set_parameters_callback(self._on_parameters)
         for note in self._session.notes:
             self.get_logger().warning(note)
         self.health.say("waiting for readers")
@@ -157,15 +155,12 @@ class Player(TwinmatchNode):
         response.message = "paused" if request.data else "playing"
         return response
 
-    def _on_parameters(self, parameters: list[Any]) -> SetParametersResult:
-        """`ros2 param set /player rate 20`; ROS has checked type and range."""
-        for parameter in parameters:
-            if parameter.name == "rate":
-                with self._change:
-                    self._pace.change(float(parameter.value), time.monotonic())
-                    self._change.notify_all()
-                self.report_now()
-        return SetParametersResult(successful=True)
+    def change(self, values: Values) -> None:
+        """Adopt another rate, as by `ros2 param set /player rate 20`."""
+        with self._change:
+            self._pace.change(values["rate"], time.monotonic())
+            self._change.notify_all()
+        self.report_now()
 
     def _run(self) -> None:
         try:

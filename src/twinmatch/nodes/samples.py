@@ -82,6 +82,7 @@ class SampleWatch:
 class TwinNode(TwinmatchNode):
     """A node of the twin: its settings, and a worker for what takes time."""
 
+    FIXED = "a replay must give the recorded verdicts"
     worker: Worker[Any] | None = None
 
     @classmethod
