@@ -277,3 +277,33 @@ def test_an_open_page_takes_no_more_room_however_long(judged: Judgement) -> None
     grown = tracemalloc.get_traced_memory()[0] - settled
     tracemalloc.stop()
     assert grown < 200_000, f"{grown} bytes more"
+
+
+def luminance(colour: str) -> float:
+    """Of `#rrggbb`, as the WCAG compute it."""
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+def contrast(one: str, other: str) -> float:
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_letters_in_the_charts_can_be_read(judged: Judgement) -> None:
+    """The browser's check sees text of the page only; titles, ticks, legends and labels are drawn."""
+    assert contrast("#777777", "#FFFFFF") == pytest.approx(4.48, abs=0.01)  # the WCAG's own example
+    state = DashboardState()
+    for verdict in judged.verdicts:
+        state.push_verdict(verdict)
+    fill(state, 0, 300)
+    _, document = opened(state, 30.0)
+    looked_at = set()
+    for model in document.models:
+        for name in model.properties():
+            colour = getattr(model, name) if name.endswith("text_color") else None
+            if isinstance(colour, str) and colour.startswith("#"):
+                looked_at.add(name)
+                assert contrast(colour, "#FFFFFF") >= 4.5, (model, name, colour)
+    assert looked_at >= {"text_color", "axis_label_text_color", "major_label_text_color", "label_text_color"}
