@@ -201,6 +201,26 @@ def test_a_gap_is_refused_with_its_place_or_bridged_where_that_is_asked_for(
     assert len(read_session(tmp_path / "session").samples) == TICKS
 
 
+def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant: Path) -> None:
+    """The samples are those of the bag without the hole; one command of the heater is lost in it."""
+    full = bag(tmp_path / "a", StoragePlugin.MCAP, messages())
+    holed = bag(tmp_path / "b", StoragePlugin.MCAP, messages(hole=(20, 32)))
+    for source, session in ((full, "whole"), (holed, "split")):
+        words = ["import", source, "-o", tmp_path / session, "--plant", plant, "--gaps", "split"]
+        done = run_twinmatch(*words, "--map", *MAP)
+        assert done.returncode == 0, done.stderr
+    assert "split into 2 stretches by gaps of 6.5 s" in done.stdout
+    by_index = {sample.index: sample for sample in read_session(tmp_path / "whole").samples}
+    samples = read_session(tmp_path / "split").samples
+    assert [s.index for s in samples] == [k for k in range(TICKS) if not 20 <= k < 32]
+    for sample in samples:
+        same = by_index[sample.index]
+        assert (sample.stamp, sample.output) == (same.stamp, same.output)
+        assert sample.disturbances == pytest.approx(same.disturbances)
+        assert sample.input == same.input or 32 <= sample.index <= 35
+    assert run_twinmatch("replay", tmp_path / "split", "--plant", plant).returncode == 0
+
+
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_damaged_bag_is_one_line(tmp_path: Path, plant: Path, storage: StoragePlugin) -> None:
     source = bag(tmp_path / "bag", storage, messages())
@@ -248,7 +268,7 @@ def test_means_keep_what_the_drive_delivered(steps: list[tuple[float, float]], w
     held = dict([(-1.0, 5.0), *steps])
     signal = _Signal(np.array(sorted(held)), np.array([held[at] for at in sorted(held)]))
     time = np.concatenate([[0.0], np.cumsum(widths)])
-    means = _means(signal, time)
+    means = _means(signal, time, np.inf)
     total = 0.0
     edges = [*[at for at in sorted(held) if 0.0 < at < time[-1]], time[-1]]
     at, value = 0.0, held[max(t for t in held if t <= 0.0)]

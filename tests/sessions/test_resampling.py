@@ -77,7 +77,7 @@ def test_a_straight_reading_stays_straight_within_the_rows(steps, slope):
 @pytest.mark.parametrize(
     ("time", "y", "kinds", "period", "words"),
     [
-        ([0, 3, 6, 18, 21], 1.0, {"y": "reading"}, None, "a gap of 12 s after row 3; split the file there"),
+        ([0, 3, 6, 18, 21], 1.0, {"y": "reading"}, None, "a gap of 12 s after row 3; steps of up to 9 s"),
         ([0, 3, 3, 6], 1.0, {"y": "reading"}, None, "does not advance from 3 s in row 2 to 3 s in row 3"),
         ([0, 3, 6, 9], np.nan, {"y": "reading"}, None, "y in row 1 is nan; give a finite number"),
         ([0], 1.0, {"y": "reading"}, None, "has 1 rows; at least two"),
@@ -102,3 +102,60 @@ def test_a_gap_that_its_owner_allows_is_bridged():
 def test_columns_of_other_lengths_are_refused():
     with pytest.raises(RecordingError, match=r"y has the shape \(2,\), time \(3,\)"):
         resample([0, 1, 2], {"y": [1, 2]}, {"y": "reading"})
+
+
+def test_a_gap_splits_where_that_is_asked_for():
+    """By hand: the second stretch begins 12.5 s after the last tick of the first, four periods and a bit."""
+    time = [0.0, 3.0, 6.0, 18.5, 21.5, 24.5]
+    columns = {"y": [1.0, 2, 3, 4, 5, 6], "u": [1.0, 2, 3, 4, 5, 6], "r": [1.0, 2, 3, 4, 5, 6]}
+    found = resample(time, columns, {"y": "reading", "u": "held", "r": "set"}, gaps="split")
+    assert found.time.tolist() == time
+    assert found.index.tolist() == [0, 1, 2, 6, 7, 8]
+    assert found.stretches == [slice(0, 3), slice(3, 6)]
+    assert found.gaps == (12.5,)
+    assert found.bridged == ()
+    assert found.steps == (3.0, 3.0, 3.0)
+    assert all(found.columns[name].tolist() == column for name, column in columns.items())
+    assert found.sentence == "6 rows, one every 3 s; split into 2 stretches by gaps of 12.5 s"
+
+
+@given(
+    parts=st.lists(st.lists(st.floats(0.7, 1.3), min_size=2, max_size=30), min_size=2, max_size=5),
+    gap=st.floats(5.0, 1e5),
+    seed=st.integers(0, 9),
+)
+def test_each_stretch_is_what_it_is_alone(parts, gap, seed):
+    """Nothing of the rows beyond a gap enters a stretch, and no index follows another across one."""
+    pieces, start = [], 0.0
+    for steps in parts:
+        pieces.append(start + np.concatenate([[0.0], np.cumsum(steps)]))
+        start = pieces[-1][-1] + gap
+    time = np.concatenate(pieces)
+    rng = np.random.default_rng(seed)
+    columns = {name: rng.normal(size=time.size) for name in ("y", "u", "r")}
+    kinds = {"y": "reading", "u": "held", "r": "set"}
+    found = resample(time, columns, kinds, period=1.0, gaps="split")
+    assert len(found.stretches) == len(parts)
+    first = 0
+    for rows, stretch in zip(pieces, found.stretches, strict=True):
+        mine = {name: column[first : first + rows.size] for name, column in columns.items()}
+        alone = resample(rows, mine, kinds, period=1.0)
+        assert np.array_equal(found.time[stretch], alone.time)
+        assert all(np.array_equal(found.columns[name][stretch], alone.columns[name]) for name in columns)
+        first += rows.size
+    skipped = np.diff(found.index)
+    assert set(skipped[skipped != 1] >= 2) == {True}
+    away = found.time - found.time[0] - found.index
+    jumps = np.abs(np.diff(away))[
+        skipped > 2
+    ]  # where a gap is longer than two periods, the number is the time
+    assert np.all(jumps <= 0.5 + 1e-6)
+
+
+def test_without_a_gap_splitting_changes_nothing():
+    time = np.cumsum(np.tile([2.96, 3.04], 40))
+    one, other = (resample(time, {"y": time}, {"y": "reading"}, gaps=g) for g in ("refuse", "split"))
+    assert np.array_equal(one.time, other.time)
+    assert np.array_equal(one.columns["y"], other.columns["y"])
+    assert other.index.tolist() == list(range(other.time.size))
+    assert one.sentence == other.sentence

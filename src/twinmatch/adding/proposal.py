@@ -20,7 +20,8 @@ import numpy as np
 from twinmatch.dynamics import Plant
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.resampling import Resampled, resample
+from twinmatch.sessions.resampled import Resampled
+from twinmatch.sessions.resampling import resample
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import read_times
 from twinmatch.signals import FloatArray
@@ -108,8 +109,11 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     done = _on_one_clock(table, given)
     y, u = done.columns["output"], done.columns["input"]
     others = [name for name in given.sources if name not in _KNOWN]
-    noise = noise_of(y)
-    gain, lag, rest = _first_order(y, u, [done.columns[n] for n in others], noise, done.period)
+    part = max(done.stretches, key=lambda stretch: stretch.stop - stretch.start)  # no rate across a gap
+    noise = noise_of(y[part])
+    gain, lag, rest = _first_order(
+        y[part], u[part], [done.columns[n][part] for n in others], noise, done.period
+    )
     if others:  # the first of them is taken for what the output comes to without input
         rest = float(done.columns[others[0]].mean())
     taken: list[str] = []
@@ -153,6 +157,7 @@ def _on_one_clock(table: Table, given: ColumnMap) -> Resampled:
         {name: values[kept] for name, values in columns.items()},
         {n: "held" if n == "input" else "set" if n == "reference" else "reading" for n in columns},
         given.period,
+        gaps="split",
         place=str(table.path),
         row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
     )

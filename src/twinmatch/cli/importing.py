@@ -48,6 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     other.add_argument(
         "--bridge", type=float, metavar="S", help="longest gap that may be bridged (default: three rows)"
     )
+    other.add_argument(
+        "--gaps",
+        choices=("refuse", "split"),
+        default="refuse",
+        help="what to do with longer gaps: refuse them (default), or split the session there, so that no "
+        "window reaches across",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
     from twinmatch.sessions.bags import is_bag  # noqa: PLC0415 — keeps --help fast
 
     mapped = (options.map, options.map_file, options.plant, options.period, options.bridge)
-    if any(mapped) or is_bag(options.recording):
+    if any(mapped) or options.gaps != "refuse" or is_bag(options.recording):
         return _import_mapped(options)
     from twinmatch.judging.progress import Progress  # noqa: PLC0415
     from twinmatch.sessions import read_recording, samples_of, write_session  # noqa: PLC0415 — keeps --help fast
@@ -94,10 +101,11 @@ def _import_mapped(options: argparse.Namespace) -> int:
         raise ImportOptionError(msg)
     plant = find_plant(given.plant)
     if is_bag(options.recording):
-        found = map_bag(options.recording, given, plant, longest=options.bridge)
+        found = map_bag(options.recording, given, plant, longest=options.bridge, gaps=options.gaps)
     else:
         table = read_table(options.recording)
-        found = map_samples(table, with_plant_names(table, plant, given), plant, longest=options.bridge)
+        given = with_plant_names(table, plant, given)
+        found = map_samples(table, given, plant, longest=options.bridge, gaps=options.gaps)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in found.sources.items())
     record = {
         "plant": plant.name,
@@ -105,7 +113,13 @@ def _import_mapped(options: argparse.Namespace) -> int:
         "map": columns,
         "reference": "recorded" if found.has_reference else NO_REFERENCE,
     }
-    write_session(options.output, found.samples, overwrite=options.overwrite, records={PLANT: record})
+    write_session(
+        options.output,
+        found.samples,
+        overwrite=options.overwrite,
+        records={PLANT: record},
+        gaps=options.gaps == "split",
+    )
     seconds = len(found.samples) * found.period
     print(
         f"{options.output}: {len(found.samples)} samples, one every {found.period:g} s, {seconds:.0f} s of "

@@ -11,7 +11,8 @@ from twinmatch.sessions.errors import RecordingError, SessionError
 from twinmatch.sessions.importers import read_recording
 from twinmatch.sessions.reader import Session, read_session
 from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
-from twinmatch.sessions.resampling import Resampled, resample
+from twinmatch.sessions.resampled import Resampled
+from twinmatch.sessions.resampling import resample
 from twinmatch.sessions.sources import open_any
 from twinmatch.sessions.store import EPOCH, samples_of, write_session
 from twinmatch.sessions.topics import Message, Qos, Topic, plant_messages

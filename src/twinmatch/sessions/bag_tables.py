@@ -22,6 +22,7 @@ from twinmatch.sessions.bags import Bag, Series, open_bag
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
 from twinmatch.sessions.mapped import Mapped, by_signal, map_samples
+from twinmatch.sessions.resampling import Gaps, bridged_up_to
 from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
 
@@ -38,7 +39,14 @@ class _Signal(NamedTuple):
     values: FloatArray
 
 
-def map_bag(path: Path, given: ColumnMap, plant: type[Plant], *, longest: float | None = None) -> Mapped:
+def map_bag(
+    path: Path,
+    given: ColumnMap,
+    plant: type[Plant],
+    *,
+    longest: float | None = None,
+    gaps: Gaps = "refuse",
+) -> Mapped:
     """The samples of a plant that a bag holds.
 
     Args:
@@ -46,6 +54,7 @@ def map_bag(path: Path, given: ColumnMap, plant: type[Plant], *, longest: float 
         given: topics and fields by signal.
         plant: whose signals they are.
         longest: step from reading to reading that may be bridged, s; three usual ones if not given.
+        gaps: what becomes of longer steps.
 
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
@@ -59,7 +68,7 @@ def map_bag(path: Path, given: ColumnMap, plant: type[Plant], *, longest: float 
             raise RecordingError(msg)
     with open_bag(path) as bag:
         signals, units, notes = _read(bag, sources)
-    columns, left_out = _rows(signals)
+    columns, left_out = _rows(signals, longest)
     if columns[TIME].size < 2:
         msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} have an input before them"
         raise RecordingError(msg)
@@ -68,7 +77,7 @@ def map_bag(path: Path, given: ColumnMap, plant: type[Plant], *, longest: float 
     table = Table(path, columns, range(left_out + 1, left_out + 1 + columns[TIME].size), "reading")
     named = {TIME: Source((TIME,), "s")}
     named |= {n: Source((n,), s.unit or units[n], s.scale, s.offset) for n, s in sources.items()}
-    found = map_samples(table, ColumnMap(named, given.plant, given.period), plant, longest=longest)
+    found = map_samples(table, ColumnMap(named, given.plant, given.period), plant, longest=longest, gaps=gaps)
     return found._replace(sources=sources, notes=[*found.notes, *notes])
 
 
@@ -118,7 +127,7 @@ def _growing(path: Path, name: str, series: Series, logged: bool) -> _Signal:
     return _Signal(time[last], values[last])
 
 
-def _rows(signals: Mapping[str, _Signal]) -> tuple[dict[str, FloatArray], int]:
+def _rows(signals: Mapping[str, _Signal], longest: float | None) -> tuple[dict[str, FloatArray], int]:
     """Columns of a table by signal, and how many readings before its first row are left out."""
     output = signals[OUTPUT]
     standing = [signals[name].time[0] for name in (INPUT, REFERENCE) if name in signals]
@@ -128,7 +137,7 @@ def _rows(signals: Mapping[str, _Signal]) -> tuple[dict[str, FloatArray], int]:
     if time.size:
         for name, signal in signals.items():
             if name == INPUT:
-                columns[name] = _means(signal, time)
+                columns[name] = _means(signal, time, longest)
             elif name == REFERENCE:
                 columns[name] = signal.values[np.searchsorted(signal.time, time, side="right") - 1]
             elif name != OUTPUT:
@@ -136,14 +145,19 @@ def _rows(signals: Mapping[str, _Signal]) -> tuple[dict[str, FloatArray], int]:
     return columns, begin
 
 
-def _means(signal: _Signal, time: FloatArray) -> FloatArray:
-    """Means of what stands from each time to the next; of the last, to the last usual step."""
+def _means(signal: _Signal, time: FloatArray, longest: float | None) -> FloatArray:
+    """Means of what stands from each time to the next; before a gap and at the end, over a usual step."""
     steps = np.diff(time)
-    ends = np.append(time, time[-1] + (np.median(steps) if steps.size else 0.0))
-    edges = np.union1d(signal.time, ends)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    ends = np.append(time[1:], time[-1] + usual)
+    if steps.size:
+        wide = np.flatnonzero(steps > bridged_up_to(time, longest))
+        ends[wide] = time[wide] + usual
+    edges = np.union1d(signal.time, np.concatenate([time, ends]))
     standing = signal.values[np.maximum(np.searchsorted(signal.time, edges, side="right") - 1, 0)]
     given = np.concatenate([[0.0], np.cumsum(standing[:-1] * np.diff(edges))])
-    total = np.diff(np.interp(ends, edges, given))
-    widths = np.diff(ends)
-    means = np.divide(total, widths, out=standing[: widths.size].copy(), where=widths > 0)
+    total = np.interp(ends, edges, given) - np.interp(time, edges, given)
+    widths = ends - time
+    before = signal.values[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
+    means = np.divide(total, widths, out=before.copy(), where=widths > 0)
     return np.asarray(np.clip(means, signal.values.min(), signal.values.max()), dtype=np.float64)

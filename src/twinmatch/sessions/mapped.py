@@ -10,9 +10,11 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.between_rows import Kind
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.resampling import Kind, resample
+from twinmatch.sessions.resampled import Resampled
+from twinmatch.sessions.resampling import Gaps, resample
 from twinmatch.sessions.store import EPOCH
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import Times, read_times
@@ -64,7 +66,12 @@ def with_plant_names(table: Table, plant: type[Plant], given: ColumnMap) -> Colu
 
 
 def map_samples(
-    table: Table, given: ColumnMap, plant: type[Plant], *, longest: float | None = None
+    table: Table,
+    given: ColumnMap,
+    plant: type[Plant],
+    *,
+    longest: float | None = None,
+    gaps: Gaps = "refuse",
 ) -> Mapped:
     """The samples of a plant that a table holds.
 
@@ -73,6 +80,7 @@ def map_samples(
         given: which of them is which signal.
         plant: whose signals they are.
         longest: step from row to row that may be bridged, s; three usual ones if not given.
+        gaps: what becomes of longer steps; where they split the table, the samples' indices skip.
 
     Raises:
         RecordingError: a signal or column that is not there, units that do not fit, values that the plant
@@ -99,12 +107,13 @@ def map_samples(
         {signal: known.kind for signal, known in signals.items()},
         given.period,
         longest=longest,
+        gaps=gaps,
         place=str(table.path),
         row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
     )
     notes.insert(0, done.sentence[0].upper() + done.sentence[1:] + ".")
     start = EPOCH if times.origin is None else round((times.origin + float(done.time[0])) * 1e9)
-    samples = _samples(plant, done.columns, start, done.period)
+    samples = _samples(plant, done, start)
     return Mapped(samples, done.period, sources, REFERENCE in done.columns, notes)
 
 
@@ -246,17 +255,19 @@ def _hint(signal: str, known: _Signal, values: FloatArray) -> str:
     return "map another column, give its unit, or widen the plant's range if it is right"
 
 
-def _samples(
-    plant: type[Plant], columns: Mapping[str, FloatArray], start: int, period: float
-) -> list[Sample]:
-    size = columns[OUTPUT].size
+def _samples(plant: type[Plant], done: Resampled, start: int) -> list[Sample]:
+    columns, size = done.columns, done.index.size
     # A twin without set-points is driven by the input and asks no reference; the field has to be finite.
     reference = columns.get(REFERENCE, np.full(size, columns[OUTPUT][0]))
     rows = [columns.get(name, np.full(size, d.default)) for name, d in plant.disturbances.items()]
     disturbances = np.array(rows).reshape(len(rows), size).T
+    stamps = np.empty(size, dtype=np.int64)
+    for stretch in done.stretches:
+        begin = start + round(float(done.time[stretch.start] - done.time[0]) * 1e9)
+        stamps[stretch] = [begin + round(k * done.period * 1e9) for k in range(stretch.stop - stretch.start)]
     return [
-        Sample(k, start + round(k * period * 1e9), float(r), float(y), float(u), tuple(map(float, d)))
-        for k, (r, y, u, d) in enumerate(
-            zip(reference, columns[OUTPUT], columns[INPUT], disturbances, strict=True)
+        Sample(int(index), int(stamp), float(r), float(y), float(u), tuple(map(float, d)))
+        for index, stamp, r, y, u, d in zip(
+            done.index, stamps, reference, columns[OUTPUT], columns[INPUT], disturbances, strict=True
         )
     ]

@@ -10,24 +10,30 @@ depends on what a column is:
     set       a set-point or a mode, of which no mean makes sense: that of the nearest row
 
 Readings are not smoothed. Where rows come much faster than the period, most of them are not used.
+
+Nothing is known of a long gap. It is refused, or the recording is split there: each stretch has a clock that
+begins with its own first row, because a logger may be started again at any moment, and the samples are
+numbered on by the periods that are missing, so that no window reaches across.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from twinmatch.sessions.between_rows import MOVES, Kind
 from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.resampled import Resampled
 from twinmatch.signals import FloatArray
 
-__all__ = ["Kind", "Resampled", "resample"]
+__all__ = ["Gaps", "bridged_up_to", "resample"]
 
-Kind = Literal["reading", "held", "set"]
-"""What a column is, and so what belongs between its rows."""
+Gaps = Literal["refuse", "split"]
+"""What becomes of a gap that is too long to bridge."""
 
 _ON_CLOCK: Final = 1e-3
 """Part of a period by which a row may miss its tick and still be taken as it is."""
@@ -43,46 +49,6 @@ _CROWDED: Final = 0.5
 """Shortest period that can be asked for, in usual steps: most ticks need a row of their own."""
 
 
-@dataclass(frozen=True, eq=False)
-class Resampled:
-    """Columns on one clock."""
-
-    time: FloatArray
-    """Of the samples, s, as the rows count it; equally far apart, from the first row on; shape (M,)."""
-    columns: Mapping[str, FloatArray]
-    """By name, each of shape (M,)."""
-    period: float
-    """Seconds from sample to sample."""
-    rows: int
-    """How many there were."""
-    steps: tuple[float, float, float]
-    """Seconds from row to row: the shortest, the median and the longest."""
-    jitter: float
-    """How far a row lay from the nearest tick of the clock, root mean square, s."""
-    bridged: tuple[int, ...]
-    """Rows (from 0) behind which others are missing: steps longer than one and a half of the usual."""
-
-    @property
-    def moved(self) -> bool:
-        """Whether the values were put elsewhere; otherwise they are those of the rows."""
-        return self.jitter > 0
-
-    @property
-    def sentence(self) -> str:
-        """What was done, in plain words."""
-        if not self.moved:
-            return f"{self.rows} rows, one every {self.period:g} s"
-        short, usual, long = self.steps
-        text = (
-            f"{self.rows} rows {short:.3g} to {long:.3g} s apart (half of them up to {usual:.3g} s) put on a "
-            f"clock of {self.period:g} s; they lie {self.jitter:.2g} s beside it (RMS)"
-        )
-        if self.bridged:
-            places = "one place" if len(self.bridged) == 1 else f"{len(self.bridged)} places"
-            text += f"; rows are missing in {places}"
-        return text
-
-
 def resample(
     time: ArrayLike,
     columns: Mapping[str, ArrayLike],
@@ -90,6 +56,7 @@ def resample(
     period: float | None = None,
     *,
     longest: float | None = None,
+    gaps: Gaps = "refuse",
     place: str = "recording",
     row: Callable[[int], str] = lambda i: f"row {i + 1}",
 ) -> Resampled:
@@ -103,6 +70,7 @@ def resample(
             are put on the roundest one within half a percent of that, so that two recordings of one logger
             have the same.
         longest: step from row to row that may be bridged, s; three usual ones if not given.
+        gaps: what becomes of longer steps.
         place: begins the message of an error, such as `recording monday.csv`.
         row: names the place of the i-th row (from 0) as the file's owner counts.
 
@@ -112,34 +80,68 @@ def resample(
     """
     stamps, values = _checked(time, columns, kinds, place, row)
     steps = np.diff(stamps)
-    # Of two different steps the shorter is the usual; a mean would be drawn by each lost row.
-    usual = float(np.quantile(steps, 0.5, method="lower"))
-    limit = _BRIDGED * usual if longest is None else longest
-    _refuse_gaps(stamps, limit, place, row)
+    _refuse_standing(stamps, place, row)
+    usual = _usual_step(steps)
+    limit = bridged_up_to(stamps, longest)
+    cuts = np.flatnonzero(steps > limit)
+    if cuts.size and gaps == "refuse":
+        _refuse_gap(steps, cuts, limit, place, row)
+    kept = steps[steps <= limit]
+    stretches = np.split(stamps, cuts + 1)
     if period is None:
-        kept = float(np.sum(np.rint(steps / usual)))  # periods, those of lost rows among them
-        period = _period(stamps, float(stamps[-1] - stamps[0]) / kept)
+        ticks = float(np.sum(np.rint(kept / usual)))  # periods, those of lost rows among them
+        period = _period(stretches, sum(float(part[-1] - part[0]) for part in stretches) / ticks)
     elif not (np.isfinite(period) and period >= _CROWDED * usual):
         msg = (
             f"{place}: a period of {period:g} s is asked for; its rows are {usual:g} s apart, so give at "
             "least half of that"
         )
         raise RecordingError(msg)
-    clock, bare = _clock(stamps, period)
-    jitter = 0.0
-    if not bare:
-        places = (stamps - clock[0]) / period
-        jitter = float(period * np.sqrt(np.mean(np.square(places - np.rint(places)))))
-        values = {name: _MOVES[kinds[name]](stamps, v, clock, period) for name, v in values.items()}
+    clocks, found, squares = [], [], 0.0
+    for part, rows in zip(stretches, np.split(np.arange(stamps.size), cuts + 1), strict=True):
+        clock, bare = _clock(part, period)
+        pieces = {name: column[rows] for name, column in values.items()}
+        if not bare:
+            places = (part - clock[0]) / period
+            squares += float(np.sum(np.square(places - np.rint(places))))
+            pieces = {name: MOVES[kinds[name]](part, v, clock, period) for name, v in pieces.items()}
+        clocks.append(clock)
+        found.append(pieces)
     return Resampled(
-        time=clock,
-        columns=values,
+        time=np.concatenate(clocks),
+        index=_numbers(clocks, period),
+        columns={name: np.concatenate([pieces[name] for pieces in found]) for name in values},
         period=period,
         rows=stamps.size,
-        steps=(float(steps.min()), usual, float(steps.max())),
-        jitter=jitter,
-        bridged=tuple(np.flatnonzero(steps > _USUAL * usual).tolist()),
+        steps=(float(kept.min()), usual, float(kept.max())),
+        jitter=period * float(np.sqrt(squares / stamps.size)),
+        bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & (steps <= limit)).tolist()),
+        gaps=tuple(steps[cuts].tolist()),
     )
+
+
+def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
+    """The longest step from row to row that is bridged, s.
+
+    Args:
+        stamps: when the rows were taken, s; growing, shape (N,), N at least two.
+        longest: what the user allows, s.
+    """
+    return _BRIDGED * _usual_step(np.diff(stamps)) if longest is None else longest
+
+
+def _usual_step(steps: FloatArray) -> float:
+    """Of two different steps the shorter is the usual; a mean would be drawn by each lost row."""
+    return float(np.quantile(steps, 0.5, method="lower"))
+
+
+def _numbers(clocks: list[FloatArray], period: float) -> NDArray[np.int64]:
+    """Of the samples: counted on through each stretch, and by the missing periods from one to the next."""
+    numbers = [np.arange(clocks[0].size)]
+    for before, clock in pairwise(clocks):
+        missing = max(round(float(clock[0] - before[-1]) / period), 2)
+        numbers.append(numbers[-1][-1] + missing + np.arange(clock.size))
+    return np.concatenate(numbers).astype(np.int64)
 
 
 def _checked(
@@ -155,8 +157,8 @@ def _checked(
     if stamps.ndim != 1 or stamps.size < 2:
         raise RecordingError(f"{place}: has {stamps.size} rows; at least two are needed")
     for name, column in values.items():
-        if name not in kinds or kinds[name] not in _MOVES:
-            known = ", ".join(_MOVES)
+        if name not in kinds or kinds[name] not in MOVES:
+            known = ", ".join(MOVES)
             raise RecordingError(f"{place}: say for column {name} which it is of: {known}")
         if column.shape != stamps.shape:
             msg = f"{place}: {name} has the shape {column.shape}, time {stamps.shape}; they must be equal"
@@ -172,9 +174,8 @@ def _checked(
     return stamps, values
 
 
-def _refuse_gaps(stamps: FloatArray, longest: float, place: str, row: Callable[[int], str]) -> None:
-    steps = np.diff(stamps)
-    back = np.flatnonzero(steps <= 0)
+def _refuse_standing(stamps: FloatArray, place: str, row: Callable[[int], str]) -> None:
+    back = np.flatnonzero(np.diff(stamps) <= 0)
     if back.size:
         at = int(back[0])
         msg = (
@@ -182,23 +183,26 @@ def _refuse_gaps(stamps: FloatArray, longest: float, place: str, row: Callable[[
             f"{stamps[at + 1]:.12g} s in {row(at + 1)}; sort the rows, and keep one of each time"
         )
         raise RecordingError(msg)
-    wide = np.flatnonzero(steps > longest)
-    if wide.size:
-        at = int(wide[0])
-        others = f" (and {wide.size - 1} more)" if wide.size > 1 else ""
-        msg = (
-            f"{place}: a gap of {steps[at]:.4g} s after {row(at)}{others}; split the file there, or allow "
-            f"steps of that length to be bridged (up to {longest:.4g} s are)"
-        )
-        raise RecordingError(msg)
 
 
-def _period(stamps: FloatArray, mean: float) -> float:
+def _refuse_gap(
+    steps: FloatArray, cuts: NDArray[np.intp], limit: float, place: str, row: Callable[[int], str]
+) -> None:
+    at = int(cuts[0])
+    others = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
+    msg = (
+        f"{place}: a gap of {steps[at]:.4g} s after {row(at)}{others}; steps of up to {limit:.4g} s are "
+        "bridged: split the recording at longer ones (--gaps split), or bridge them too (--bridge SECONDS)"
+    )
+    raise RecordingError(msg)
+
+
+def _period(stretches: list[FloatArray], mean: float) -> float:
     """The clock's period where none is given, from the mean period of the rows: the roundest that they keep,
     else the roundest."""
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _DIGITS + 1))
     near = [period for period in rounded if abs(period - mean) <= _ROUNDED * mean]
-    return next((period for period in near if _clock(stamps, period)[1]), near[0])
+    return next((period for period in near if all(_clock(s, period)[1] for s in stretches)), near[0])
 
 
 def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
@@ -207,28 +211,3 @@ def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
     clock = stamps[0] + period * np.arange(ticks)
     bare = clock.size == stamps.size and bool(np.all(np.abs(stamps - clock) <= _ON_CLOCK * period))
     return clock, bare
-
-
-def _reading(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
-    return np.asarray(np.interp(clock, stamps, values), dtype=np.float64)
-
-
-def _held(stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float) -> FloatArray:
-    """What has been given up to a time is a line from row to row; a mean is a difference of two such sums."""
-    ends = np.append(stamps, max(stamps[-1], clock[-1]) + period)  # the last row's value stands on
-    given = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
-    means = (np.interp(clock + period, ends, given) - np.interp(clock, ends, given)) / period
-    # Differences of sums are off in the last digits, and a limit of the input must not be passed by them.
-    return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
-
-
-def _set(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
-    between = (stamps[1:] + stamps[:-1]) / 2
-    return np.asarray(values[np.searchsorted(between, clock, side="left")], dtype=np.float64)
-
-
-_MOVES: Final[Mapping[Kind, Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]]] = {
-    "reading": _reading,
-    "held": _held,
-    "set": _set,
-}

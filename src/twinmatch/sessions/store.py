@@ -46,6 +46,7 @@ def write_session(
     overwrite: bool = False,
     told: Told | None = None,
     records: Mapping[str, Mapping[str, str]] | None = None,
+    gaps: bool = False,
 ) -> Path:
     """Write samples as a session with the topics `plant/sample`, `plant/temperature`, `plant/reference`.
 
@@ -54,10 +55,11 @@ def write_session(
 
     Args:
         folder: the session's folder; its last part is the session's name.
-        samples: at least one; consecutive indices, finite values.
+        samples: at least one; growing indices, finite values.
         overwrite: replace a session that is there; anything else than a session is never replaced.
         told: called now and then with how many samples of how many have been written.
         records: what is to be noted about the session, by the names of `settings`.
+        gaps: whether indices may skip; otherwise they have to be consecutive.
 
     Returns:
         The folder.
@@ -68,7 +70,7 @@ def write_session(
     """
     target = Path(folder).absolute()
     check_samples(samples, f"session {target.name}")
-    _check_gaps(samples, target)
+    _check_gaps(samples, target, allowed=gaps)
     _check_target(target, overwrite)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -87,8 +89,10 @@ def write_session(
     return target
 
 
-def _check_gaps(samples: Sequence[Sample], target: Path) -> None:
+def _check_gaps(samples: Sequence[Sample], target: Path, *, allowed: bool) -> None:
     for before, behind in gaps_of(samples):
+        if allowed and behind > before:
+            continue
         msg = f"session {target.name}: sample {behind} follows sample {before}; give only one unbroken part"
         raise SessionError(msg)
 
