@@ -19,6 +19,7 @@ from std_msgs.msg import Float64
 GAIN, LOSS, CAPACITY, ROOM = 0.5, 1.0, 4.0, 20.0  # W/%, W/K, J/K, °C
 PROPORTIONAL, INTEGRAL = 4.0, 2.0  # %/K, %/(K s)
 LEVELS = (30.0, 40.0)  # °C, by turns
+TOPICS = ("/oven/set_point", "/oven/temperature", "/oven/heater")
 
 
 def main() -> None:
@@ -28,15 +29,17 @@ def main() -> None:
     parser.add_argument("--stamped", action="store_true", help="sensor_msgs/Temperature, best effort")
     parser.add_argument("--kelvin", action="store_true")
     parser.add_argument("--no-set-point", action="store_true")
+    parser.add_argument("--topics", nargs=3, default=TOPICS, help="of set-point, reading and command")
     parser.add_argument("--behind", type=float, default=0.0, help="s that the clock of the stamps is behind")
     options = parser.parse_args()
     rclpy.init()
     node = rclpy.create_node("oven_rig")
     kind = Temperature if options.stamped else Float64
     sensor = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    readings = node.create_publisher(kind, "/oven/temperature", sensor if options.stamped else 10)
-    commands = node.create_publisher(Float64, "/oven/heater", 10)
-    set_points = node.create_publisher(Float64, "/oven/set_point", 10)
+    set_point, temperature, command = options.topics
+    readings = node.create_publisher(kind, temperature, sensor if options.stamped else 10)
+    commands = node.create_publisher(Float64, command, 10)
+    set_points = node.create_publisher(Float64, set_point, 10)
     noise = random.Random(7)
     oven = ROOM
     integral = 0.0

@@ -1,0 +1,218 @@
+"""Every command of the README is known here, and runs as it stands there.
+
+Placeholders are filled in, ports are any that are free, and what runs until Ctrl-C is interrupted once it has said
+what it should. What needs hardware is parsed and its files are read; make is asked what it would do.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.support.oven import RIG, oven_file
+from tests.support.places import PROJECT, SHIPPED
+from tests.support.processes import Processes
+from tests.support.waiting import PATIENCE
+from twinmatch.cli import _parser
+
+README = (PROJECT / "README.md").read_text("utf-8")
+PATIENT = 4 * PATIENCE
+LINES = [
+    line.split(" #")[0].strip()
+    for block in re.findall(r"^```(?:sh)?\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    for line in block.splitlines()
+    if line.strip()
+]
+INLINE = re.findall(
+    r"`((?:make|twinmatch|python|ros2) [^`]+)`", re.sub(r"```.*?```", "", README, flags=re.DOTALL)
+)
+TW = ".venv/bin/twinmatch"
+
+
+class Runs(NamedTuple):
+    """A command that is run."""
+
+    says: str
+    """Pattern of a line it has to say."""
+    given: Mapping[str, str] = {}
+    """What is replaced in it."""
+    until: int | None = None
+    """Exit code after Ctrl-C, which it is sent once it has said so; None: it ends without, with 0."""
+    needs: tuple[str, ...] = ()
+    """Fixtures that prepare what it works on."""
+
+
+SHORT = {"SESSION": "bags/four_setpoints"}
+FREE = {"--dashboard": "--dashboard 0"}
+VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault)"
+
+RUNS = {
+    "source .venv/bin/activate": Runs("twinmatch", {"activate": "activate && command -v twinmatch"}),
+    "twinmatch replay bags/four_setpoints": Runs("Leader: .*trust it between"),
+    "twinmatch report bags/four_setpoints -o report.html": Runs("report.html"),
+    "twinmatch forecast bags/four_setpoints --at 1200 --hold 80": Runs("the leader is"),
+    "python launch_scripts/replay.py bags/four_setpoints --dashboard": Runs(VERDICT, FREE, 130),
+    "python launch_scripts/live.py --virtual --speed 5 --dashboard --control": Runs(
+        "recording into", FREE, 0
+    ),
+    "twinmatch foxglove": Runs("ws://127.0.0.1", {"foxglove": "foxglove --port 0"}, 0),
+    f"{TW} attach --plant my_plant.py --map reference=/sp output=/camera:temperature input=/cmd --dashboard": Runs(
+        VERDICT, FREE, 0, ("foreign_rig",)
+    ),
+    f"{TW} import BAG --list": Runs("/camera", {"BAG": "bag"}, needs=("bag",)),
+    f"{TW} import BAG --map reference=/sp:data output=/camera:temperature input=/cmd:data -o SESSION": Runs(
+        "samples", {"BAG": "bag", "SESSION": "imported"}, needs=("bag",)
+    ),
+    f"{TW} replay SESSION": Runs("Leader: ", SHORT),
+    f"{TW} replay SESSION --json out.json --figure verdict.png": Runs("Leader: ", SHORT),
+    f"{TW} replay FOLDER --out RESULTS": Runs("1 sessions judged", {"FOLDER": "bags", "RESULTS": "results"}),
+    f"{TW} forecast SESSION --at SAMPLE": Runs("the leader is", {**SHORT, "SAMPLE": "1200"}),
+    f"{TW} backtest SESSION": Runs("persistence", SHORT),
+    f"{TW} verify SESSION": Runs(
+        "are identical, bit for bit", {"SESSION": "bag --plant oven.py"}, needs=("bag",)
+    ),
+    f"{TW} play SESSION --rate 50": Runs("Leader: ", SHORT),
+    f"{TW} new-plant tank --from log.csv": Runs("twinmatch check-plant", needs=("log",)),
+    f"{TW} check-plant tank.py": Runs("nothing is wrong", needs=("tank",)),
+    f"{TW} replay SESSION --plant tank.py": Runs(
+        "Leader: ", {"SESSION": "tank_session"}, needs=("tank_session",)
+    ),
+    f"{TW} live --virtual --speed 5": Runs("recording into", {}, 0),
+    f"{TW} virtual-rig --speed 20 --fault drive-lost@300": Runs("^ready", {}, 0),
+}
+MAKES = {
+    "make demo": "launch_scripts/demo.py",
+    "make test": "-m pytest",
+    "make demo SESSION=path": "launch_scripts/demo.py path",
+    "make setup": "setup",
+    "make docs": "-m sphinx",
+}
+PARSED = (
+    f"{TW} live --config config/rig.yaml",  # camera and board
+    "twinmatch live --plant tclab",  # a kit
+)
+
+
+def test_every_command_of_the_readme_is_known_here_and_no_other() -> None:
+    assert len(LINES) > 20
+    assert set(LINES) | set(INLINE) == set(RUNS) | set(MAKES) | set(PARSED)
+
+
+@pytest.mark.parametrize("command", MAKES)
+def test_make_would_do_it(command: str) -> None:
+    done = subprocess.run(
+        [*command.split(), "--dry-run", "--always-make"],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert MAKES[command] in done.stdout
+
+
+@pytest.mark.parametrize("command", PARSED)
+def test_what_needs_hardware_is_understood(command: str) -> None:
+    options = _parser().parse_args(shlex.split(command)[1:])
+    if options.config is not None:
+        assert (PROJECT / options.config).is_file()
+
+
+def test_a_misspelt_option_would_be_found() -> None:
+    with pytest.raises(SystemExit):
+        _parser().parse_args(["live", "--confg", "config/rig.yaml"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Looks like the project to the commands, and is written into."""
+    made = tmp_path_factory.mktemp("readme")
+    (made / "bags").mkdir()
+    (made / "bags" / SHIPPED.name).symlink_to(SHIPPED)
+    for name in ("launch_scripts", "config"):
+        (made / name).symlink_to(PROJECT / name)
+    (made / ".venv").symlink_to(sys.prefix)
+    return made
+
+
+@pytest.fixture
+def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
+    made = Processes(tmp_path)
+    yield made
+    made.end()
+
+
+def run(command: str, how: Runs, folder: Path, processes: Processes) -> str:
+    for placeholder, value in how.given.items():
+        command = command.replace(placeholder, value)
+    words = f"PATH={Path(sys.executable).parent}:$PATH; {'' if '&&' in command else 'exec '}{command}"
+    process = processes.start("bash", "-c", words, folder=folder)
+    if how.until is not None:
+        process.said(how.says, PATIENT)
+        assert process.end(signal.SIGINT) == how.until, process.text
+        return process.text
+    assert process.wait(PATIENT) == 0, process.text
+    assert re.search(how.says, process.text), process.text
+    return process.text
+
+
+@pytest.fixture
+def foreign_rig(folder: Path, processes: Processes) -> None:
+    """Somebody's rig with the topics of the README, and its plant file."""
+    oven_file(folder).rename(folder / "my_plant.py")
+    processes.python(RIG, "--period", "0.1", "--stamped", "--topics", "/sp", "/camera", "/cmd")
+
+
+@pytest.fixture
+def bag(folder: Path, processes: Processes, request: pytest.FixtureRequest) -> None:
+    """A recording with the topics of the README, and verdicts."""
+    if not (folder / "bag").is_dir():
+        request.getfixturevalue("foreign_rig")
+        (command,) = (command for command in RUNS if " attach " in command)
+        run(f"{command} --session bag", RUNS[command], folder, processes)
+    oven_file(folder)
+
+
+@pytest.fixture
+def log(folder: Path) -> None:
+    """The table of docs/your_plant.md."""
+    text = (PROJECT / "docs" / "your_plant.md").read_text("utf-8")
+    code = dict(re.findall(r"^```python (\w+\.py)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))["make_log.py"]
+    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+
+
+@pytest.fixture
+def tank(folder: Path, log: None, processes: Processes) -> None:  # noqa: ARG001
+    """Its plant file."""
+    if not (folder / "tank.py").exists():
+        run("twinmatch new-plant tank --from log.csv", Runs("tank.py"), folder, processes)
+
+
+@pytest.fixture
+def tank_session(folder: Path, tank: None, processes: Processes) -> None:  # noqa: ARG001
+    """The table as a session."""
+    command = "twinmatch import log.csv --map-file tank_map.yaml --plant tank.py -o tank_session"
+    run(command, Runs("samples"), folder, processes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", RUNS)
+def test_it_runs_as_it_stands_there(
+    command: str, folder: Path, processes: Processes, request: pytest.FixtureRequest
+) -> None:
+    for name in RUNS[command].needs:
+        request.getfixturevalue(name)
+    run(command, RUNS[command], folder, processes)
+
+
+@pytest.mark.slow
+def test_the_demo_ends_with_a_report(folder: Path, processes: Processes) -> None:
+    """On a rig three times as fast as that of `make demo`."""
+    run("python launch_scripts/demo.py --speed 30", Runs("^report: "), folder, processes)
