@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rich.console import Console
 
 from tests.support import faulty_rig
@@ -18,6 +19,9 @@ from twinmatch.health import Monitor
 from twinmatch.judging.judgement import judge_session
 from twinmatch.launching.live import Live
 from twinmatch.launching.plan import LivePlan
+from twinmatch.sessions import Recording, read_session
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample
 from twinmatch.views import summarise
 from twinmatch.views.events import events
@@ -58,6 +62,24 @@ def test_the_monitor_keeps_no_samples() -> None:
     samples, _ = faulty_rig.run(np.tile(np.repeat([40.0, 60.0], 400), 6), None, seed=2)
     monitor = Monitor()
     assert growth(lambda k: monitor.push(samples[k]), 2400, 2400) < 100_000
+
+
+def test_a_recording_keeps_nothing_of_what_it_has_written(tmp_path: Path) -> None:
+    """Brought to the disk every 0.4 s, it has 200,000 chunks a day; finishing it writes the index of all."""
+    recording = Recording(tmp_path / "long")
+    recording.add_topic(SAMPLE)
+
+    def step(k: int) -> None:
+        recording.write(SAMPLE.name, encode_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0)), k * 10**9)
+        recording.flush()
+
+    assert growth(step, 100, 400) < 20_000
+    recording.close()
+    with (tmp_path / "long" / "long_0.mcap").open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert [index.message_start_time // 10**9 for index in summary.chunk_indexes] == list(range(500))
+    assert len(read_session(tmp_path / "long").samples) == 500
 
 
 def test_the_view_keeps_what_it_shows(judged: tuple[list[Sample], list[Verdict]]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
@@ -16,6 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.nodes.catching_up import samples_of_answer
 from twinmatch.nodes.keeper import PAST
+from twinmatch.nodes.recorder_order import Fetched, InOrder
 from twinmatch.nodes.samples import nanoseconds
 from twinmatch.sessions.cdr import decode_sample, encode_sample
 from twinmatch_msgs.msg import Match, ModelScore
@@ -28,6 +30,8 @@ LOOK = 0.1
 """Wall seconds between two looks whether to ask."""
 PATIENCE = 10.0
 """Wall seconds without anything new after which the session begins where the recorder came."""
+MOST_WAITING = 4000
+"""Samples that may be held back before no more are asked for."""
 
 Write = Callable[[str, bytes, int], None]
 
@@ -56,7 +60,8 @@ class RecorderPast:
         self._client = node.create_client(Past, PAST)
         self._held: list[_Held] | None = []
         self._until: int | None = None  # index of the first sample that came live
-        self._next = self._matches = self._scores = 0
+        self._next = 0
+        self._order = InOrder(self._write_fetched, SAMPLE, (MATCH, SCORE))
         self._said: set[bytes] = set()
         self._asked: Any = None
         self._since = 0.0
@@ -90,13 +95,14 @@ class RecorderPast:
             and self._client.service_is_ready()
             and all(map(self._known, self._names.values()))
         ):
-            question = Past.Request(
-                first=self._next, count=self._until - self._next, matches=self._matches, scores=self._scores
-            )
+            count = 0 if self._order.waiting > MOST_WAITING else self._until - self._next
+            matches, scores = self._order.counts[MATCH], self._order.counts[SCORE]
+            question = Past.Request(first=self._next, count=count, matches=matches, scores=scores)
             self._asked = self._client.call_async(question)
-            self._asked.add_done_callback(self._on_answer)
+            self._asked.add_done_callback(partial(self._on_answer, count))
 
-    def _on_answer(self, future: Any) -> None:
+    def _on_answer(self, asked: int, future: Any) -> None:
+        """Take an answer to a question for `asked` samples."""
         if future is not self._asked or self._held is None or self._until is None:
             return
         self._asked = None
@@ -104,24 +110,33 @@ class RecorderPast:
         if answer is None:
             return
         samples = list(samples_of_answer(answer))
-        for sample in samples:
-            self._write(self._names[SAMPLE], encode_sample(sample), sample.stamp)
-            self._next = sample.index + 1
-        for name, messages in ((MATCH, answer.match), (SCORE, answer.score)):
-            for message in messages:
-                data = serialize_message(message)
-                self._said.add(data)
-                self._write(self._names[name], data, nanoseconds(message.header.stamp))
-        self._matches += len(answer.match)
-        self._scores += len(answer.score)
-        if samples or answer.match or answer.score:
+        self._order.add_samples(Fetched(s.index, encode_sample(s), s.stamp) for s in samples)
+        if samples:
+            self._next = samples[-1].index + 1
+        for name, messages, heard in (
+            (MATCH, answer.match, answer.matches_heard),
+            (SCORE, answer.score, answer.scores_heard),
+        ):
+            fetched = [_fetched(message) for message in messages]
+            self._said.update(message.data for message in fetched)
+            self._order.add_messages(name, fetched, heard)
+        self._order.write()
+        news = bool(samples or answer.match or answer.score)
+        if news:
             self._since = time.monotonic()
-        said = self._matches >= answer.matches_heard and self._scores >= answer.scores_heard
-        if said and (self._next >= self._until or (not samples and answer.heard > self._until)):
+        counts = self._order.counts
+        said = counts[MATCH] >= answer.matches_heard and counts[SCORE] >= answer.scores_heard
+        if said and (self._next >= self._until or (asked > 0 and not samples and answer.heard > self._until)):
             self._begin()
+        elif news:
+            self._look()
+
+    def _write_fetched(self, name: str, message: Fetched) -> None:
+        self._write(self._names[name], message.data, message.stamp)
 
     def _begin(self) -> None:
         """Write what was held, but for what the keeper had heard too, and hold nothing from now on."""
+        self._order.finish()
         held, self._held = self._held or [], None
         self._timer.cancel()
         for name, data, now in held:
@@ -129,3 +144,7 @@ class RecorderPast:
             if kind is None or serialize_message(deserialize_message(data, kind)) not in self._said:
                 self._write(name, data, now)
         self._said.clear()
+
+
+def _fetched(message: Match | ModelScore) -> Fetched:
+    return Fetched(message.sample, serialize_message(message), nanoseconds(message.header.stamp))

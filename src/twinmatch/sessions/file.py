@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from twinmatch.sessions.chunk_indexes import ChunkIndexes
 from twinmatch.sessions.metadata import Part, Summary, qos_text
 from twinmatch.sessions.topics import Topic
 
@@ -31,6 +32,10 @@ class SessionFile:
         self._span: tuple[int, int] | None = None
         self._file = path.open("wb")
         self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
+        # The writer keeps an object for every chunk until the end: 170 MB for a day that is flushed every
+        # 0.4 s. It has no option to keep them elsewhere; a test holds that this attribute is the one it uses.
+        self._chunks = ChunkIndexes(path.parent)
+        self._mcap._Writer__chunk_indices = self._chunks  # type: ignore[attr-defined]
         self._mcap.start(profile="ros2", library="twinmatch")
 
     @property
@@ -79,8 +84,10 @@ class SessionFile:
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()
+        self._chunks.close()
 
     def abandon(self) -> None:
         """Close the file as it is."""
-        with contextlib.suppress(OSError):  # the buffer of a full disk
-            self._file.close()
+        for file in (self._file, self._chunks):
+            with contextlib.suppress(OSError):  # the buffer of a full disk
+                file.close()

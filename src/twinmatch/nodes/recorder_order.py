@@ -1,0 +1,74 @@
+"""The order in which a recorder writes what it has fetched: a session cut off anywhere must still verify."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+__all__ = ["Fetched", "InOrder"]
+
+
+class Fetched(NamedTuple):
+    """A serialised message from the keeper."""
+
+    sample: int
+    """Index of the sample that it is, or that it is about."""
+    data: bytes
+    stamp: int
+    """ns."""
+
+
+class InOrder:
+    """Samples and the messages about them, each message written right behind its sample.
+
+    The keeper gives 2000 samples in an answer but only some messages. A sample is held back until all
+    messages about it are here: a recorder that is killed in between then leaves a session without a hole.
+    """
+
+    def __init__(self, write: Callable[[str, Fetched], None], sample: str, kinds: Iterable[str]) -> None:
+        """Write with `write`; `sample` is the topic of the samples, `kinds` are those of the messages."""
+        self._write, self._topic = write, sample
+        self._samples: deque[Fetched] = deque()
+        self._about: dict[str, deque[Fetched]] = {name: deque() for name in kinds}
+        self._known = dict.fromkeys(self._about, -math.inf)  # all messages about samples before this are here
+        self.counts = dict.fromkeys(self._about, 0)
+        """Messages fetched so far, by topic."""
+
+    @property
+    def waiting(self) -> int:
+        """Samples that are held back."""
+        return len(self._samples)
+
+    def add_samples(self, samples: Iterable[Fetched]) -> None:
+        """Take samples, in the order of their indices."""
+        self._samples.extend(samples)
+
+    def add_messages(self, name: str, messages: Iterable[Fetched], there_are: int) -> None:
+        """Take messages of a topic, in the order of their samples; the keeper has `there_are` of them."""
+        for message in messages:
+            self._about[name].append(message)
+            self._known[name] = message.sample  # another one about this sample may follow
+            self.counts[name] += 1
+        if self.counts[name] >= there_are:
+            self._known[name] = math.inf
+
+    def write(self) -> None:
+        """Write the samples about which everything is here, and what is said about them."""
+        self._write_before(min(self._known.values(), default=math.inf))
+
+    def finish(self) -> None:
+        """Write all that is left."""
+        self._write_before(math.inf)
+        for name, messages in self._about.items():
+            while messages:
+                self._write(name, messages.popleft())
+
+    def _write_before(self, end: float) -> None:
+        while self._samples and self._samples[0].sample < end:
+            sample = self._samples.popleft()
+            self._write(self._topic, sample)
+            for name, messages in self._about.items():
+                while messages and messages[0].sample <= sample.sample:
+                    self._write(name, messages.popleft())

@@ -1,0 +1,48 @@
+"""However the answers of the keeper are cut, a recorder may be killed after any message it writes."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.nodes.recorder_order import Fetched, InOrder
+
+SAMPLE, KINDS = "samples", ("matches", "verdicts")
+
+
+def about(samples: list[int]) -> list[Fetched]:
+    return [Fetched(sample, b"", sample) for sample in samples]
+
+
+@given(
+    gone=st.sets(st.integers(0, 29), max_size=20),
+    said=st.fixed_dictionaries({name: st.lists(st.integers(0, 29), max_size=20) for name in KINDS}),
+    sizes=st.lists(st.tuples(*[st.integers(1, 12)] * 3), min_size=30, max_size=30),
+)
+def test_what_is_written_never_lacks_a_message_about_a_sample_before_its_last(
+    gone: set[int], said: dict[str, list[int]], sizes: list[tuple[int, int, int]]
+) -> None:
+    samples = about([index for index in range(30) if index not in gone])
+    messages = {name: about(sorted(set(found) - gone)) for name, found in said.items()}
+    written: list[tuple[str, Fetched]] = []
+    order = InOrder(lambda name, message: written.append((name, message)), SAMPLE, KINDS)
+    taken = 0
+    for count, *counts in sizes:
+        order.add_samples(samples[taken : taken + count])
+        taken += count
+        for name, most in zip(KINDS, counts, strict=True):
+            known = order.counts[name]
+            order.add_messages(name, messages[name][known : known + most], len(messages[name]))
+        order.write()
+    assert order.waiting == 0
+    order.finish()
+    assert [message for name, message in written if name == SAMPLE] == samples
+    for kind in KINDS:
+        assert [message for name, message in written if name == kind] == messages[kind]
+    for end in range(1, len(written)):
+        cut = written[:end]
+        last = max((message.sample for name, message in cut if name == SAMPLE), default=-1)
+        for kind in KINDS:
+            found = [message for name, message in cut if name == kind]
+            assert found[: len(messages[kind])] == messages[kind][: len(found)]
+            assert len(found) >= sum(message.sample < last for message in messages[kind] if last >= 0)
