@@ -1,4 +1,4 @@
-# make help says what there is. Everything runs in .venv, which make prepares itself.
+# make help lists the targets. Everything runs in .venv, which make prepares.
 
 PYTHON ?= python3
 ROS ?= jazzy
@@ -10,7 +10,7 @@ ROS_EXTRA_jazzy := ros
 ROS_EXTRA_kilted := ros-kilted
 ROS_EXTRA := $(ROS_EXTRA_$(ROS))
 ifeq ($(ROS_EXTRA),)
-$(error ROS=$(ROS): there are wheels of jazzy and kilted; make setup ROS=jazzy)
+$(error ROS=$(ROS): wheels exist for jazzy and kilted; make setup ROS=jazzy)
 endif
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 SESSION ?=
@@ -34,11 +34,11 @@ PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
 
 help:
 	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13;"
-	@echo "                          ROS=kilted takes that ROS 2 instead of jazzy)"
+	@echo "                          ROS=kilted uses that ROS 2 instead of jazzy)"
 	@echo "make test                 setup, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
 	@echo "make check                setup, then only ruff, mypy and import-linter"
-	@echo "make demo                 setup, then run the twin on a sample session (SESSION=path picks another)"
-	@echo "make bench                setup and the peers, then measure side by side (BENCH_ARGS='--quick nu_gap' picks)"
+	@echo "make demo                 setup, then run the live graph on a virtual rig (SESSION=path plays a session instead)"
+	@echo "make bench                setup and the peers, then compare speeds (BENCH_ARGS='--quick nu_gap' picks)"
 	@echo "make docs                 setup, then the pages of docs/ as a site in build/docs"
 	@echo "make dist                 setup, then wheels of twinmatch and its messages in dist/, to install without a clone"
 	@echo "make clean                remove $(VENV) and everything built"
@@ -72,7 +72,7 @@ clean:
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests launch_scripts benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The stamps say what .venv holds; each is written after its step has succeeded.
+# The stamps record what .venv holds; each is written after its step has succeeded.
 $(STAMPS)/venv:
 	@$(PYTHON) .ci/check_machine.py
 	@echo "setup: making $(VENV) with $$($(PYTHON) --version)"
@@ -80,7 +80,7 @@ $(STAMPS)/venv:
 	@$(PIP) --upgrade pip
 	@mkdir -p $(STAMPS) && touch $@
 
-# Wheels of two releases share names and folders, so the ones leave before the others come.
+# Wheels of two releases share names and folders, so one set is removed before the other is installed.
 $(STAMPS)/ros-$(ROS): | $(STAMPS)/venv
 	@$(RUN) -m pip list --format=freeze 2>/dev/null | sed -n 's/^\(ros-[^=]*\|twinmatch[-_]msgs\)[= ].*/\1/p' | \
 		xargs -r $(RUN) -m pip --quiet uninstall --yes
@@ -111,7 +111,7 @@ $(STAMPS)/browser: .ci/browser_tools.sh | $(STAMPS)/venv
 	@sh .ci/browser_tools.sh
 	@touch $@
 
-# What is made of the plants' equations is kept, and so is what numba compiles; done here, no first run waits.
+# Code derived from the plants' equations is cached, and so is numba's machine code: no first run has to wait.
 $(STAMPS)/equations: $(wildcard src/twinmatch/dynamics/*.py src/twinmatch/plants/*.py) $(STAMPS)/dependencies
 	@echo "setup: deriving and compiling the plants' equations (a minute)"
 	@$(RUN) -m twinmatch.cli prepare >/dev/null

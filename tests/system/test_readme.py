@@ -64,7 +64,7 @@ RUNS = {
     "source .venv/bin/activate": Runs("twinmatch", {"activate": "activate && command -v twinmatch"}),
     "twinmatch replay bags/four_setpoints": Runs("Leader: .*trust it between"),
     "twinmatch report bags/four_setpoints -o report.html": Runs("report.html"),
-    "twinmatch forecast bags/four_setpoints --at 1200 --hold 80": Runs(r"the leader \(confidence"),
+    "twinmatch forecast bags/four_setpoints --at 1200 --hold 80": Runs(r"leader.*confidence"),
     "python launch_scripts/replay.py bags/four_setpoints --dashboard": Runs(VERDICT, FREE, 130),
     "python launch_scripts/live.py --virtual --speed 5 --dashboard --control": Runs(
         "recording into", FREE, 0
@@ -76,7 +76,7 @@ RUNS = {
     f"{TW} replay SESSION": Runs("Leader: ", SHORT),
     f"{TW} replay SESSION --json out.json --figure verdict.png": Runs("Leader: ", SHORT),
     f"{TW} replay FOLDER --out RESULTS": Runs("1 sessions judged", {"FOLDER": "bags", "RESULTS": "results"}),
-    f"{TW} forecast SESSION --at SAMPLE": Runs(r"the leader \(confidence", {**SHORT, "SAMPLE": "1200"}),
+    f"{TW} forecast SESSION --at SAMPLE": Runs(r"leader.*confidence", {**SHORT, "SAMPLE": "1200"}),
     f"{TW} backtest SESSION": Runs("persistence", SHORT),
     f"{TW} verify SESSION": Runs(
         "are identical, bit for bit", {"SESSION": "bag --plant my_plant.py"}, needs=("bag",)
