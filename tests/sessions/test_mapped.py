@@ -269,11 +269,22 @@ def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path
     session = read_session(tmp_path / "session")
     assert session.plant == "block_command"
     assert session.samples[1].disturbances == (19.5,)
+    assert session.counts == {"/plant/sample": 4, "/plant/temperature": 4}  # nobody recorded a set-point
     again = run_twinmatch("replay", tmp_path / "session")
     assert again.returncode == 2
     assert "plant 'block_command': not known" in again.stderr
     assert "--plant block_command.py" in again.stderr
     assert len(again.stderr.strip().splitlines()) == 1
+
+
+def test_a_session_speaks_of_a_temperature_only_if_the_plant_has_one(tmp_path: Path) -> None:
+    plant = plant_file(tmp_path, "block_in_kelvin", ('Output(unit="°C"', 'Output(unit="K"'))
+    entries = [*MAP, "reference=T1"]
+    done = run_twinmatch(
+        "import", written(tmp_path, CSV), "--plant", plant, "--map", *entries, "-o", tmp_path / "session"
+    )
+    assert done.returncode == 0, done.stderr
+    assert read_session(tmp_path / "session").counts == {"/plant/sample": 4, "/plant/reference": 4}
 
 
 def test_the_command_refuses_a_recording_of_nobodys_plant(tmp_path: Path) -> None:

@@ -204,8 +204,8 @@ def test_a_kill_while_writing_leaves_no_session(tmp_path):
         from twinmatch.signals import Sample
 
         whole = store.plant_messages
-        def slow(samples):
-            for count, message in enumerate(whole(samples)):
+        def slow(samples, topics):
+            for count, message in enumerate(whole(samples, topics)):
                 if count == 3000:
                     print("writing", flush=True)
                     time.sleep(60)

@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _import_mapped(options: argparse.Namespace) -> int:
     from twinmatch.plants import find_plant  # noqa: PLC0415 — as above
-    from twinmatch.sessions import write_session  # noqa: PLC0415
+    from twinmatch.sessions import plant_topics, write_session  # noqa: PLC0415
     from twinmatch.sessions.bag_tables import map_bag  # noqa: PLC0415
     from twinmatch.sessions.bags import is_bag  # noqa: PLC0415
     from twinmatch.sessions.mapped import map_samples, with_plant_names  # noqa: PLC0415
@@ -119,6 +119,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
         records={PLANT: record},
         gaps=options.gaps == "split",
+        topics=plant_topics(plant.output.unit, has_reference=found.has_reference),
     )
     seconds = len(found.samples) * found.period
     print(

@@ -15,7 +15,7 @@ from twinmatch.sessions.resampled import Resampled
 from twinmatch.sessions.resampling import resample
 from twinmatch.sessions.sources import open_any
 from twinmatch.sessions.store import EPOCH, samples_of, write_session
-from twinmatch.sessions.topics import Message, Qos, Topic, plant_messages
+from twinmatch.sessions.topics import Message, Qos, Topic, plant_messages, plant_topics
 from twinmatch.sessions.writer import SessionWriter
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "Topic",
     "open_any",
     "plant_messages",
+    "plant_topics",
     "read_recording",
     "read_session",
     "resample",

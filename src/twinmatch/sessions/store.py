@@ -11,7 +11,7 @@ from twinmatch.sessions.checks import check_samples, gaps_of
 from twinmatch.sessions.errors import SessionError
 from twinmatch.sessions.files import Told
 from twinmatch.sessions.metadata import METADATA
-from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, plant_messages
+from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, Topic, plant_messages
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 from twinmatch.signals import Sample, Window
 
@@ -47,6 +47,7 @@ def write_session(
     told: Told | None = None,
     records: Mapping[str, Mapping[str, str]] | None = None,
     gaps: bool = False,
+    topics: Sequence[Topic] = PLANT_TOPICS,
 ) -> Path:
     """Write samples as a session with the topics `plant/sample`, `plant/temperature`, `plant/reference`.
 
@@ -60,6 +61,7 @@ def write_session(
         told: called now and then with how many samples of how many have been written.
         records: what is to be noted about the session, by the names of `settings`.
         gaps: whether indices may skip; otherwise they have to be consecutive.
+        topics: fewer topics, for a plant that has no temperature or no loop; see `plant_topics`.
 
     Returns:
         The folder.
@@ -79,7 +81,7 @@ def write_session(
         msg = f"session {target}: cannot be written ({error.strerror})"
         raise SessionError(msg) from error
     try:
-        _write(workshop / target.name, samples, told, records or {})
+        _write(workshop / target.name, samples, topics, told, records or {})
         _move(workshop, target)
     except OSError as error:
         msg = f"session {target}: cannot be put in its place ({error.strerror})"
@@ -98,15 +100,19 @@ def _check_gaps(samples: Sequence[Sample], target: Path, *, allowed: bool) -> No
 
 
 def _write(
-    folder: Path, samples: Sequence[Sample], told: Told | None, records: Mapping[str, Mapping[str, str]]
+    folder: Path,
+    samples: Sequence[Sample],
+    topics: Sequence[Topic],
+    told: Told | None,
+    records: Mapping[str, Mapping[str, str]],
 ) -> None:
     with SessionWriter(folder) as writer:
         for name, values in records.items():
             writer.add_record(name, values)
-        for topic in PLANT_TOPICS:
+        for topic in topics:
             writer.add_topic(topic)
         written = 0
-        for message in plant_messages(samples):
+        for message in plant_messages(samples, topics):
             if message.topic is SAMPLE:
                 written += 1
                 if told is not None and written % SAMPLES_BETWEEN == 0:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import NamedTuple
 
 from twinmatch.sessions.cdr import encode_float64, encode_sample, encode_temperature
 from twinmatch.sessions.definitions import FLOAT64, LOOP_SAMPLE, TEMPERATURE, MessageType
 from twinmatch.signals import Sample
 
-__all__ = ["PLANT_TOPICS", "Message", "Qos", "Topic", "plant_messages"]
+__all__ = ["PLANT_TOPICS", "Message", "Qos", "Topic", "plant_messages", "plant_topics"]
 
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
 """How ROS 2 writes a duration without end."""
@@ -81,10 +81,20 @@ PLANT_TOPICS = (SAMPLE, TEMPERATURE_READING, REFERENCE)
 """What is known of the plant from its samples alone; the PWM that was *applied* is not."""
 
 
-def plant_messages(samples: Iterable[Sample]) -> Iterator[Message]:
-    """What the plant would have published at these samples, in the order a live loop does it.
+def plant_topics(output_unit: str, *, has_reference: bool) -> tuple[Topic, ...]:
+    """Topics of a plant whose output has this unit; only °C is a temperature, only a loop has a reference."""
+    left_out = ([] if output_unit == "°C" else [TEMPERATURE_READING]) + ([] if has_reference else [REFERENCE])
+    return tuple(topic for topic in PLANT_TOPICS if topic not in left_out)
+
+
+def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS) -> Iterator[Message]:
+    """The messages that the plant would have published at these samples, in the order of a live loop.
 
     The reference comes first (only when it changed), then the temperature, then the sample made of both.
+
+    Args:
+        samples: in order.
+        topics: which of `PLANT_TOPICS` are wanted.
 
     Raises:
         SessionError: a stamp is negative or past 2038.
@@ -92,8 +102,9 @@ def plant_messages(samples: Iterable[Sample]) -> Iterator[Message]:
     reference: float | None = None
     for sample in samples:
         at = sample.stamp
-        if sample.reference != reference:
+        if REFERENCE in topics and sample.reference != reference:
             reference = sample.reference
             yield Message(REFERENCE, at, at, encode_float64(reference))
-        yield Message(TEMPERATURE_READING, at, at, encode_temperature(at, sample.output))
+        if TEMPERATURE_READING in topics:
+            yield Message(TEMPERATURE_READING, at, at, encode_temperature(at, sample.output))
         yield Message(SAMPLE, at, at, encode_sample(sample))
