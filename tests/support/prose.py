@@ -1,14 +1,15 @@
 """The prose of the project, file by file, and the wordings that its style page rules out.
 
-`read_prose` yields what a person reads: whole Markdown pages, the comments and the strings with a blank of a
-Python file (docstrings, messages, help, names of tests), the comments of everything else. `findings` matches
-`RULES` against one piece of it.
+`read_prose` yields what a person reads: Markdown pages, the texts of notebooks, the comments and the strings with
+a blank of a Python file (docstrings, messages, help, names of tests), and whole files of the other kinds.
+`findings` matches `RULES` against one piece of it.
 """
 
 from __future__ import annotations
 
 import ast
 import io
+import json
 import re
 import tokenize
 from bisect import bisect_right
@@ -21,7 +22,7 @@ from tests.support.places import PROJECT
 
 STYLE_PAGE = PROJECT / "docs" / "style.md"
 FOLDERS = ("src", "tests", "docs", "benchmarks", "launch_scripts", "camera_server", "config", ".ci")
-PAGES = {".md"}
+PAGES = {".md", ".ipynb"}
 COMMENTED = {".msg", ".srv", ".yaml", ".toml", ".cfg", ".sh", ".html", ".jinja", ".css", ".xml"}
 LEFT_OUT = {"build", "__pycache__", ".venv", "first_form"}
 """Folders with files that are generated, or kept as they once were."""
@@ -208,6 +209,9 @@ def read_prose(path: Path) -> Iterator[tuple[int, str]]:
     text = path.read_text("utf-8")
     if path == STYLE_PAGE:  # the first column of its table is there to show what is wrong
         yield 1, re.sub(r"^\|[^|]*\|", "|", text, flags=re.MULTILINE)
+    elif path.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        yield from ((1, "".join(cell["source"])) for cell in cells if cell["cell_type"] == "markdown")
     elif path.suffix in PAGES:
         yield 1, text
     elif path.suffix == ".py":

@@ -50,6 +50,10 @@ def test_a_rule_finds_what_it_rules_out_and_nothing_in_what_it_asks_for(rule: Ru
         ("comment.py", "x = 1\n# this is no number\n"),
         ("test_name.py", "\ndef test_what_is_no_number_is_refused(): ...\n"),
         ("page.md", "# Page\n\nThis is no\nnumber.\n"),
+        (
+            "notes.ipynb",
+            '{"cells": [{"cell_type": "markdown", "source": ["# A\\n", "This is no\\n", "number."]}]}',
+        ),
         ("config.yaml", "a: 1\n# is no number\nb: 2\n"),
         ("Some.msg", "float64 a\n# is no number\n"),
     ],
