@@ -62,7 +62,7 @@ def test_nothing_later_than_the_sample_is_known(samples: list[Sample], session: 
     assert alone == whole  # JSON gives every float64 back
 
 
-def test_the_recorded_set_points_are_all_it_is_told(
+def test_the_recorded_set_points_are_all_it_knows(
     samples: list[Sample], session: Path, tmp_path: Path
 ) -> None:
     told = asked(session, tmp_path / "told.json", "--at", 600, "--reference", "recorded", "--horizon", 120)[0]

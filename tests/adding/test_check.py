@@ -109,7 +109,7 @@ HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%",
           ('free=("gain", ', 'free=("loss", ')], None, "within the bounds it cannot be run at"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told(
+def test_what_is_wrong_is_reported(
     tmp_path: Path, changes: list[tuple[str, str]], period: float | None, message: str
 ) -> None:
     import re

@@ -70,7 +70,7 @@ def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_units_that_are_wrong_are_told(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_units_that_are_wrong_are_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
     name = f"units_wrong_{crc32(repr((old, new)).encode())}"
     import re
 

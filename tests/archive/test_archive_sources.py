@@ -57,7 +57,7 @@ def test_nothing_found_is_said(name: str, tmp_path: Path) -> None:
         find_sessions([tmp_path / name])
 
 
-def test_one_session_is_told_from_many(tree: Path) -> None:
+def test_one_session_is_distinguished_from_many(tree: Path) -> None:
     assert is_single([tree / "b"])
     assert is_single([tree / "c" / "y.csv"])
     assert is_single([tree / "absent"])

@@ -147,7 +147,7 @@ def test_persistence_widens_beyond_what_the_past_shows() -> None:
     assert (low[79], high[79]) == pytest.approx((2.0 * low[19], 2.0 * high[19]))
 
 
-def test_too_short_a_past_is_told(peer: Peer, loop: Window) -> None:
+def test_too_short_a_past_is_reported(peer: Peer, loop: Window) -> None:
     with pytest.raises(ForecastError, match=f"{peer.name}: 20 samples are too few"):
         peer.forecast(loop.part(0, 19), loop.reference[20:40])
 
@@ -156,7 +156,7 @@ def test_too_short_a_past_is_told(peer: Peer, loop: Window) -> None:
 def test_any_past_gives_a_finite_forecast(count: int, seed: int, size: float) -> None:
     """Nothing moves, little noise, wild jumps: never an overflow, a NaN or a warning.
 
-    `statsmodels` may refuse, as it does where nothing moves; a refusal is told in one line.
+    `statsmodels` may refuse, as it does where nothing moves; a refusal is reported in one line.
     """
     random = np.random.default_rng(seed)
     steps = np.where(random.random((3, count)) < 0.05, random.normal(0.0, 1.0, (3, count)), 0.0)
@@ -171,7 +171,7 @@ def test_any_past_gives_a_finite_forecast(count: int, seed: int, size: float) ->
         assert np.all(np.isfinite(arrays(forecast)))
 
 
-def test_a_peer_that_is_not_installed_is_told_of(monkeypatch: pytest.MonkeyPatch, loop: Window) -> None:
+def test_a_peer_that_is_not_installed_is_reported(monkeypatch: pytest.MonkeyPatch, loop: Window) -> None:
     monkeypatch.setitem(sys.modules, "statsmodels", None)
     found, absent = peers(Peltier)
     assert [p.name for p in found] == ["persistence", "ARX"]

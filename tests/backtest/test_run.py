@@ -96,7 +96,7 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
     assert any("there was no candidate yet" in note for note in tested.notes)
 
 
-def test_who_could_not_answer_is_told() -> None:
+def test_a_peer_that_could_not_answer_is_reported() -> None:
     """After a gap the twins continue at once; ARX starts over and needs a minute."""
     whole = open_any(SHIPPED)
     session = replace(whole, samples=[*whole.samples[:700], *whole.samples[740:1000]])
@@ -142,7 +142,7 @@ def test_pictured_forecasts_follow_one_another(shipped: Backtest) -> None:
         assert before.sample + before.time.size <= after.sample
 
 
-def test_who_led_is_told(shipped: Backtest) -> None:
+def test_the_leader_is_reported(shipped: Backtest) -> None:
     def named(who: str) -> set[str]:
         return {m.candidate for m in shipped.marked if m.who == who}
 

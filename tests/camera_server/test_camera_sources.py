@@ -103,7 +103,7 @@ def test_a_damaged_recording(tmp_path: Path) -> None:
 # --- emulated ------------------------------------------------------------------------------------
 
 
-def test_nonsense_on_the_feed_is_told_and_passed_over(
+def test_nonsense_on_the_feed_is_reported_and_passed_over(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "plate.sock"
@@ -208,7 +208,7 @@ def test_a_source_that_does_not_open_gives_everything_back() -> None:
     Broadcast("127.0.0.1", port).close()
 
 
-def test_the_end_of_a_recording_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_end_of_a_recording_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     run(Scripted(raising(EndOfRecording("it ends"))), Broadcast("127.0.0.1", 0))
     assert caplog.messages[-2:] == ["it ends", "stopped"]

@@ -122,7 +122,7 @@ def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None
         assert evil in unescape(page)
 
 
-def test_events_of_the_session_before_are_told_apart() -> None:
+def test_events_of_the_session_before_are_distinguished() -> None:
     events = [
         Event(2, 7, Lane.MATCH, Mark.GOOD, "new", "why"),
         Event(1, 900, Lane.MATCH, Mark.GOOD, "old", "why"),

@@ -106,7 +106,7 @@ def test_marks_follow_what_happened(judged: Judgement) -> None:
     assert (newest.lane, newest.mark) == (Lane.FAULT, Mark.BAD)
 
 
-def test_a_fault_is_told_when_it_comes_and_when_it_goes() -> None:
+def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
     state = DashboardState()
     state.push_sample(sample(41), 0.0)
     for fault in (
@@ -124,7 +124,7 @@ def test_a_fault_is_told_when_it_comes_and_when_it_goes() -> None:
     assert state.fault == ""
 
 
-def test_an_error_on_diagnostics_is_told_once_however_its_figures_grow() -> None:
+def test_an_error_on_diagnostics_is_reported_once_however_its_figures_grow() -> None:
     state = DashboardState()
     for k in range(5):
         state.push_health("matcher: health", 2, f"no sample for {k}.5 s", {}, float(k))

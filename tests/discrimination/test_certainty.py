@@ -1,4 +1,4 @@
-"""What a verdict is told about how sure it is, on twins of simulated rigs."""
+"""How certain a verdict is, on twins of simulated rigs."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_given_candidates_are_exact() -> None:
     assert all(c.nu_gap_low == c.nu_gap_high for c in found.candidates)
 
 
-def test_points_at_which_a_candidate_has_no_plant_are_told() -> None:
+def test_points_at_which_a_candidate_has_no_plant_are_reported() -> None:
     hopeless = {**RIGS, "90 °C": RIGS["90 °C"].replace(heat_capacity=1e-9)}
     family = [Uncertain(rig) for rig in hopeless.values()]
     candidates = [scored(name, rig) for name, rig in hopeless.items()]

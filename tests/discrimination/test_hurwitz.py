@@ -36,7 +36,7 @@ def test_it_agrees_with_the_roots(
     assert is_hurwitz([-c for c in polynomial] if negative else polynomial) == stable
 
 
-def test_a_root_that_no_float_tells_from_the_axis_is_told() -> None:
+def test_a_root_that_no_float_separates_from_the_axis_is_reported() -> None:
     tiny = Fraction(1, 10**40)
     assert is_hurwitz(of_roots([Fraction(-1)], [(-tiny, Fraction(3))]))
     assert not is_hurwitz(of_roots([Fraction(-1)], [(tiny, Fraction(3))]))

@@ -125,7 +125,7 @@ def test_there_are_quotations() -> None:
 @pytest.mark.parametrize("words", QUOTED)
 def test_what_is_quoted_is_said(words: str, said: str) -> None:
     pattern = ".*".join(re.escape(part.strip()) for part in words.split("…"))
-    assert re.search(pattern, said), f"nothing in the source says {words!r} (any more)"
+    assert re.search(pattern, said), f"nothing in the source says {words!r}"
 
 
 def test_what_is_not_said_would_be_found(said: str) -> None:

@@ -117,7 +117,7 @@ def test_a_direction_that_is_not_seen_is_left_alone() -> None:
     assert found.values == pytest.approx([1.0, 0.3])
 
 
-def test_a_kink_ends_the_search_and_too_few_evaluations_are_told() -> None:
+def test_a_kink_ends_the_search_and_too_few_evaluations_are_reported() -> None:
     def kink(x: np.ndarray) -> Curve:
         return Curve(np.array([abs(x[0]) + 1.0]), np.array([[np.sign(x[0]) or 1.0]]))
 

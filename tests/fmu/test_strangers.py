@@ -176,7 +176,7 @@ def test_a_broken_description_is_one_line(
         ({"parameters": {"k": {"default": 1, "bounds": [2, 1]}}}, "numbers that grow"),
     ],
 )
-def test_a_map_that_is_wrong_is_told_so(exchange_fmu: Path, tmp_path: Path, changes, words: str) -> None:
+def test_a_wrong_map_is_reported(exchange_fmu: Path, tmp_path: Path, changes, words: str) -> None:
     with pytest.raises(FmuError, match=words):
         adopt_fmus(write_map(tmp_path, exchange_fmu, **changes))
 
@@ -188,7 +188,7 @@ def test_a_map_that_is_wrong_is_told_so(exchange_fmu: Path, tmp_path: Path, chan
         ("celsius", "its continuous states are plate; 'plate' is not named in the map"),
     ],
 )
-def test_a_variable_that_is_not_there_is_told(adopted, exchange_fmu: Path, variable: str, words: str) -> None:
+def test_a_missing_variable_is_reported(adopted, exchange_fmu: Path, variable: str, words: str) -> None:
     links = {"temperature": "celsius", "pwm": "pwm", "plate": variable}
     with pytest.raises(FmuError, match=words):
         adopted(exchange_fmu, variables=links, free=[])

@@ -1,4 +1,4 @@
-"""Which time viewers are told."""
+"""The time that viewers are sent."""
 
 from __future__ import annotations
 

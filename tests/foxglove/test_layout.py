@@ -114,7 +114,7 @@ def test_the_light_knows_every_level() -> None:
     assert {rule["rawValue"] for rule in light["rules"]} == {level.value for level in TrustLevel}
 
 
-def test_the_topics_are_those_that_subscribers_are_told_of() -> None:
+def test_the_topics_are_those_of_the_subscribers_page() -> None:
     page = (PROJECT / "docs" / "subscribing.md").read_text("utf-8")
     told = dict(re.findall(r"^\| `(\S+)` \| `(\w+/\w+)` \|", page, re.MULTILINE))
     offered = {name: kind.replace("/msg/", "/") for name, kind in (TOPICS | ELSEWHERE).items()}

@@ -104,7 +104,7 @@ def decode(channel: dict[str, Any], data: bytes) -> Any:
 
 
 def definition(channel: dict[str, Any]) -> tuple[str, ...]:
-    """What a viewer is told of a topic."""
+    """What a viewer is sent about a topic."""
     return tuple(channel[key] for key in ("encoding", "schemaName", "schemaEncoding", "schema"))
 
 

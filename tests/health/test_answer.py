@@ -50,7 +50,7 @@ def test_a_healthy_kit_is_left_alone(gain: float) -> None:
 
 @pytest.mark.parametrize("lost", [430, 700, 1000, 1500, 1750, 2230])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_lost_heater_is_told_within_half_a_minute(lost: int, seed: int) -> None:
+def test_a_lost_heater_is_reported_within_half_a_minute(lost: int, seed: int) -> None:
     """At each level, on the way up and after a long rest: what it does shows only after its lags."""
     alarm = alarms(lost + 40, lost=lost, seed=seed)[0]
     assert alarm.fault is Fault.DRIVE_LOST
@@ -66,7 +66,7 @@ def test_it_stays_lost_until_it_is_back() -> None:
     assert 1360 <= told[0].last <= 1500
 
 
-def test_a_frozen_sensor_is_told_once_the_plant_should_have_moved() -> None:
+def test_a_frozen_sensor_is_reported_once_the_plant_should_have_moved() -> None:
     """Ten seconds after a step it is asked for 20 °C more."""
     alarm = alarms(1460, frozen=1360)[0]
     assert alarm.fault is Fault.SENSOR_FROZEN

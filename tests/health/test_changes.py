@@ -1,4 +1,4 @@
-"""What changed is told by name, in the plant's words; where it cannot be told apart, that is said."""
+"""What changed is reported by name, in the plant's words; and ambiguous changes are reported as such."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twinmatch.signals import Sample
         ("reading+3", 4),
     ],
 )
-def test_a_change_is_told_by_its_name_and_hardly_ever_by_another(kind: str, least: int) -> None:
+def test_a_change_is_named_and_hardly_ever_called_another(kind: str, least: int) -> None:
     """Six rigs of the thirty of docs/health.md."""
     told = Counter(name for name, _ in (rig.names_told(kind, seed) for seed in range(6)))
     right = {"fan": "losses-changed", "roo": "room-changed", "sup": "drive-weak", "rea": "sensor-drift"}[

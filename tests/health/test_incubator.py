@@ -25,7 +25,7 @@ def samples_of(window: Window) -> list[Sample]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_an_open_lid_is_told_as_other_losses_and_only_that(seed: int) -> None:
+def test_an_open_lid_is_reported_as_other_losses_and_only_that(seed: int) -> None:
     lid = Lid(300 + 7 * seed, 320 + 7 * seed, 6.0)
     alarms = watch(run(some_incubator(seed), seed, 600, lid))
     assert [a.fault for a in alarms] == [Fault.LOSSES_CHANGED]
@@ -36,7 +36,7 @@ def test_an_open_lid_is_told_as_other_losses_and_only_that(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20, 24))
-def test_nothing_is_told_of_one_that_is_left_alone(seed: int) -> None:
+def test_nothing_is_reported_for_one_that_is_left_alone(seed: int) -> None:
     assert watch(run(some_incubator(seed), seed, 1200)) == ()
 
 
@@ -53,7 +53,7 @@ def test_a_reading_whose_noise_is_lost_in_its_last_digit_may_stand_still() -> No
     assert told == []
 
 
-def test_a_frozen_reading_is_told_all_the_same_once_the_plant_should_have_moved() -> None:
+def test_a_frozen_reading_is_reported_all_the_same_once_the_plant_should_have_moved() -> None:
     monitor = Monitor(HealthSettings.of(Incubator, PERIOD))
     held = run(some_incubator(1), 1, 500)
     for k, sample in enumerate(held):
@@ -67,11 +67,11 @@ def test_a_frozen_reading_is_told_all_the_same_once_the_plant_should_have_moved(
 
 
 @pytest.mark.parametrize("name", [FIRST, SECOND])
-def test_nothing_is_told_in_a_published_run(incubator_folder: Path, name: str) -> None:
+def test_nothing_is_reported_in_a_published_run(incubator_folder: Path, name: str) -> None:
     assert watch(samples_of(read_run(incubator_folder, name))) == ()
 
 
-def test_the_lid_that_was_opened_twice_is_told_twice(incubator_folder: Path) -> None:
+def test_the_lid_that_was_opened_twice_is_reported_twice(incubator_folder: Path) -> None:
     """The parameters of this hardware are others; the monitor learns them in the minutes before."""
     table = np.genfromtxt(
         incubator_folder / f"{LID}.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"

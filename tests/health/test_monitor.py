@@ -1,4 +1,4 @@
-"""Every failure is told and named, and nothing else is."""
+"""Every failure is reported and named, and nothing else is."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_camera_late_at_the_start_is_suspected_and_no_alarm(recorded_hour: Cal
     assert all(h.reason.startswith("only just begun") for h in suspects)
 
 
-def test_the_real_failure_is_told_in_time_and_by_name(recorded_hour: Callable[[int], Window]) -> None:
+def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callable[[int], Window]) -> None:
     monitor, healths = rig.watch(samples_of(recorded_hour(27)))
     (alarm,) = monitor.alarms
     assert alarm.fault is Fault.DRIVE_LOST
@@ -113,7 +113,7 @@ def test_the_real_failure_is_told_in_time_and_by_name(recorded_hour: Callable[[i
         (60.0, ("room+25", 700), Fault.ROOM_CHANGED, 180),
     ],
 )
-def test_a_failure_is_told_in_time_and_by_name(
+def test_a_failure_is_reported_in_time_and_by_name(
     level: float, broken: tuple[Any, ...], fault: Fault, within: int
 ) -> None:
     monitor, healths = rig.watch(holding(level, rig.Break(*broken)))
@@ -159,7 +159,7 @@ class Worsening:
         return k >= 400
 
 
-def test_a_weak_drive_that_is_lost_in_the_end_is_told_twice() -> None:
+def test_a_weak_drive_that_is_lost_in_the_end_is_reported_twice() -> None:
     weak, _ = rig.watch(holding(60.0, rig.Break("supply*0.5", 400, 200)))
     assert [a.fault for a in weak.alarms] == [Fault.DRIVE_WEAK]
     assert "should to the plate temperature" in weak.alarms[0].reason
@@ -188,7 +188,7 @@ def test_a_nominal_twin_is_taken_where_the_own_one_is_rough() -> None:
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -273.15, 400.0])
-def test_an_impossible_reading_is_told_at_once(value: float) -> None:
+def test_an_impossible_reading_is_reported_at_once(value: float) -> None:
     samples = holding(60.0, None, 400)
     samples[3] = dataclasses.replace(samples[3], output=value)
     monitor, healths = rig.watch(samples)

@@ -62,7 +62,7 @@ def test_a_sensor_is_watched_before_anything_is_matched() -> None:
         ),
     ],
 )
-def test_what_breaks_is_told(kind: str, fault: Fault, within: float, words: str) -> None:
+def test_what_breaks_is_reported(kind: str, fault: Fault, within: float, words: str) -> None:
     alarm = alarms(kind)[0]
     assert alarm.fault is fault
     assert 0 <= (alarm.flagged - BROKEN) * PERIOD <= within

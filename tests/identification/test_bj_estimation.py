@@ -215,7 +215,7 @@ def test_outputs_that_leave_nothing_to_find(output: str) -> None:
     u = held(120, np.random.default_rng(13))
     y = {"zero": np.zeros(120), "constant": np.full(120, 25.0), "input": u}[output]
     model = estimate(u, y, "33330" if output == "input" else "33331")
-    # The input itself cannot be told one sample ahead; the rest can, exactly.
+    # The input itself cannot be predicted one sample ahead; the rest can, exactly.
     assert model.variance <= 1e-12 * max(1.0, float(np.mean(y**2)))
     assert np.all(np.isfinite(model.coefficients))
 

@@ -140,7 +140,7 @@ def test_the_first_sample_that_is_named_has_a_candidate(session: Session) -> Non
         prospects(session, TERMS, [first - 1])
 
 
-def test_an_unknown_candidate_is_told_who_is_there(session: Session) -> None:
+def test_an_unknown_candidate_is_answered_with_the_known_ones(session: Session) -> None:
     with pytest.raises(ForecastError, match=rf"sample {MIDDLE}: .*'nobody'; there are: .*150 rad/s"):
         prospects(session, TERMS, [MIDDLE], candidate="nobody")
 

@@ -150,7 +150,7 @@ def test_a_wrong_port_is_one_clear_line(port: str, words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_another_device_is_told_as_such() -> None:
+def test_another_device_is_reported_as_such() -> None:
     """A modem, say: it receives everything and answers nothing."""
     master, slave = pty.openpty()
     try:

@@ -262,7 +262,7 @@ def test_noise_is_refused(data: bytes) -> None:
 # --- each error ----------------------------------------------------------------------------------
 
 
-def test_changed_pixel_is_told_as_checksum() -> None:
+def test_changed_pixel_is_reported_as_checksum() -> None:
     data = bytearray(encode_frame(make_frame()))
     data[5000] ^= 1
     with pytest.raises(FrameChecksumError, match="changed on its way"):

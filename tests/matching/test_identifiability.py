@@ -90,7 +90,9 @@ def test_without_a_fit_nothing_is_said(record: Recorder) -> None:
     assert result.directions.shape == (3, 3)
 
 
-def test_what_a_step_from_a_hot_start_shows_is_told_in_words(recorded_hour: Callable[[int], Window]) -> None:
+def test_what_a_step_from_a_hot_start_shows_is_reported_in_a_sentence(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     """A window of the real rig whose conductance the fit drives to zero: used, but not believed."""
     result = match(recorded_hour(20).part(1500 - 440, 1500), start=RIG.parameters())
     assert result.accepted

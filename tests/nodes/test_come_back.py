@@ -35,7 +35,7 @@ RECORDER_KILLED = range(100, 780, 68)
 """Samples at which the recorder is killed: ten times; the first verdict comes before them."""
 
 AROUND = 20
-"""States around a shot that were under way: more than a second of them."""
+"""States around a kill that were under way: more than a second of them."""
 
 
 class Run:

@@ -21,7 +21,7 @@ CLOCK = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Ticking:
-    """A rig's clock, 10 ms of plant time every millisecond or so, until it is told to stand."""
+    """A rig's clock, 10 ms of plant time every millisecond or so, until it is stopped."""
 
     def __init__(self) -> None:
         self.server = ClockServer()

@@ -154,7 +154,7 @@ def rig(listener: Listener) -> Iterator[Rig]:
     made.close()
 
 
-def test_commands_reach_the_pins_and_what_was_applied_is_told(
+def test_commands_reach_the_pins_and_what_was_applied_is_reported(
     start: Callable[..., Process], rig: Rig, any_board: Any
 ) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)

@@ -86,7 +86,7 @@ class Bench:
 
     def _tell(self, applied: Applied | None, sample: int) -> None:
         if self.fail_to_tell:
-            raise RuntimeError("nobody can be told")
+            raise RuntimeError("the report cannot be delivered")
         self.told.append((applied, sample))
 
     def _feed(self) -> None:
@@ -194,7 +194,7 @@ def test_the_end_is_an_acknowledged_zero(bench: Bench) -> None:
     assert bench.driver.close(30.0)
     applied, _ = bench.told[-1]
     assert applied is not None
-    assert (applied.pwm, applied.flags) == (0, Flags.ENABLED)  # it was told, its deadline had not passed
+    assert (applied.pwm, applied.flags) == (0, Flags.ENABLED)  # it was commanded, its deadline had not passed
     assert not bench.link.is_open
     assert bench.driver.failure is None
 

@@ -90,7 +90,7 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(
     assert [info.node_name for info in publishers] == ["oven_rig"]
 
 
-def test_pause_end_and_restart_of_the_rig_are_told_and_leave_gaps_of_their_length(beside: Beside) -> None:
+def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_length(beside: Beside) -> None:
     rig = beside.rig()
     sampler = beside.sampler()
     beside.wait_for_samples(60)
@@ -147,7 +147,7 @@ def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(beside: Bes
     assert all(15.0 < m.output[0] < 60.0 for m in beside.samples)
 
 
-def test_stamps_of_a_clock_that_is_behind_are_told(beside: Beside) -> None:
+def test_stamps_of_a_clock_that_is_behind_are_reported(beside: Beside) -> None:
     beside.rig("--stamped", "--behind", "100")
     beside.sampler(output="/oven/temperature:temperature")
     beside.wait_for_word("the stamps of /oven/temperature:temperature are behind this machine's clock")

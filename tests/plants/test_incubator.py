@@ -130,7 +130,7 @@ def test_a_match_finds_a_simulated_incubator(seed: int) -> None:
         assert found.parameters[name] == pytest.approx(truth[name], rel=error), name
 
 
-def test_the_two_lumps_are_told_from_one_and_from_three() -> None:
+def test_the_two_lumps_are_distinguished_from_one_and_from_three() -> None:
     """Where the walls have no mass, none is bought; where they have, they are."""
     names = ("air and bed", "two parameters", "box with mass")
     models = [Incubator.model(name) for name in names]

@@ -95,7 +95,7 @@ class Other(Plant):
         ("class Heated", f"{OTHER}class Heated", r"has 2 plants, Heated, Other; give each"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_mistake_is_reported_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = plant_file(tmp_path, "block_bad", (old, new))
     line = 1 + path.read_text().partition("class" if "gian" in new or "sensor" in new else new)[0].count("\n")
     with pytest.raises(PlantError, match=message) as raised:
@@ -150,7 +150,7 @@ def test_a_plant_of_an_installed_package_is_found_by_its_name(
         _declared.cache_clear()
 
 
-def test_what_a_package_declares_wrongly_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plant_file(tmp_path, "block_package")
     installed(tmp_path, "block_package:Plan", monkeypatch)
     try:
@@ -183,7 +183,7 @@ def test_what_a_package_declares_wrongly_is_told(tmp_path: Path, monkeypatch: py
         ("return Equations(", "return dict(", "returns dict; return Equations"),
     ],
 )
-def test_a_mistake_in_the_equations_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_mistake_in_the_equations_is_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
     plant = find_plant(
         str(plant_file(tmp_path, f"block_equations_{crc32(repr((old, new)).encode())}", (old, new)))
     )

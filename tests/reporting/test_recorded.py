@@ -95,7 +95,7 @@ def test_a_session_with_verdicts_is_judged_once(
     assert pushed == [sample.index for sample in found.session.samples]
 
 
-def test_verdicts_that_differ_are_told_with_the_first_difference(record: Callable[..., Path]) -> None:
+def test_verdicts_that_differ_are_reported_with_the_first_difference(record: Callable[..., Path]) -> None:
     def spoil(score: Any) -> None:
         score.reason = "invented"
 
@@ -105,7 +105,7 @@ def test_verdicts_that_differ_are_told_with_the_first_difference(record: Callabl
     assert "reason was recorded as 'invented'" in judged.recorded
 
 
-def test_verdicts_that_cannot_be_compared_are_told_too(record: Callable[..., Path]) -> None:
+def test_verdicts_that_cannot_be_compared_are_reported_too(record: Callable[..., Path]) -> None:
     judged = judge(record(parameters=False))
     assert judged.identical is None
     assert "could not be compared" in judged.recorded

@@ -123,7 +123,7 @@ def test_open_intervals_are_shown_as_open(shipped: Report) -> None:
     assert rows["α"][6].text == "fitted, well determined"
 
 
-def test_a_refused_match_is_told_with_its_reason(shipped: Report) -> None:
+def test_a_refused_match_is_reported_with_its_reason(shipped: Report) -> None:
     report = shipped.judged.judgement.matches[0]
     unfitted = replace(report.match, chi2=math.nan, reason="nothing moved")
     table = match_table([report._replace(match=unfitted)], [], 1.0)

@@ -44,7 +44,7 @@ def test_a_clock_that_goes_back_again_and_again_is_not_a_way_to_stay_young() -> 
     assert now[-1] == 3.0
 
 
-def test_standing_still_is_told_by_the_wall_clock() -> None:
+def test_standing_still_is_measured_on_the_wall_clock() -> None:
     clock = SafetyClock()
     clock.read(6 * SECOND, 0)
     assert clock.stopped  # nobody has seen it move

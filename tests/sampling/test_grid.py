@@ -63,7 +63,7 @@ def test_a_rate_is_never_doubted_for_its_jitter(size: int, jitter: float, seed: 
 
 
 @given(st.sampled_from([0.5, 0.9, 1.03, 1.5, 2.0, 10.0]), st.integers(0, 2**31))
-def test_another_rate_is_told_with_its_period(true: float, seed: int) -> None:
+def test_another_rate_is_reported_with_its_period(true: float, seed: int) -> None:
     late = np.random.default_rng(seed).uniform(0.0, 0.02 * true, 40)
     rate = rate_of(true * np.arange(40) + late)
     assert rate.differs_from(1.0)

@@ -153,7 +153,7 @@ def test_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
     assert [s.output for s in session.samples[:5]] == pytest.approx([20.0, 23.0, 26.0, 29.0, 32.0])
 
 
-def test_headers_of_another_clock_are_told_and_not_used(tmp_path: Path, plant: Path) -> None:
+def test_headers_of_another_clock_are_reported_and_not_used(tmp_path: Path, plant: Path) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(), behind=500.0)
     found = map_bag(source, parse_map(MAP), find_plant(str(plant)))
     assert any("headers are of another clock (/rack by 500" in note for note in found.notes)

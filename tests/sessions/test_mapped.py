@@ -250,7 +250,7 @@ def test_a_map_is_proposed(tmp_path: Path, text: str, guess: dict[str, str]) -> 
     assert {signal: source.text for signal, source in found.items()} == guess
 
 
-def test_times_are_told_by_their_size(tmp_path: Path) -> None:
+def test_units_of_time_are_recognised_by_size(tmp_path: Path) -> None:
     table = read_table(written(tmp_path, "a,b\n1611326938720,1\n1611326939720,2\n"))
     times = read_times(table, "a")
     assert times.seconds.tolist() == [0.0, 1.0]

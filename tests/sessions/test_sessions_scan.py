@@ -88,7 +88,7 @@ def test_a_cut_within_the_first_bytes_is_not_a_session(tmp_path, whole):
             scan(tmp_path / "x.mcap", whole[:cut])
 
 
-def test_a_cut_behind_the_messages_is_told_apart(tmp_path, whole):
+def test_a_cut_behind_the_messages_is_distinguished(tmp_path, whole):
     assert scan(tmp_path / "x.mcap", whole[:-1]) == (COUNT, "the file is truncated behind its last message")
 
 

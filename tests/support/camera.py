@@ -12,7 +12,7 @@ class CameraProgram:
     """A started camera program: `CameraProgram(processes, "emulated", "--plate", "40")`."""
 
     def __init__(self, processes: Processes, *arguments: str, listen: str | None = "127.0.0.1:0") -> None:
-        """Start it on a free port of this computer, or where it is told to listen; None says nothing."""
+        """Start it on a free port of this computer, or at the given address; None says nothing."""
         extra = () if listen is None else ("--listen", listen)
         environment = {**os.environ, "PYTHONPATH": CAMERA_PATHS}
         command = ("-m", "twinmatch_camera", *arguments, *extra)

@@ -1,4 +1,4 @@
-"""Simulated incubators whose lid is opened: how soon it is told, and what of those that are left alone.
+"""Simulated incubators whose lid is opened: how soon it is reported, and what of those that are left alone.
 
     python -m tests.support.faulty_incubator 40
 

@@ -34,7 +34,7 @@ FANS = {"fan-failed": 0.1, "draught": 3.0}
 SLOWLY = 300.0
 """What comes slowly has come after this time, s."""
 IN_TIME = 300
-"""Samples within which a slow change is to be told."""
+"""Samples within which a slow change is to be reported."""
 SLOW_KINDS = (
     "fan-failed", "draught", "room+10", "room-10", "supply*0.8", "supply*0.6", "supply~0.6", "reading+3",
     "reading~6",
@@ -190,7 +190,7 @@ RIGHT = {
 
 
 def names_told(kind: str, seed: int) -> tuple[str, int | None]:
-    """The first name that is told of a change which stays, and how many samples after it.
+    """The first name that is reported for a lasting change, and how many samples after it.
 
     "early" is one told before; "nothing" if none is, and "suspected" if only that.
     """
@@ -207,7 +207,7 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
 
 
 def confusion(runs: int, kinds: tuple[str, ...] = SLOW_KINDS) -> list[str]:
-    """What is told of every kind of change: rows are what is broken, columns what it was called."""
+    """What is reported for every kind of change: rows are what is broken, columns what it was called."""
     lines = [f"{'changed':12s} right in {IN_TIME} s | median, worst | told (of {runs} runs)"]
     for kind in kinds:
         told = [names_told(kind, seed) for seed in range(runs)]

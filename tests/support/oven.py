@@ -1,4 +1,4 @@
-"""The oven of `foreign_rig.py` as a plant file, and how the sampler is told of its topics."""
+"""The oven of `foreign_rig.py` as a plant file, and its topics as the sampler's map."""
 
 from __future__ import annotations
 

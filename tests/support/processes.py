@@ -31,7 +31,7 @@ class Process:
         """Start it; `environment` is the whole one, this process's by default, `folder` where it works."""
         self.output = output
         given = {**os.environ, "PYTHONUNBUFFERED": "1"} if environment is None else environment
-        self.shot = False
+        self.killed = False
         """Whether the test has killed it, so that its exit code says nothing."""
         with output.open("w") as stream:
             self._process = subprocess.Popen(
@@ -136,8 +136,8 @@ class Process:
         return code in (0, -signal.SIGALRM)
 
     def kill(self) -> None:
-        """Shoot it."""
-        self.shot = True
+        """Kill it."""
+        self.killed = True
         self._process.kill()
         self._process.wait()
 
@@ -165,14 +165,14 @@ class Processes:
         return self.start(sys.executable, *words, **settings)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> list[tuple[int, str]]:
-        """End what still runs, all at once; exit code and words of each that was not shot."""
+        """End what still runs, all at once; exit code and words of each that was not killed."""
         for process in reversed(self._started):
             process.send(number)
         ended = [(process, process.finish()) for process in self._started]
-        return [(code, process.text) for process, code in ended if not process.shot]
+        return [(code, process.text) for process, code in ended if not process.killed]
 
     def dismiss(self, patience: float = 15.0) -> None:
-        """End what still runs and shoot what does not go: for programs of others, not under test."""
+        """End what still runs and kill what does not end: for other people's programs, not under test."""
         for process in reversed(self._started):
             process.send(signal.SIGTERM)
             process.thaw()

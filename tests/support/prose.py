@@ -1,7 +1,7 @@
 """The prose of the project, file by file, and the wordings that its style page rules out.
 
-`read_prose` yields what a person reads: Markdown pages, the texts of notebooks, the comments and the strings with
-a blank of a Python file (docstrings, messages, help, names of tests), and whole files of the other kinds.
+`read_prose` yields what a person reads: Markdown pages, the texts of notebooks, the comments and the strings
+with a blank of a Python file (docstrings, messages, help, names of tests), and whole files of other kinds.
 `findings` matches `RULES` against one piece of it.
 """
 
@@ -115,7 +115,13 @@ RULES = (
         "the run continues where it stopped",
     ),
     Rule(
-        r"\b(is|are|was|were|be|been) shot\b",
+        r"\b(is|are|was|were|be|been) told\b",
+        'write "reported", "distinguished" or "given"',
+        "a lost drive is told within half a minute",
+        "a lost drive is reported within half a minute",
+    ),
+    Rule(
+        r"(?<!-)\b(shoot|shoots|shot)\b",
         'write "killed"',
         "a twin that was shot comes back",
         "a twin that was killed comes back",

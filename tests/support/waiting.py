@@ -32,7 +32,7 @@ def wait_for(
     """Wait until a condition is true and return what it gave; the test fails if it does not come to be.
 
     `meanwhile` is called between two looks: it spins an executor, reads a socket or publishes something.
-    `what` is told on failure; as a function it is asked for what the failure looks like.
+    `what` is printed on failure; as a function it is asked for what the failure looks like.
     """
     deadline = time.monotonic() + patience
     while not (found := condition()):

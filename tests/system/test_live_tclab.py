@@ -32,7 +32,7 @@ def running() -> Iterator[list[Process]]:
 
 
 @pytest.mark.slow
-def test_a_heater_that_is_lost_is_told_and_the_session_verifies(
+def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     tmp_path: Path, running: list[Process]
 ) -> None:
     config = tmp_path / "kit.yaml"

@@ -57,8 +57,8 @@ def test_the_frozen_sensor_at_the_start_of_an_hour_gives_no_candidate(
     assert not first.accepted
 
 
-def test_a_lost_drive_is_told_in_time_and_never_matched(judge: Callable[[int], Judgement]) -> None:
-    """Recording 27: lost at 2155 s, visible from about 2235 s, to be told by 2355 s."""
+def test_a_lost_drive_is_reported_in_time_and_never_matched(judge: Callable[[int], Judgement]) -> None:
+    """Recording 27: lost at 2155 s, visible from about 2235 s, to be reported by 2355 s."""
     judgement = judge(LOST_DRIVE)
     for report in judgement.matches:
         if report.match.samples[1] > 2155:
@@ -75,7 +75,7 @@ def frozen(hour: Window, first: int, last: int) -> Window:
     return replace(hour, output=output)
 
 
-def test_a_sensor_that_freezes_in_a_real_hour_is_told(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_sensor_that_freezes_in_a_real_hour_is_reported(recorded_hour: Callable[[int], Window]) -> None:
     samples = samples_of(frozen(recorded_hour(9), 1000, 1600))[:2000]
     verdicts = judge_samples("frozen", samples, TwinSettings()).verdicts
     told = next(v for v in verdicts if v.level is TrustLevel.FAULT)

@@ -1,4 +1,4 @@
-"""One family, one schedule: what a match has to beat, and what is told of it."""
+"""One family, one schedule: what a match has to beat, and what is reported about it."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def test_a_plant_that_changes_breaks_its_promises(samples: list[Sample]) -> None
     assert misses[1030] > 2.0
 
 
-def test_who_is_asked_too_early_or_by_a_wrong_name_is_told() -> None:
+def test_a_question_too_early_or_to_a_wrong_name_is_refused() -> None:
     forecaster = Forecaster(GAINS)
     with pytest.raises(ForecastError, match="there is no candidate yet"):
         forecaster.outlook()

@@ -183,7 +183,7 @@ def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
     return samples
 
 
-def test_a_lost_drive_is_told_by_name_at_once_and_never_becomes_a_candidate() -> None:
+def test_a_lost_drive_is_reported_by_name_at_once_and_never_becomes_a_candidate() -> None:
     at = 1000
     twin = Twin()
     outcomes = [twin.push(s) for s in drive_lost(at, 1600)]
@@ -201,7 +201,7 @@ def test_a_lost_drive_is_told_by_name_at_once_and_never_becomes_a_candidate() ->
     assert all(c.last < told.sample for c in verdicts[-1].candidates)
 
 
-def test_a_drive_that_comes_back_is_told_and_the_family_continues() -> None:
+def test_a_drive_that_comes_back_is_reported_and_the_family_continues() -> None:
     at, again = 1010, 1060
     twin = Twin()
     verdicts = verdicts_of([twin.push(s) for s in drive_lost(at, 1600, again)])

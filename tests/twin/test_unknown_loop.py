@@ -54,7 +54,7 @@ def test_parameters_are_found(judged: Judgement) -> None:
         assert np.isnan(found.fit.u)
 
 
-def test_a_family_is_judged_on_what_can_be_told(judged: Judgement) -> None:
+def test_a_family_is_judged_on_what_can_be_computed(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     assert last.level is TrustLevel.TRUSTED
     assert last.leader is not None

@@ -95,7 +95,7 @@ def test_what_is_there_already_is_not_reached() -> None:
     assert "within 1 °C of 60 °C: all the time" in words([60.0] * 12, [60.0] * 12)
 
 
-def test_of_a_ramp_only_the_end_is_told() -> None:
+def test_of_a_ramp_only_the_end_is_reported() -> None:
     told = words(np.linspace(50, 70, 20).tolist(), np.linspace(50, 70, 20).tolist())
     assert told.count("within 1 °C of") == 1
     assert "within 1 °C of 70 °C" in told

@@ -98,7 +98,7 @@ def test_what_is_not_known_is_a_dash() -> None:
     assert set(cells(line_text(NONE_YET))[2:-1]) == {"–"}
 
 
-def test_a_fault_is_told_by_name_and_a_line_stays_one_line() -> None:
+def test_a_fault_is_reported_by_name_and_a_line_stays_one_line() -> None:
     text = line_text(replace(VERDICT, fault="drive-lost", decided=False, reason="the plate\ndoes not obey"))
     assert text.endswith("drive-lost: the plate does not obey")
     assert cells(text)[3] == "no"
@@ -110,7 +110,7 @@ def test_a_long_name_does_not_run_into_the_next_column() -> None:
     assert f"{name}  22221" in text
 
 
-def test_only_news_are_told_and_without_wrapping_or_colours(capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_news_are_reported_and_without_wrapping_or_colours(capsys: pytest.CaptureFixture[str]) -> None:
     stream = io.StringIO()
     story = [NONE_YET, NONE_YET, VERDICT, replace(VERDICT, stands=True, sample=360)]
     for view in (Lines(), Lines(1.0, Console(file=stream, width=40))):

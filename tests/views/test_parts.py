@@ -139,7 +139,7 @@ def lab(rgb: np.ndarray) -> np.ndarray:
     [(PLANT, CLOSED, DRIVEN, SET_POINT), tuple(LEVELS.values()), ORDERS],
     ids=["signals", "levels", "orders"],
 )
-def test_colours_that_stand_side_by_side_are_told_apart(colours: tuple[str, ...], deficiency: str) -> None:
+def test_colours_that_stand_side_by_side_are_distinguished(colours: tuple[str, ...], deficiency: str) -> None:
     """A difference of 10 in CIELAB is plain to see; 2 is just noticeable."""
     change = np.array(DEFICIENCIES.get(deficiency, np.eye(3)))
     seen = [lab(np.clip(change @ linear(c), 0, 1)) for c in colours]

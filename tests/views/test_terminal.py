@@ -97,7 +97,7 @@ def believed(judged: Judgement, first: int) -> tuple[str, ...]:
     return next(m.match.believed for m in judged.matches if m.match.samples[0] == first)
 
 
-def test_level_progress_fault_and_events_are_told(judged: Judgement) -> None:
+def test_level_progress_fault_and_events_are_reported(judged: Judgement) -> None:
     written = shown(judged, 120, color_system="truecolor")
     text = " ".join(" ".join(last_screen(written)).split())
     assert "drive_lost" in text

@@ -32,7 +32,7 @@ def write_shim(prefix: Path) -> None:
     packages = {
         "rosidl_default_generators": GENERATORS,
         "ament_cmake_ros_core": DEFAULTS,
-        # Jazzy asks for these three; what they would bring, CMake finds here or is told.
+        # Jazzy asks for these three; what they would bring, CMake finds here or is given.
         **dict.fromkeys(("ament_cmake_ros", "python_cmake_module", "PythonExtra"), ""),
     }
     for package, text in packages.items():
