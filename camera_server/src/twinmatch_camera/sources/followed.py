@@ -25,7 +25,7 @@ _LONGEST = 256
 
 
 class FollowedSource:
-    """Images when they are asked for, at times that are told."""
+    """Images on request, at given times."""
 
     def __init__(self, descriptor: int = 0, *, settings: LeptonSettings | None = None, seed: int = 0) -> None:
         self._descriptor = descriptor
