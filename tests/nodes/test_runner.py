@@ -50,6 +50,22 @@ def program(
     )
 
 
+WITHOUT_EVENTS = """
+import sys
+sys.modules["rclpy.experimental.events_executor"] = None  # as before rclpy 7.1.4
+"""
+
+
+def test_nodes_run_without_the_events_executor(start_script: Callable[[str], Process]) -> None:
+    process = start_script(
+        WITHOUT_EVENTS + program(before="print(runner.EventsExecutor.__name__, flush=True)")
+    )
+    process.said("^SingleThreadedExecutor$")
+    process.said("^up$")
+    process.send(signal.SIGINT)
+    assert process.wait() == 0
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signal_ends_with_zero_and_leaves_nothing(
     start_script: Callable[[str], Process], number: signal.Signals

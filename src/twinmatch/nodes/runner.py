@@ -1,10 +1,10 @@
 """Starts nodes, keeps them going, ends them.
 
 Three things about rclpy made this what it is. The events executor does the work of the others for a
-fifth of the processor time, but its own `spin` never returns, so it is driven step by step. With rclpy's
-signal handlers a SIGTERM is lost now and then, so the handlers are ours and only set a flag. And closing
-Fast DDS can live-lock while it holds the interpreter's lock, so no thread of ours could end it; an alarm of
-the kernel does.
+fifth of the processor time, but its own `spin` never returns, so it is driven step by step; where rclpy lacks
+it, the single-threaded executor does the same work. With rclpy's signal handlers a SIGTERM is lost now and
+then, so the handlers are ours and only set a flag. And closing Fast DDS can live-lock while it holds the
+interpreter's lock, so no thread of ours could end it; an alarm of the kernel does.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
@@ -32,6 +32,11 @@ from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import render
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
+
+try:
+    from rclpy.experimental.events_executor import EventsExecutor
+except ImportError:  # Jazzy before rclpy 7.1.4, or a release that moves what is experimental
+    EventsExecutor = SingleThreadedExecutor
 
 __all__ = ["EXIT_DEFECT", "TEARDOWN", "RunnerError", "run"]
 
@@ -88,7 +93,7 @@ class _Process:
 
     def __init__(self) -> None:
         self.nodes: list[TwinmatchNode] = []
-        self.executor: Any = None  # an EventsExecutor, made once ROS has started
+        self.executor: Any = None  # made once ROS has started
         self.stop_requested = False
         _on_signals(self._request_stop)
 

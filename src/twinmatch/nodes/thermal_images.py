@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 from typing import Any
 
@@ -56,6 +57,6 @@ def time_message(nanoseconds: int) -> Time:
 def _image(encoding: str, pixels: NDArray[Any], header: Callable[[Any], None]) -> Image:
     rows, columns = pixels.shape
     message = Image(height=rows, width=columns, encoding=encoding, step=columns * pixels.itemsize)
-    message.data = pixels.tobytes()  # rclpy takes bytes as they are; an array would be copied item by item
+    message.data = array("B", pixels.tobytes())  # the field's own type: not checked item by item
     header(message.header)
     return message
