@@ -21,17 +21,6 @@ SCRIPTS = re.findall(
 )
 
 
-@pytest.fixture(scope="session")
-def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of what is packaged, so that a build leaves nothing behind in the project."""
-    copy = tmp_path_factory.mktemp("sources")
-    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
-        shutil.copy(PROJECT / name, copy)
-    for name in ("src/twinmatch", "camera_server/src", "config", "resource"):
-        shutil.copytree(PROJECT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    return copy
-
-
 def test_wheel_carries_share_and_profile(sources: Path, tmp_path: Path) -> None:
     options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet", "--wheel-dir", str(tmp_path)]
     subprocess.run([sys.executable, "-m", "pip", "wheel", *options, str(sources)], check=True)

@@ -1,0 +1,82 @@
+"""From wheels alone: the commands run in an environment and a folder that know nothing of the checkout.
+
+The code is that of the wheel; only the libraries that it needs come from the environment of the tests, whose
+own twinmatch cannot be seen: it is installed as a link, and links in a folder that is merely on the path are
+not followed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import sysconfig
+import time
+import venv
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.processes import Processes
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def installed(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of programs of an environment with the wheel in it."""
+    folder = tmp_path_factory.mktemp("installed")
+    options = ["--quiet", "--no-deps", "--no-index"]
+    build = [*options, "--no-build-isolation", "--wheel-dir", str(folder), str(sources)]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", *build], check=True)
+    (wheel,) = folder.glob("twinmatch-*.whl")
+    venv.create(folder / "env", symlinks=True)
+    python = folder / "env" / "bin" / "python"
+    install = ["-m", "pip", "--python", str(python), "install", *options, str(wheel)]
+    subprocess.run([sys.executable, *install], check=True)
+    (packages,) = (folder / "env" / "lib").glob("python3*/site-packages")
+    (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return folder / "env" / "bin"
+
+
+@pytest.fixture
+def programs(installed: Path, tmp_path: Path) -> Iterator[Processes]:
+    """Starts programs of that environment in an empty folder."""
+    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    path = os.pathsep.join([str(installed), "/usr/bin", "/bin"])
+    # Where the messages of the libraries lie, which are in the environment of the tests.
+    started = Processes(tmp_path / "output", {**kept, "PATH": path, "AMENT_PREFIX_PATH": sys.prefix})
+    yield started
+    started.dismiss()
+
+
+def test_code_and_files_are_those_of_the_wheel(installed: Path, programs: Processes, tmp_path: Path) -> None:
+    code = (
+        "import twinmatch, twinmatch_msgs; from twinmatch.shipped import shipped; "
+        "print(twinmatch.__file__, shipped('camera_server/src'), shipped('config/rig.yaml'), sep='\\n')"
+    )
+    process = programs.start(installed / "python", "-c", code, folder=tmp_path)
+    assert process.wait() == 0, process.text
+    assert len(process.lines) == 3
+    assert all(Path(line).is_relative_to(installed.parent) for line in process.lines)
+
+
+def test_a_plant_is_begun(installed: Path, programs: Processes, tmp_path: Path) -> None:
+    process = programs.start(installed / "twinmatch", "new-plant", "tank", folder=tmp_path)
+    assert process.wait() == 0, process.text
+    assert (tmp_path / "tank.py").exists()
+
+
+def test_the_virtual_rig_runs_live_until_ctrl_c(installed: Path, programs: Processes, tmp_path: Path) -> None:
+    """Camera program, stand-in of the board, bridges, controller, twin and recorder."""
+    words = ["live", "--virtual", "--speed", "2", "--board", "python", "--session", "first"]
+    process = programs.start(installed / "twinmatch", *words, folder=tmp_path)
+    process.said("recording into", patience=120)
+    process.said(r"level +leader", patience=120)
+    time.sleep(5)  # of samples
+    process.send(signal.SIGINT)
+    assert process.wait(patience=60) == 0, process.text
+    assert "Traceback" not in process.text
+    assert (tmp_path / "first" / "metadata.yaml").exists()
