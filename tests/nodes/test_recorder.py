@@ -255,6 +255,28 @@ def test_parameters_of_the_nodes_are_in_the_session(
     assert json.loads(records["twinmatch/parameters/discriminator"]["period"]) == 1.0
 
 
+def test_a_node_that_was_killed_before_it_answered_is_asked_again(
+    record: Record, start: Callable[..., Process], rig: Rig, tmp_path: Path
+) -> None:
+    graph = rig.listener.node
+    lost = start("matcher", "-p", "seed:=6")
+    rig.listener.spin_until(lambda: "matcher" in graph.get_node_names(), "the matcher")
+    lost.freeze()
+    record()
+    rig.wait_for_reader()
+    time.sleep(1.0)
+    lost.kill()
+    start("matcher", "-p", "seed:=7")
+
+    def seed() -> object:
+        session = written(tmp_path / "run")
+        records = {} if session is None else session.records
+        return "twinmatch/parameters/matcher" in records and parameters_of(records, "/matcher")["seed"]
+
+    rig.sample(0)
+    rig.listener.spin_until(lambda: seed() == 7, "the parameters of the other matcher")
+
+
 def test_a_recorded_run_of_the_twin_verifies(
     record: Record, start: Callable[..., Process], listener: Listener, session: Path, tmp_path: Path
 ) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 
 from twinmatch.nodes.diagnostics import Level
 from twinmatch.nodes.keeper import PAST
@@ -15,7 +16,7 @@ from twinmatch.nodes.stream import Stream
 from twinmatch.signals import Sample
 from twinmatch_msgs.srv import Past
 
-__all__ = ["CatchingUp", "samples_of_answer"]
+__all__ = ["ANSWER", "CatchingUp", "samples_of_answer"]
 
 LOOK = 0.05
 """Wall seconds between two looks for something missing."""
@@ -25,6 +26,10 @@ ANSWER = 2.0
 """Wall seconds after which a question without an answer is asked again; the keeper needs milliseconds."""
 NONE = 2**64 - 1
 """As many verdicts as nobody has said: none of them is wanted."""
+SETTLE = 1.0
+"""Wall seconds in which the readers of a new node find it; what it says earlier they may miss."""
+LONGEST_SETTLE = 3.0
+"""Wall seconds after which a reader that is known but not connected is not waited for any longer."""
 MOST_WAITING = 4000
 """Samples that may wait for the worker before more are asked for."""
 
@@ -53,6 +58,7 @@ class CatchingUp:
         self._asked_at = 0.0
         self._since: float | None = None  # when something was missing without anything new
         self._fresh = True
+        self._opened, self._connected = time.monotonic(), False
         self._matches = 0
         node.create_timer(LOOK, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -69,7 +75,7 @@ class CatchingUp:
             self._do_without(f"samples {missing.first} to {missing.last} cannot be had")
         elif self._asked is not None and now - self._asked_at > ANSWER:
             self._asked = None  # an answer to a process that stood still may be lost
-        elif self._asked is None and self._client.service_is_ready():
+        elif self._asked is None and self._client.service_is_ready() and self._settled(now):
             if self._waiting() > MOST_WAITING:
                 self._since = now  # the worker is busy with what was fetched
                 return
@@ -78,6 +84,14 @@ class CatchingUp:
             self._asked = self._client.call_async(question)
             self._asked_at = now
             self._asked.add_done_callback(self._on_answer)
+
+    def _settled(self, now: float) -> bool:
+        """Whether those who read this node's topics are connected: what was missed is published at once."""
+        age = now - self._opened
+        self._connected = (
+            self._connected or age > LONGEST_SETTLE or (age > SETTLE and all_connected(self._node))
+        )
+        return self._connected
 
     def _do_without(self, why: str) -> None:
         self._node.health.complain("past", Level.WARN, why)
@@ -102,6 +116,11 @@ class CatchingUp:
             self._since = None
             self._node.health.withdraw("past")
             self.look()
+
+
+def all_connected(node: Node) -> bool:
+    """Whether every known reader of a node's topics is connected to it."""
+    return all(p.get_subscription_count() >= node.count_subscribers(p.topic_name) for p in node.publishers)
 
 
 def samples_of_answer(answer: Past.Response) -> Iterator[Sample]:

@@ -15,7 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from twinmatch.nodes.catching_up import samples_of_answer
+from twinmatch.nodes.catching_up import ANSWER, samples_of_answer
 from twinmatch.nodes.keeper import PAST
 from twinmatch.nodes.recorder_order import Fetched, InOrder
 from twinmatch.nodes.samples import nanoseconds
@@ -64,6 +64,7 @@ class RecorderPast:
         self._order = InOrder(self._write_fetched, SAMPLE, (MATCH, SCORE))
         self._said: set[bytes] = set()
         self._asked: Any = None
+        self._asked_at = 0.0
         self._since = 0.0
         self._timer = node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -90,6 +91,8 @@ class RecorderPast:
             return
         if time.monotonic() - self._since > PATIENCE:
             self._begin()
+        elif self._asked is not None and time.monotonic() - self._asked_at > ANSWER:
+            self._asked = None  # it may be lost
         elif (
             self._asked is None
             and self._client.service_is_ready()
@@ -98,6 +101,7 @@ class RecorderPast:
             count = 0 if self._order.waiting > MOST_WAITING else self._until - self._next
             matches, scores = self._order.counts[MATCH], self._order.counts[SCORE]
             question = Past.Request(first=self._next, count=count, matches=matches, scores=scores)
+            self._asked_at = time.monotonic()
             self._asked = self._client.call_async(question)
             self._asked.add_done_callback(partial(self._on_answer, count))
 

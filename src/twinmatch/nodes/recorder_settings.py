@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,18 @@ from twinmatch.sessions.settings import CANDIDATES, parameters_record
 
 __all__ = ["Settings"]
 
+PATIENCE = 3.0
+"""Wall seconds after which a node that has not answered is asked again."""
+
 Tell = Callable[[str, Mapping[str, str]], None]
 
 
 class Settings:
-    """Finds nodes and asks each of them once; one that went away and came again is asked again."""
+    """Asks every node until it has answered, and again when it went away and came back.
+
+    A node that was killed is known for some seconds more. If another of its name has come by then, only the
+    missing answer shows it.
+    """
 
     def __init__(self, node: Node, tell: Tell) -> None:
         """`tell` is given the name and the values of each record, in the thread of the executor."""
@@ -30,8 +38,9 @@ class Settings:
         self._own = node.get_fully_qualified_name()
         self._namespace = node.get_namespace().rstrip("/") + "/"
         self._clients: dict[str, list[Any]] = {}
-        self._asked: set[str] = set()
-        self._answered: set[str] = set()
+        self._asked: dict[str, float] = {}  # when, s; without those that have answered
+        self._known: set[str] = set()
+        self._answered: set[str] = set()  # since the last look
 
     def look(self) -> None:
         """Ask the nodes that are new; call it now and then."""
@@ -43,11 +52,15 @@ class Settings:
         for done in self._answered | (self._clients.keys() - mine):
             self._forget(done)
         self._answered.clear()
-        self._asked &= mine
-        for name in mine - self._asked:
-            self._ask(name)
+        self._known &= mine
+        now = time.monotonic()
+        for name in mine - self._known:
+            if name in self._asked and now - self._asked[name] > PATIENCE:
+                self._forget(name)
+            if name not in self._asked:
+                self._ask(name, now)
 
-    def _ask(self, name: str) -> None:
+    def _ask(self, name: str, now: float) -> None:
         if name not in self._clients:
             self._clients[name] = [
                 self._node.create_client(ListParameters, f"{name}/list_parameters"),
@@ -56,7 +69,7 @@ class Settings:
         clients = self._clients[name]
         if not all(client.service_is_ready() for client in clients):
             return
-        self._asked.add(name)
+        self._asked[name] = now
         listing, getting = clients
 
         def get(future: Any) -> None:
@@ -76,8 +89,10 @@ class Settings:
         if isinstance(path, str) and path:
             self._tell(CANDIDATES, {"text": _read(path)})
         self._answered.add(name)
+        self._known.add(name)
 
     def _forget(self, name: str) -> None:
+        self._asked.pop(name, None)
         for client in self._clients.pop(name, []):
             self._node.destroy_client(client)
 
