@@ -63,7 +63,7 @@ def test_what_was_unhealthy_is_not_learned() -> None:
     [
         ({"jump": 0.0}, "jump is 0.0; it must be positive"),
         ({"period": float("nan")}, "period is nan; it must be positive"),
-        ({"lost": 1.0}, "lost is 1.0 and weak 0.6; they are shares"),
+        ({"lost": 1.0}, "lost is 1.0 and weak is 0.6; give shares"),
     ],
 )
 def test_settings_that_tell_nothing_are_refused(settings: dict[str, float], message: str) -> None:

@@ -75,7 +75,7 @@ def test_a_camera_late_at_the_start_is_suspected_and_no_alarm(recorded_hour: Cal
     suspects = [h for h in healths if h.state is State.SUSPECT]
     assert {h.fault for h in suspects} == {None, Fault.SENSOR_LATE}
     assert max(h.index for h in suspects) < 30
-    assert all(h.reason.startswith("only just begun") for h in suspects)
+    assert all(h.reason.startswith("during start-up") for h in suspects)
 
 
 def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callable[[int], Window]) -> None:

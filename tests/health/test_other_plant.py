@@ -53,12 +53,12 @@ def test_a_sensor_is_watched_before_anything_is_matched() -> None:
     ("kind", "fault", "within", "words"),
     [
         ("lost", Fault.DRIVE_LOST, 5.0, "should have moved the speed by"),
-        ("frozen", Fault.SENSOR_FROZEN, 10.0, "the speed stands still at"),
+        ("frozen", Fault.SENSOR_FROZEN, 10.0, "the speed has been stuck at"),
         (
             "off",
             Fault.SENSOR_IMPLAUSIBLE,
             0.0,
-            "V and set-point 60 rad/s, which cannot be: look at the sensor",
+            "V and set-point 60 rad/s, which is impossible: look at the sensor",
         ),
     ],
 )

@@ -1,12 +1,12 @@
-"""What ails the plant, and since when: a judgement from the samples, never a reason to act by itself.
+"""Health of the plant: which fault it has and since when, judged from the samples; takes no action itself.
 
 `Monitor` takes one sample after the other and says whether the plant is healthy. It keeps an energy
-balance (`Balance`): what the drive and the surroundings should have done to the plant since the sample
-before, by the plant's own equations, against what the plant did. A drive without effect, a sensor that
-stands still and a reading that no plant can follow leave different traces in that balance, and so each gets
-its own name. Beside it the plant is tracked with the states that no sensor shows (`Changes`): other losses,
-another room, a drive or a reading that is off explain the readings each in its own way. Synchronous, no
-clock, no chance: the same samples, the same judgement. What has to go to zero at once is the business of
+balance (`Balance`): the movement since the sample before that the plant's own equations expect from the
+drive and from the surroundings, against the measured one. A drive without effect, a frozen sensor and an
+impossible reading leave different traces in that balance, so each can be named. In addition the plant is
+tracked with its unmeasured states (`Changes`): changed losses, a changed room temperature, a weak drive and
+a sensor offset each explain the readings in their own way. The monitor is synchronous and uses neither a
+clock nor random numbers: the same samples give the same judgement. Emergency shut-down is left to
 `twinmatch.safety`.
 """
 

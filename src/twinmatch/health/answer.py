@@ -1,13 +1,13 @@
-"""Whether a plant answers its drive that takes many samples to: through what is between drive and sensor.
+"""Drive effect of a slow plant: whether the output still responds where lags lie between drive and sensor.
 
-Where the drive moves the output within a sample, the balance of one sample tells it (`Effect`). Behind a
-heater and a lag it does not: what the drive does now shows half a minute later. So an observer follows the
-plant, and with it what it gives its heat to, and its states of some time ago are let run to now twice: under
-the commands that were given, and with the drive at rest. What lies between both is the drive's effect; where
-the reading lies between them is the share of it that came.
+Where the drive moves the output within a sample, the balance of one sample shows it (`Effect`). Behind a
+heater and a lag it does not: what the drive does now shows half a minute later. So an observer estimates the
+states of the plant and the temperature of its surroundings, and past state estimates are simulated up to now
+twice: under the recorded inputs, and with the drive at rest. The difference of the two runs is the drive's
+expected effect; where the reading lies between them gives the share of it that was observed.
 
-How far the plant usually is from the first of the two is learned for each length, so that equations that are
-off by more ask for more effect before they speak.
+The usual error of the first run is learned for each length, so that less accurate equations require a larger
+expected effect before a share is computed.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from twinmatch.signals import FloatArray, Sample
 __all__ = ["Answer", "answers_late"]
 
 _SPANS: Final = (10.0, 15.0, 22.0, 32.0)
-"""Lengths of the stretches over which the drive's effect is asked for, s."""
+"""Lengths of the stretches over which the drive's effect is estimated, s."""
 _LEAST_NOISES: Final = 8.0
-"""Effect that a stretch has to expect, in noises of a reading …"""
+"""Least expected effect of a stretch that is judged, in standard deviations of a reading's noise …"""
 _LEAST_ERRORS: Final = 6.0
-"""… and in what the equations were off by over stretches like it: a share of 0.4 is off by 3.6 of those."""
+"""… and in the usual error of the equations over such a stretch: a share of 0.4 is 3.6 of those off."""
 _MEMORY: Final = 300
-"""Stretches over which that is learned."""
-_SURPRISE: Final = 3.0
-"""Errors beyond so many of the usual ones count as that: a fault must not teach that it is usual."""
-_FIRST: Final = 3.0
-"""What the equations are off by before anything is learned, in noises."""
+"""Number of stretches over which the usual error is averaged."""
+_CLIP: Final = 3.0
+"""Errors are clipped to so many times the usual one, so that a fault does not pass as usual."""
+_FIRST_ERROR: Final = 3.0
+"""Assumed error of the equations before anything is learned, in standard deviations of the noise."""
 _DRIFT: Final = 0.01
-"""How far a state strays from the equations in a second, in its scale."""
-_ROOM: Final = 0.03
-"""The same of a parameter that says to what the plant gives its heat, or the like: what equations get wrong
-looks like another one, for minutes."""
+"""Drift of a state from the equations per second, in its scale."""
+_ROOM_DRIFT: Final = 0.03
+"""The same for a parameter of the surroundings, such as the room temperature: for minutes, errors of the
+equations look like a change of it."""
 _AT_ONCE: Final = 0.6
-"""Share of the effect of ten samples that ten times the first one's makes, if the drive acts at once."""
+"""Least ratio of ten times the effect after one sample to that after ten, if the drive acts at once."""
 _FOLLOWS: Final = (0.6, 2.5)
-"""Shares of the expected effect that prove the drive to work."""
+"""Range of shares of the expected effect that prove that the drive works."""
 
 
 class _Moment(NamedTuple):
@@ -66,52 +66,52 @@ def answers_late(parameters: Parameters, period: float) -> bool:
         for u in (drive, model.plant.drive.rest):
             run = simulate_driven(parameters, np.full(12, u), states=begin(parameters, level), period=period)
             moved.append(run.output)
-    except PlantError:  # the equations mean nothing in the middle of the range
+    except PlantError:  # the equations have no solution in the middle of the range
         return False
     effect = np.abs(moved[0] - moved[1])
     return bool(10.0 * effect[1] < _AT_ONCE * effect[10])
 
 
 class Answer:
-    """Watches one plant; feed it every sample once, in order. Same words as `Effect`."""
+    """Watches one plant; push every sample once, in order. Same attributes as `Effect`."""
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with a twin and the sample time, s."""
         self._parameters, self._period = parameters, period
         self._noise = parameters.model.plant.output.noise
         self._spans = [max(2, round(s / period)) for s in _SPANS]
-        self._errors = [(_FIRST * self._noise) ** 2] * len(_SPANS)
+        self._errors = [(_FIRST_ERROR * self._noise) ** 2] * len(_SPANS)
         self._seen = [10] * len(_SPANS)
         self._held = False
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew behind a gap, keeping what was learned."""
+        """Start over after a gap, keeping the learned errors."""
         self._observer: Observer | None = None
         self._past: deque[_Moment] = deque(maxlen=self._spans[-1] + 1)
         self._standing: FloatArray | None = None
         self._reading = math.nan
         self.share = math.nan
-        """Least share of the expected effect seen in a stretch that expects enough; NaN if none does."""
+        """Least share of the expected effect over the judged stretches; NaN if none expects enough."""
         self.length = 0
         """Samples of that stretch."""
         self.expected = 0.0
-        """Movement expected in it of the drive alone."""
+        """Movement in it expected from the drive alone."""
 
     @property
     def follows(self) -> bool:
-        """Whether the newest stretches prove the drive to work."""
+        """Whether the newest stretches prove that the drive works."""
         return _FOLLOWS[0] <= self.share <= _FOLLOWS[1]
 
     def take(self, parameters: Parameters) -> None:
-        """Go on with other parameters of the same twin; those of another are passed over."""
+        """Continue with other parameters of the same model; those of another model are ignored."""
         if parameters.model is self._parameters.model and not self._held:
             self._parameters = parameters
             if self._observer is not None:
                 self._observer.parameters = parameters
 
     def hold(self, held: bool) -> None:
-        """Learn nothing while a fault is on: a dead heater looks, in time, like a working one in the cold."""
+        """Stop learning during a fault: in time, a dead heater looks like a working one in the cold."""
         if held is self._held:
             return
         self._held = held
@@ -120,20 +120,20 @@ class Answer:
         self._observer = None
 
     def push(self, sample: Sample) -> Movement:
-        """Take a sample; how far the plant should have gone since the one before, and how far it did.
+        """Take a sample; return the expected and the observed movement since the one before.
 
-        While a reading is repeated, the plant is taken to have gone on from where it was before that.
+        While a reading is repeated, the plant is assumed to have moved on from its states before that.
         """
         row = np.array(sample.disturbances, dtype=np.float64)
         try:
-            movement = self._followed(sample, row)
-        except PlantError:  # the equations mean nothing where the observer has come to
+            movement = self._movement(sample, row)
+        except PlantError:  # the equations have no solution at the observer's states
             self.restart()
             return Movement(0.0, 0.0, 0.0)
-        self._ask(sample.output)
+        self._estimate(sample.output)
         return movement
 
-    def _followed(self, sample: Sample, row: FloatArray) -> Movement:
+    def _movement(self, sample: Sample, row: FloatArray) -> Movement:
         given = row if row.size else None
         if self._observer is None:
             scales = np.array([s.scale for s in self._states])
@@ -162,8 +162,8 @@ class Answer:
         observer.predict(sample.input)
         return Movement(0.0, moved, change - moved)
 
-    def _ask(self, output: float) -> None:
-        """Ask every stretch that ends now for the drive's effect."""
+    def _estimate(self, output: float) -> None:
+        """Estimate the drive's effect over every stretch that ends now."""
         self.share = math.nan
         rest = self._parameters.model.plant.drive.rest
         past = list(self._past)
@@ -184,7 +184,7 @@ class Answer:
             if self._held:
                 continue
             self._seen[k] = min(self._seen[k] + 1, _MEMORY)
-            self._errors[k] += (min(error**2, _SURPRISE**2 * usual) - usual) / self._seen[k]
+            self._errors[k] += (min(error**2, _CLIP**2 * usual) - usual) / self._seen[k]
 
     def _run(self, twin: Parameters, states: FloatArray, moments: list[_Moment]) -> FloatArray:
         rows = np.array([m.disturbances for m in moments])
@@ -201,7 +201,7 @@ class Answer:
     def _wandering(self) -> dict[str, Wander]:
         declared = self._parameters.model.declared if not self._held else {}
         return {
-            name: Wander(start=parameter.scale, drift=_ROOM * parameter.scale)
+            name: Wander(start=parameter.scale, drift=_ROOM_DRIFT * parameter.scale)
             for name, parameter in declared.items()
             if parameter.role == "room"
         }

@@ -1,11 +1,10 @@
-"""The energy balance of the plant: what should have moved its output since the sample before, and what did.
+"""The energy balance of the plant: expected and measured movement of its output from sample to sample.
 
-The plant's equations say how far the output goes in one period under the input and how far with the drive
-at rest; the difference is the drive's part, the rest the surroundings'. Both are taken at the measured
-output, so that no error of the twin is carried from one sample to the next. What they get wrong is taken
-to be slow, and is learned as four numbers: a share too much of the drive's part, one of the surroundings'
-part, a constant, and a share of the drive's mean over some minutes, which is what a heat sink with mass
-looks like.
+The plant's equations give the movement of the output in one period under the input and with the drive at
+rest; the difference is the drive's part, the rest the surroundings'. Both start at the measured output, so
+that no error of the twin accumulates from one sample to the next. Their errors are assumed to be slow, and
+are learned as four corrections: a share of the drive's part, a share of the surroundings' part, a constant,
+and a share of the drive's mean over some minutes, which is how a heat sink with mass shows.
 
 Sizes are counted in units of the output's noise, rates in that per second.
 """
@@ -26,25 +25,25 @@ from twinmatch.signals import FloatArray, Sample
 __all__ = ["BLOCK", "TRIAL", "Balance", "Movement"]
 
 BLOCK: Final = 10.0
-"""Learning goes by means over this many seconds."""
+"""Length of a block, s: corrections are learned from the means of blocks."""
 _WARMTH_TIME: Final = 150.0
 """Time over which the drive's part is averaged to stand for the warmth of a heat sink, s."""
 _PRIOR: Final = (0.3, 0.4, 1.0, 0.3)
 """Standard deviations of the four corrections before anything is known; the third in noises per second."""
 _BLOCK_NOISE: Final = 2.0
-"""What a block is off by for other reasons: weighs one block against what is known."""
+"""Standard deviation of a block's error from other causes: sets the weight of one block."""
 _MEMORY: Final = 360
-"""Blocks (an hour) after which what was learned counts as old."""
-_LARGEST_SURPRISE: Final = 3.0
-"""A block teaches no more than this."""
-_WARY: Final = 3
-"""Blocks that have to pass in health before one is learned from."""
+"""Forgetting time of the corrections, blocks (an hour)."""
+_LARGEST_ERROR: Final = 3.0
+"""Limit on the error of a block that is learned from."""
+_CONFIRMING: Final = 3
+"""Healthy blocks that must follow before a block is learned from."""
 TRIAL: Final = 30
-"""Newest blocks on which new parameters are tried."""
+"""Number of newest blocks on which other parameters are tried."""
 _ROUGH: Final = 1.5
-"""Roughness up to which there is no reason to try others: a healthy rig reaches it."""
+"""Roughness below which no other parameters are tried: a healthy rig reaches it."""
 _BETTER: Final = 0.25
-"""Share of the mean square left so far that they have to get below: half the error."""
+"""Share of the mean square error that they must get below: half the error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +51,15 @@ class Movement:
     """One period of the plant, in the output's unit."""
 
     drive: float
-    """Done by the input."""
+    """Part due to the input."""
     passive: float
-    """Done by everything else."""
+    """Part due to everything else."""
     unexplained: float
     """Measured minus both."""
 
 
 class _Correction:
-    """Recursive least squares of the four numbers."""
+    """Recursive least squares of the four corrections."""
 
     def __init__(self, noise: float) -> None:
         self.values: FloatArray = np.zeros(4)
@@ -69,25 +68,25 @@ class _Correction:
         self.covariance: FloatArray = self._prior
 
     def learn(self, parts: FloatArray, surplus: float) -> None:
-        """Take the mean parts of one block and what they leave unexplained uncorrected, per second."""
-        surprise = surplus - float(parts @ self.values)
-        largest = _LARGEST_SURPRISE * self._noise
-        surprise = min(max(surprise, -largest), largest)
+        """Take the mean parts of one block and the error of the uncorrected balance, per second."""
+        error = surplus - float(parts @ self.values)
+        largest = _LARGEST_ERROR * self._noise
+        error = min(max(error, -largest), largest)
         reach = self.covariance @ parts
         gain = reach / ((_BLOCK_NOISE * self._noise) ** 2 + float(parts @ reach))
-        self.values = self.values + gain * surprise
+        self.values = self.values + gain * error
         self.covariance = self.covariance - np.outer(gain, reach)
         self.covariance = self.covariance + (self._prior - self.covariance) / _MEMORY
 
 
 class Balance:
-    """Keeps the balance of one twin and learns what the twin gets wrong."""
+    """Keeps the balance of one twin and learns to correct the twin's errors."""
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with the twin's parameters and the sample time in s."""
         self.parameters = parameters
         self.noise = parameters.model.plant.output.noise
-        """Of a reading: the unit of every limit."""
+        """Standard deviation of a reading's noise: the unit of every limit."""
         self._steps = parameters.steps(period)
         self._period = period
         self._block = max(2, round(BLOCK / period))
@@ -99,7 +98,7 @@ class Balance:
         self._past: deque[Sample] = deque(maxlen=TRIAL * self._block)
         self._errors: deque[float] = deque(maxlen=TRIAL)
         self.roughness = 0.0
-        """RMS over the newest minutes of what blocks left unexplained, per second."""
+        """RMS error of the corrected balance over the newest blocks, per second."""
         self._clear()
 
     @property
@@ -108,7 +107,7 @@ class Balance:
         return self._correction.values, self._correction.covariance
 
     def restart(self) -> None:
-        """Begin anew behind a gap, keeping what was learned."""
+        """Start over after a gap, keeping the learned corrections."""
         self._clear()
         self._waiting.clear()
         self._past.clear()
@@ -116,7 +115,7 @@ class Balance:
         self._states = np.full_like(self._states, np.nan)
 
     def step(self, sample: Sample, after: float) -> Movement:
-        """The movement from a sample's output, under its input, to the output of one period after."""
+        """The movement from a sample's output, under its input, to the output `after` one period."""
         drive, passive = self._parts(sample)
         self._past.append(sample)
         a, b, c, d = self._values
@@ -130,11 +129,11 @@ class Balance:
         self._count += 1
         self._warmth += (drive / self._period - self._warmth) * self._period / _WARMTH_TIME
         explained = (1.0 + a) * drive + (1.0 + b) * passive + constant
-        # The drive's part may be corrected, but not away.
+        # The drive's part may be corrected, but not to nothing.
         return Movement(max(1.0 + a, 0.5) * drive, (1.0 + b) * passive + constant, moved - explained)
 
     def block(self) -> tuple[FloatArray, float] | None:
-        """When a block is full: its mean parts, and what they leave unexplained uncorrected, per second."""
+        """The mean parts of a full block and the error of the uncorrected balance, per second; else None."""
         if self._count < self._block:
             return None
         span = self._count * self._period
@@ -144,34 +143,34 @@ class Balance:
         return parts, surplus
 
     def learn(self, parts: FloatArray, surplus: float, *, healthy: bool) -> None:
-        """Take in a block; it is learned from once those after it were healthy too."""
+        """Queue a block; it is learned from once the blocks after it were healthy too."""
         if not healthy:
             self._waiting.clear()
             return
         self._errors.append(surplus - float(parts @ self._correction.values))
         self.roughness = math.sqrt(sum(e * e for e in self._errors) / len(self._errors))
         self._waiting.append((parts, surplus))
-        if len(self._waiting) > _WARY:
+        if len(self._waiting) > _CONFIRMING:
             self._correction.learn(*self._waiting.popleft())
             self._values = self._correction.values.tolist()
 
     @property
     def rough(self) -> bool:
-        """Whether there is reason to try other parameters."""
-        return self._seasoned and self.roughness > _ROUGH * self.noise
+        """Whether the balance is so inaccurate that other parameters should be tried."""
+        return self._enough_blocks and self.roughness > _ROUGH * self.noise
 
     @property
     def smooth(self) -> bool:
-        """Whether it has proved to explain the plant well."""
-        return self._seasoned and self.roughness <= _ROUGH * self.noise
+        """Whether the balance has proved to explain the plant well."""
+        return self._enough_blocks and self.roughness <= _ROUGH * self.noise
 
     @property
-    def _seasoned(self) -> bool:
+    def _enough_blocks(self) -> bool:
         return len(self._errors) >= TRIAL // 3
 
-    def tried(self, parameters: Parameters) -> Balance:
-        """The balance to go on with: one of these parameters if, as they are, they explain the newest
-        minutes better than this one with all it learned; else this one."""
+    def better_of(self, parameters: Parameters) -> Balance:
+        """Choose the balance to continue with: a new one with these parameters if it explains the newest
+        blocks better, without corrections, than this one with its corrections; else this one."""
         trial = Balance(parameters, self._period)
         errors = []
         past = list(self._past)
@@ -185,7 +184,7 @@ class Balance:
         return trial if better else self
 
     def _parts(self, sample: Sample) -> tuple[float, float]:
-        """Drive's part and the rest; states that the output does not show are carried along."""
+        """The drive's part and the rest; unmeasured states are carried over from sample to sample."""
         model = self.parameters.model
         row = model.disturbance_row(sample.disturbances or None)
         drive, passive, self._states = model.kernels.parts(

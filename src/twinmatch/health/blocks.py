@@ -1,4 +1,4 @@
-"""The samples of the last minutes in blocks, and what was believed before each, at every degree of trust."""
+"""The samples of the last minutes in blocks, with the tracker's belief before each, at every level."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from twinmatch.signals import FloatArray, Sample
 __all__ = ["LEVELS", "REACH", "Block", "Past", "joined"]
 
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
-"""How far the equations may be off, in what a real rig shows."""
+"""Levels of assumed model error, in units of that of a real rig."""
 _BLIND: Final = 4
-"""Level from which on the plant does so much that the equations do not know that no change can be told."""
+"""Level from which on the equations explain so little that no change can be detected."""
 _BLOCK: Final = 10.0
-"""Samples are taken in so many seconds at a time."""
+"""Length of a block, s."""
 REACH: Final = 48
-"""Blocks after which a change cannot be told any more."""
+"""Blocks after which a change can no longer be detected."""
 _WAIT: Final = 12
-"""Blocks after which what a level cost counts for the choice of the level."""
+"""Blocks after which the cost of a block counts for the choice of the level."""
 _FORGET: Final = 180
-"""Blocks over which that is averaged."""
+"""Blocks over which that cost is averaged."""
 _CLEARLY: Final = 3.0
-"""Nats that a smaller level has to save to be preferred."""
-_ASTRAY: Final = 12.0
-"""Nats by which a level may fall behind the next before it goes on from what that believes, and the price."""
+"""Nats that a smaller level must save to be preferred."""
+_LOST: Final = 12.0
+"""Nats by which a level may fall behind the next before it adopts the next one's belief, and the cost."""
 _CAREFUL: Final = 5
-"""Blocks after which the equations are trusted one level more: what a filter believes of a plant that it does
-not know yet is too sure."""
+"""Blocks after which the assumed error is lowered by one level: while the plant is still unknown, a filter's
+belief is too confident."""
 _SECOND: Final = 1.954
 """Mean size of the second difference of white noise, in its standard deviation."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Some samples, and what was believed before them, level by level."""
+    """Some samples, and the belief before them at each level."""
 
     first: int
     """Index of its first sample."""
@@ -51,7 +51,7 @@ class Block:
 
 
 class Past:
-    """Follows one plant at every level, and keeps the last blocks."""
+    """Tracks one plant at every level, and keeps the last blocks."""
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with these parameters; `period` is the sample time, s."""
@@ -66,11 +66,11 @@ class Past:
         self.known = 0
         """Of those, how many since the plant was first seen."""
         self.level = len(LEVELS) - 2
-        """The one that is judged by."""
+        """Index of the level used for judging."""
         self.blind = False
-        """Whether the plant does what the equations do not know, so that no change can be seen by them."""
+        """Whether the equations explain too little of the plant to detect a change."""
         self.moved_level = False
-        """Whether the last block changed it."""
+        """Whether the last block changed the level."""
         self._rough = self._noise * _SECOND
         self._costs = np.zeros(len(LEVELS))
         self._counted = 0
@@ -83,21 +83,21 @@ class Past:
 
     @property
     def trust(self) -> float:
-        """How far the equations are taken to be off."""
+        """The assumed model error at the level used for judging."""
         return LEVELS[self.level]
 
     @property
     def levels(self) -> range:
-        """That which is judged by, and all that trust the equations less."""
+        """The level used for judging, and all that trust the equations less."""
         return range(self.level, len(LEVELS))
 
     @property
     def belief(self) -> Belief | None:
-        """What is believed now, at the level that is judged by."""
+        """The current belief at the level used for judging."""
         return self._beliefs[self.level] if self._beliefs else None
 
     def restart(self, opening: tuple[int, float] | None) -> None:
-        """Begin anew behind a gap; one number may be opened by a spread."""
+        """Start over after a gap; `opening`: a number (index) whose variance is widened by a spread."""
         self._samples.clear()
         self._last = [math.nan, math.nan]
         self.blocks.clear()
@@ -105,12 +105,12 @@ class Past:
         self._opening = opening or self._opening
 
     def adopt(self, belief: Belief) -> None:
-        """Go on from another belief at every level."""
+        """Continue from another belief at every level."""
         self._beliefs = (belief,) * len(LEVELS)
         self.blocks.clear()
 
     def full(self, sample: Sample) -> Stretch | None:
-        """Take a sample; the block, once it is full, with what it tells of the noise of a reading."""
+        """Take a sample; return the block once it is full, with the noise estimated from the readings."""
         self._samples.append(sample)
         if len(self._samples) < self.size:
             return None
@@ -126,7 +126,7 @@ class Past:
         return Stretch(y, u, rows.reshape(u.size, -1), np.full(u.size, noise))
 
     def take(self, stretch: Stretch, traces: Traces, *, settled: bool) -> None:
-        """Follow a block; the level is kept if `settled`."""
+        """Track a block; the level is kept if `settled`."""
         first, row = self._samples[0], stretch.disturbances[0]
         self._samples.clear()
         if not self._beliefs:
@@ -145,7 +145,7 @@ class Past:
             held, cost = self.tracker.run(belief, stretch, max(level, careful), traces=watched)
             after.append(held)
             costs.append(cost)
-        self._bring_back(after, costs)
+        self._recover(after, costs)
         self.blocks.append(Block(first.index, stretch, self._beliefs, tuple(costs)))
         self._beliefs = tuple(after)
         self.count += 1
@@ -153,25 +153,25 @@ class Past:
         self.moved_level = not settled and self._choose()
 
     def unchanged(self) -> tuple[float, FloatArray]:
-        """What all kept blocks cost if nothing changed, but for the equations that may be off by more from
-        some moment on; and what those before each block, and all, cost at the level judged by."""
+        """Cost of all kept blocks without a change, where the level may rise once; and the cumulative costs
+        before each block, and of all, at the level used for judging."""
         costs = np.array([b.costs for b in self.blocks])
         before = np.concatenate([[0.0], np.cumsum(costs[:, self.level])])
         after = np.cumsum(costs[::-1, self.level :], axis=0)[::-1].min(axis=1)
         return float((before[:-1] + after).min()), before
 
-    def _bring_back(self, after: list[Belief], costs: list[float]) -> None:
-        """A filter that trusts too much may go astray for good; it then goes on where the next one is."""
+    def _recover(self, after: list[Belief], costs: list[float]) -> None:
+        """Let a level that lost the plant by trusting the equations too much adopt the next one's belief."""
         for level in reversed(range(len(LEVELS) - 1)):
             behind = self._behind[level] + costs[level] - costs[level + 1]
             self._behind[level] = max(behind, 0.0)
-            if behind > _ASTRAY:
+            if behind > _LOST:
                 after[level] = after[level + 1]
-                costs[level] += _ASTRAY
+                costs[level] += _LOST
                 self._behind[level] = 0.0
 
     def _choose(self) -> bool:
-        """Take the level that the samples bear, and one more for safety; whether that is another."""
+        """Choose the level that the samples support plus one for safety; return whether it changed."""
         if len(self.blocks) <= _WAIT:
             return False
         self._counted = min(self._counted + 1, _FORGET)
@@ -185,7 +185,7 @@ class Past:
 
 
 def joined(blocks: Sequence[Block]) -> Stretch:
-    """Blocks one behind the other."""
+    """Concatenate blocks."""
     y = np.concatenate([blocks[0].stretch.output[:2], *(b.stretch.output[2:] for b in blocks)])
     return Stretch(
         y,

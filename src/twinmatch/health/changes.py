@@ -1,10 +1,10 @@
-"""Whether something about the plant has changed, what, and since when.
+"""Change detection: whether something about the plant has changed, what, and since when.
 
-The plant is followed by its equations (`Tracker`), at several degrees of trust in them; the samples say which
-degree they bear. What a jump of the losses, of the room, of the drive's share, of the reading or of nothing
-that has a name would have left in the surprises since is known at any time (Willsky and Jones 1976), and
-cheap. Where such a jump explains more than it costs, every hypothesis is followed for itself from what was
-believed before; what it saves of the code length of the readings is what speaks for it.
+The plant is tracked by its equations (`Tracker`) at several levels of assumed model error; the samples decide
+which level is used. The trace that a jump of the losses, of the room, of the drive's share, of the reading or
+of an unnamed push would have left in the innovations since is computed recursively (Willsky and Jones 1976),
+which is cheap. Where such a jump explains more than it costs, the tracker is run for every hypothesis from
+the belief before the change; the code length of the readings that it saves is the evidence for it.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from twinmatch.signals import Sample
 __all__ = ["Changes"]
 
 _EVERY: Final = 2
-"""Blocks from one moment at which a change may have begun to the next."""
+"""Spacing of the moments at which a change may have begun, blocks."""
 _LEAST_AGE: Final = 3
-"""Blocks before which nothing is told of a change."""
+"""Least age of a change that is reported, blocks."""
 _LEARN: Final = 30
-"""Blocks that have to be seen before a change is told."""
+"""Blocks that must be seen before a change is reported."""
 _WORTH: Final = 4.0
-"""Nats that a jump has to save before hypotheses are followed for themselves, and that a moment has to be
-better than another to be the one at which it began."""
-_AT_ONCE: Final = 20.0
-"""Time within which a sudden change may have come about after the moment it is said to have begun, s."""
-_UNSETTLING: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER})
-"""Changes after which the equations may be off by more than before, as they may where nothing changed: the
-air in an open box is no longer one lump. A reading that is off leaves them as they were, as a weak drive."""
+"""Nats that a jump must save before the tracker is run for each hypothesis, and by which one onset must beat
+another to count as the beginning of the change."""
+_ONSET: Final = 20.0
+"""Time after its assumed onset within which a sudden change may have happened, s."""
+_LESS_ACCURATE: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER})
+"""Changes after which the equations may be less accurate than before, as they may without a change: the air
+in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
 _PATIENCE: Final = 12
-"""Comparisons that came to nothing after which they are made less often …"""
+"""Comparisons without result after which they are made less often …"""
 _RAREST: Final = 6
 """… down to once in so many blocks."""
 
 
 class Changes:
-    """Follows one plant and asks of it what has changed."""
+    """Tracks one plant and detects what has changed."""
 
     def __init__(self, parameters: Parameters, period: float) -> None:
-        """Begin with these parameters in the structure that is followed; `period` is the sample time, s."""
+        """Begin with these parameters in the tracked structure; `period` is the sample time, s."""
         self._period = period
         self._past = Past(parameters, period)
         self.tracker = self._past.tracker
@@ -57,37 +57,37 @@ class Changes:
         self._jumps = list({h.index: h for h in self.hypotheses}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
         self._best: tuple[Change, Belief] | None = None
-        self._fresh()
+        self._reset()
 
     @property
     def level(self) -> float:
-        """How far the equations are taken to be off, in what a real rig shows."""
+        """Assumed model error, in units of that of a real rig."""
         return self._past.trust
 
     @property
     def suspected(self) -> bool:
-        """Whether something has changed, as far as is known now."""
+        """Whether a change is suspected now."""
         return self._best is not None
 
     @property
     def push_rate(self) -> float:
-        """By how much something without a name moves the output, in its unit per second."""
+        """Rate at which something unnamed moves the output, in its unit per second."""
         belief = self._past.belief
         if belief is None:
             return 0.0
         return float(belief.values[self.tracker.fading] + belief.values[self.tracker.push])
 
     def restart(self, *, offset: bool = False) -> None:
-        """Begin anew behind a gap or a fault, keeping what was learned of the plant.
+        """Start over after a gap or a fault, keeping what was learned about the plant.
 
-        With `offset`, what the reading is off by is open again.
+        With `offset`, the offset of the reading is unknown again.
         """
         opening = (self._offset.index, self._offset.spread) if offset else None
         self._past.restart(opening)
-        self._fresh()
+        self._reset()
 
     def push(self, sample: Sample) -> Change | None:
-        """Take a sample; when a block is full, say what has changed, if anything."""
+        """Take a sample; when a block is full, return the change, if any."""
         stretch = self._past.full(sample)
         if stretch is None:
             return None
@@ -99,21 +99,21 @@ class Changes:
         if self._past.known < _LEARN or self._past.blind:
             self._best = None
             return None
-        return self._asked()
+        return self._search()
 
     def adopt(self) -> None:
-        """Believe in the change that was said last."""
-        assert self._best is not None  # noqa: S101 — only who was told of one adopts it
+        """Accept the change returned last as the new state of the plant."""
+        assert self._best is not None  # noqa: S101 — only a returned change is adopted
         self._past.adopt(self._best[1])
-        self._fresh()
+        self._reset()
 
-    def _fresh(self) -> None:
+    def _reset(self) -> None:
         self._best = None
         self._idle = self._asking = 0
         self._clear()
 
     def _clear(self) -> None:
-        """Look for jumps from here on."""
+        """Look for jumps from now on only."""
         n, kinds, starts = self.tracker.size, len(self._jumps), REACH // _EVERY
         self._traces = Traces(
             np.zeros((n, kinds, starts)), np.zeros((kinds, starts)), np.zeros((kinds, starts))
@@ -121,7 +121,7 @@ class Changes:
         self._started = np.full(starts, -1)  # block count of each start
 
     def _start(self) -> None:
-        """From now on ask what a jump now would have done."""
+        """Start the traces of a jump that happens now."""
         start = self._past.count // _EVERY % self._started.size
         self._started[start] = self._past.count
         for array in self._traces:
@@ -129,8 +129,8 @@ class Changes:
         for k, jump in enumerate(self._jumps):
             self._traces.effects[jump.index, k, start] = 1.0
 
-    def _asked(self) -> Change | None:
-        """What has changed, if a jump of anything is worth more than it costs."""
+    def _search(self) -> Change | None:
+        """The change, if a jump of any number saves more than it costs."""
         count, longest = self._past.count, len(self._past.blocks)
         spreads = np.array([[max(h.spread, abs(h.shift))] for h in self._jumps]) ** 2
         hits, weights = self._traces.hits, self._traces.weights
@@ -150,16 +150,16 @@ class Changes:
         if self._best is not None:
             ages.add(round((self._past.blocks[-1].first - self._best[0].first) / self._past.size) + 1)
         kept = sorted(a for a in ages if _LEAST_AGE <= a <= longest)
-        return self._compared(kept) if kept else None
+        return self._compare(kept) if kept else None
 
-    def _compared(self, ages: Sequence[int]) -> Change | None:
-        """Every hypothesis of a change so many blocks ago against none."""
+    def _compare(self, ages: Sequence[int]) -> Change | None:
+        """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
         nothing, before = self._past.unchanged()
         found: dict[Kind, tuple[float, Hypothesis, int, int, Belief]] = {}
         for age, h, level in itertools.product(ages, self.hypotheses, self._past.levels):
-            if level > self._past.level and h.kind not in _UNSETTLING:
+            if level > self._past.level and h.kind not in _LESS_ACCURATE:
                 continue
-            cost, belief = self._followed(h, age, level)
+            cost, belief = self._run(h, age, level)
             gain = nothing - float(before[-age - 1]) - cost
             if h.kind not in found or gain > found[h.kind][0]:
                 found[h.kind] = (gain, h, age, level, belief)
@@ -168,11 +168,11 @@ class Changes:
         if gain < _WORTH:
             self._best = None
             return None
-        # A change has a beginning; what would explain as much from long before on was wrong all along.
+        # A change has an onset; one that explains as much from long before was there from the start.
         oldest = len(self._past.blocks)
         dated = oldest
         if oldest - age >= 2 * _EVERY:
-            cost, early = self._followed(h, oldest, level)
+            cost, early = self._run(h, oldest, level)
             longer = nothing - float(before[-oldest - 1]) - cost
             if longer > gain - _WORTH:
                 belief, dated = early, 0
@@ -191,8 +191,8 @@ class Changes:
         self._best = (change, belief)
         return change
 
-    def _followed(self, h: Hypothesis, age: int, level: int) -> tuple[float, Belief]:
-        """What the last blocks' readings cost under a hypothesis at a level, and what is believed then."""
+    def _run(self, h: Hypothesis, age: int, level: int) -> tuple[float, Belief]:
+        """Code length of the last blocks' readings under a hypothesis at a level, and the belief after it."""
         blocks: list[Block] = list(self._past.blocks)[-age:]
         stretch: Stretch = joined(blocks)
         before = blocks[0].before[level]
@@ -202,12 +202,12 @@ class Changes:
             return cost + h.price, belief.closed(self.tracker.rate)
         opened = np.zeros(self.tracker.size)
         half = math.sqrt(0.5) * h.spread
-        opened[h.index] = half / math.sqrt(_AT_ONCE)
+        opened[h.index] = half / math.sqrt(_ONSET)
         belief, cost = self.tracker.run(
             before.opened(h.index, h.shift, half),
             stretch,
             level,
             opened=opened,
-            lasting=round(_AT_ONCE / self._period),
+            lasting=round(_ONSET / self._period),
         )
         return cost, belief

@@ -1,4 +1,4 @@
-"""What a trace amounts to at one sample, in the words and units of a plant."""
+"""Findings: what a trace shows at one sample, described in the words and units of a plant."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class Finding(NamedTuple):
 
     fault: Fault
     sure: bool
-    """Whether it has lasted long enough, or is large enough, to be told."""
+    """Whether it has lasted long enough, or is large enough, to be reported."""
     first: int
-    """Sample at which it begins."""
+    """Sample at which the trace begins."""
     reason: str
     slow: bool = False
-    """Whether it was found by following the plant."""
+    """Whether it was found by tracking the plant (`Slow`)."""
 
 
 class Words:
-    """Finds the words for the traces of one plant."""
+    """Describes the traces of faults on one plant."""
 
     def __init__(self, plant: type[Plant], period: float) -> None:
         """`period` is the sample time, s."""
@@ -39,33 +39,33 @@ class Words:
         self.surroundings = f"look at {plant.surroundings}"
 
     def impossible(self, sample: Sample) -> Finding:
-        """A sample that is none."""
+        """A sample with impossible values."""
         reason = (
             f"{self.output} is {sample.output:g}{self.unit} at {sample.input:g} {self.input} and "
-            f"set-point {sample.reference:g}{self.unit}, which cannot be: {self.sensor}"
+            f"set-point {sample.reference:g}{self.unit}, which is impossible: {self.sensor}"
         )
         return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
 
     def leaping(self, before: Sample, sample: Sample, unexplained: float) -> Finding:
-        """A step that the plant cannot make."""
+        """A step that the plant cannot have made."""
         reason = (
-            f"{self.output} went from {before.output:.4g} to {sample.output:.4g}{self.unit} at once, "
-            f"{abs(unexplained):.3g}{self.unit} from where the plant can be: {self.sensor}"
+            f"{self.output} jumped from {before.output:.4g} to {sample.output:.4g}{self.unit} in one sample, "
+            f"{abs(unexplained):.3g}{self.unit} more than the plant can explain: {self.sensor}"
         )
         return Finding(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
 
     def frozen(self, sample: Sample, repeats: Repeats) -> Finding:
-        """A sensor that stands still."""
+        """A sensor that repeats one reading."""
         reason = (
-            f"{self.output} stands still at {sample.output:g}{self.unit} for "
-            f"{repeats.count * self._period:g} s, in which the plant should have moved "
-            f"{signed(repeats.expected)}{self.unit} and the reading shown its noise: {self.sensor}"
+            f"{self.output} has been stuck at {sample.output:g}{self.unit} for "
+            f"{repeats.count * self._period:g} s, while the plant should have moved "
+            f"{signed(repeats.expected)}{self.unit} and the reading should have shown noise: {self.sensor}"
         )
         return Finding(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
 
     def late(self, index: int, effect: Effect | Answer, lag: float, *, sure: bool) -> Finding:
-        """Readings that come too late."""
-        reason = f"{self.output} follows the drive {lag:g} s late: {self.sensor}"
+        """Readings that lag behind the plant."""
+        reason = f"{self.output} follows the drive with a delay of {lag:g} s: {self.sensor}"
         return Finding(Fault.SENSOR_LATE, sure, index - effect.length, reason)
 
     def lost(self, index: int, effect: Effect | Answer, *, sure: bool) -> Finding:
@@ -73,20 +73,20 @@ class Words:
         moved, shown = signed(effect.expected), signed(effect.share * effect.expected)
         reason = (
             f"the drive should have moved {self.output} by {moved}{self.unit} in "
-            f"{effect.length * self._period:g} s, but what it did shows {shown}{self.unit} of that: "
+            f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: "
             "look at drive, wires and supply"
         )
         return Finding(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 
     def weak(self, index: int, effect: Effect | Answer, lasts: int, *, sure: bool) -> Finding:
-        """A drive with too small an effect, for so many samples."""
+        """A drive whose effect has been too small for `lasts` samples."""
         reason = (
-            f"the drive does {max(effect.share, 0.0):.0%} of what it should to {self.output}, and that for "
+            f"the drive has had {max(effect.share, 0.0):.0%} of its expected effect on {self.output} for "
             f"{lasts * self._period:g} s: look at drive, wires and supply"
         )
         return Finding(Fault.DRIVE_WEAK, sure, index - effect.length - lasts, reason)
 
 
 def signed(value: float) -> str:
-    """As many digits as can be meant."""
+    """Format a change with its sign and two significant digits."""
     return f"{value:+.0f}" if abs(value) >= 100 else f"{value:+.2g}"

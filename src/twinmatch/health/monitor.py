@@ -1,4 +1,4 @@
-"""Samples in, judgements out."""
+"""The health monitor: takes samples, returns judgements."""
 
 from __future__ import annotations
 
@@ -21,94 +21,94 @@ from twinmatch.signals import Sample
 __all__ = ["Monitor"]
 
 _REACH: Final = 1.2
-"""How much further than the twin says the plant may be moved by the drive or by all else in one sample."""
+"""Factor by which the drive, or all else, may move the plant further in one sample than the twin says."""
 _CONFIRM: Final = 3
-"""Samples in a row that have to show a drive without effect."""
+"""Consecutive samples that must show a drive without effect."""
 _WEAKLY: Final = 20.0
-"""Time for which a drive has to show too small an effect, s."""
-_MEND: Final = 15.0
-"""Time without any trace after which a sensor counts as mended, s."""
+"""Time for which a drive must show too small an effect, s."""
+_RECOVERED: Final = 15.0
+"""Time without any trace after which a sensor counts as recovered, s."""
 _PROVE: Final = 10.0
-"""Time for which the plant has to follow the drive before that counts as mended, s."""
-_UNSEEN: Final = 3.0
-"""Time between two samples after which what happened meanwhile was not seen: seconds, and periods. Half the
-shortest stretch that the drive is asked about, so that a late sample or two change nothing."""
+"""Time for which the plant must follow the drive before the drive counts as recovered, s."""
+_GAP: Final = 3.0
+"""Time between two samples that counts as a gap: so many seconds, and so many periods. Half the shortest
+stretch over which the drive is judged, so that a late sample or two change nothing."""
 _KEPT: Final = 1000
-"""Alarms that are remembered: more than any window that is still matched could touch."""
-_TACIT: Final = 120.0
-"""Time without any trace after which it counts as mended without proof, s."""
+"""Number of alarms kept: more than any window that is still matched can overlap."""
+_UNPROVEN: Final = 120.0
+"""Time without any trace after which the drive counts as recovered without proof, s."""
 
 
 class Monitor:
     """Watches one plant.
 
-    Feed it every sample once, in order, with the parameters of the nominal twin as it stands, or None as
-    long as there is none. Of a plant whose file calls no parameters typical, nothing is said about the drive
-    and about slow changes before there is one: defaults are where a search begins, not what is known.
+    Push every sample once, in order, with the current parameters of the nominal twin, or None as long as
+    there is none. If the plant file declares no typical parameters, drive faults and slow changes are not
+    judged before there is a nominal twin: defaults are where a search begins, not what is known.
 
-    A gap in the indices or in the stamps starts the traces anew and keeps what was learned: a time in which
-    nobody looked says nothing about the plant.
+    A gap in the indices or in the stamps restarts the traces and keeps what was learned: unobserved time
+    says nothing about the plant.
     """
 
     def __init__(self, settings: HealthSettings | None = None) -> None:
-        """Begin with nothing seen."""
+        """Begin without samples."""
         self.settings = settings or HealthSettings()
         self._known = bool(self.settings.reference.model.plant.typical)
-        """Whether it is known, if only roughly, what the drive does to this plant."""
+        """Whether the drive's effect on this plant is known, if only roughly."""
         self._words = Words(self.settings.reference.model.plant, self.settings.period)
         self._lag = Lag(self.settings.period)
         self._begin_with(self.settings)
         self._repeats = self._new_repeats()
         self._given: Parameters | None = None
-        self._untried = 0  # blocks until the parameters given are tried again
+        self._until_trial = 0  # blocks until the given parameters are tried again
         self._before: Sample | None = None
         self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
         self._contrary = 0  # samples in a row without the drive's effect
-        self._feeble = 0  # samples in a row with too small a one
-        self._quiet = 0  # samples in a row without any trace but that of a slow change
+        self._feeble = 0  # samples in a row with too small an effect
+        self._quiet = 0  # samples in a row without any trace, except that of a slow change
         self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: deque[Alarm] = deque(maxlen=_KEPT)
-        self._open = False  # whether the last alarm goes on
-        self._slowly = False  # whether a slow change raised it
+        self._open = False  # whether the last alarm is still on
+        self._slow_alarm = False  # whether a slow change raised it
 
     def _begin_with(self, settings: HealthSettings) -> None:
-        """Judge what the drive does by the settings' twin."""
+        """Judge the drive's effect by the settings' twin."""
         twin, period = settings.reference, settings.period
         self._balance = Balance(twin, period)
-        # On a plant that others switch, an open lid looks for half a minute like a heater that is dead.
+        # On a plant that is switched elsewhere, an open lid looks like a dead heater for half a minute.
         asked = twin.model.plant.loop is not None and answers_late(twin, period)
         self._late = Answer(twin, period) if asked else None
-        """Of a plant that the drive moves only after many samples."""
+        """For a plant whose output the drive moves only after many samples."""
         self._effect: Effect | Answer = self._late or Effect(period, self._balance.noise)
         self._slow = Slow(settings, self._words)
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """The newest alarms, oldest first, as many as are kept; only the last can be going on."""
+        """The newest alarms, oldest first, as many as are kept; only the last can still be on."""
         return tuple(self._alarms)
 
     def fault_between(self, first: int, last: int) -> Alarm | None:
         """The first alarm whose trace touches the samples `first` to `last`, both included.
 
-        Nothing should be learned from such a window. Slow changes are left out: matching is for those.
+        Nothing should be learned from such a window. Slow changes are left out: matching handles those.
         """
         faults = (alarm for alarm in self._alarms if alarm.fault not in SLOW)
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
-        if sample.index != self._index + 1 or self._unseen(sample):
+        if sample.index != self._index + 1 or self._gap_before(sample):
             self._restart(sample.index)
         self._index = sample.index
         if parameters is not self._given:
-            self._given, self._untried = parameters, 0
+            self._given, self._until_trial = parameters, 0
             if not self._known and parameters is not None:
                 self._known = True
                 self._begin_with(replace(self.settings, reference=parameters))
             elif self._late is not None and parameters is not None:
                 self._late.take(parameters)
         if self._possible(sample):
-            finding = self._look(sample)
+            finding = self._examine(sample)
             starting = (sample.index - self._begin) * self.settings.period < self.settings.start
             self._before = sample
         else:
@@ -119,15 +119,15 @@ class Monitor:
         news = self._judge(sample.index, finding, starting)
         return self._health(sample.index, finding, starting, news)
 
-    def _unseen(self, sample: Sample) -> bool:
-        """Whether time passed between the sample before and this one in which nobody looked.
+    def _gap_before(self, sample: Sample) -> bool:
+        """Whether the stamps show a gap between the sample before and this one.
 
-        A process that was stopped, or a machine that slept, may go on counting where it was.
+        A process that was stopped, or a machine that slept, may continue the index where it was.
         """
         if self._before is None:
             return False
         passed = (sample.stamp - self._before.stamp) / 1e9
-        return passed < 0 or passed > _UNSEEN * max(1.0, self.settings.period)
+        return passed < 0 or passed > _GAP * max(1.0, self.settings.period)
 
     def _restart(self, index: int) -> None:
         if index <= self._index:  # another session
@@ -151,15 +151,15 @@ class Monitor:
         self._contrary = self._feeble = 0
 
     def _try(self) -> None:
-        """Go over to the parameters given if the balance is rough and theirs is smoother."""
-        self._untried -= 1
-        if self._given is None or self._untried >= 0 or not self._balance.rough:
+        """Switch to the given parameters if the balance is rough and theirs is smoother."""
+        self._until_trial -= 1
+        if self._given is None or self._until_trial >= 0 or not self._balance.rough:
             return
-        self._untried = TRIAL
-        self._balance = self._balance.tried(self._given)
+        self._until_trial = TRIAL
+        self._balance = self._balance.better_of(self._given)
 
-    def _look(self, sample: Sample) -> Finding | None:
-        """What the sample adds to the traces, the worst of them."""
+    def _examine(self, sample: Sample) -> Finding | None:
+        """Add the sample to the traces; return the worst finding."""
         before = self._before
         if before is None:
             return None
@@ -180,8 +180,8 @@ class Monitor:
         if isinstance(self._effect, Effect):
             self._effect.push(movement, self._balance.roughness)
         self._learn()
-        self._follow(sample)
-        # A plant that goes far in one sample may as well not have gone: that is the drive's to tell.
+        self._track(sample)
+        # Where the expected movement is large, its absence is a drive fault, not an implausible reading.
         reach = _REACH * (abs(movement.drive) + abs(movement.passive))
         if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.period), reach):
             return self._words.leaping(before, sample, movement.unexplained)
@@ -190,23 +190,23 @@ class Monitor:
     def _weigh(self, sample: Sample) -> Finding | None:
         if self._repeats.stands:
             return self._words.frozen(sample, self._repeats)
-        # What looks weak may be a twin that expects too much, so the balance has to have been good.
+        # What looks weak may be a twin that expects too much, so the balance must have been good.
         smooth = self._balance.smooth and self._late is None
         least = self.settings.weak if smooth else self.settings.lost
         if self._effect.share < least and not self._repeats.unusual:
-            return self._short_of_effect(sample.index)
+            return self._effect_missing(sample.index)
         self._contrary = self._feeble = 0
         return self._slow.finding
 
-    def _follow(self, sample: Sample) -> None:
-        """Ask what has slowly changed, unless something graver is on or the session has only begun."""
+    def _track(self, sample: Sample) -> None:
+        """Look for slow changes, unless a graver fault is on or the session has only begun."""
         if self._open and self._alarms[-1].fault in UNFOLLOWED:
             return
         if (sample.index - self._begin) * self.settings.period >= self.settings.start:
             self._slow.push(sample)
 
-    def _short_of_effect(self, index: int) -> Finding:
-        """A drive that is lost, or weak, or readings that only come late."""
+    def _effect_missing(self, index: int) -> Finding:
+        """The finding for a missing effect: a lost drive, a weak one, or readings that lag."""
         lost = self._effect.share < self.settings.lost
         self._contrary = self._contrary + 1 if lost else 0
         self._feeble += 1
@@ -220,17 +220,17 @@ class Monitor:
         return self._words.weak(index, self._effect, self._feeble, sure=weakly)
 
     def _learn(self) -> None:
-        """Take in a block once it is full, unless something was wrong in it."""
+        """Learn from a block once it is full, unless something was wrong in it."""
         full = self._balance.block()
         if full is None:
             return
         quiet = self._quiet * self.settings.period >= BLOCK
-        self._balance.learn(*full, healthy=quiet and not self._slow.doubted)
+        self._balance.learn(*full, healthy=quiet and not self._slow.suspected)
         if quiet:
             self._try()
 
     def _judge(self, index: int, finding: Finding | None, starting: bool) -> Alarm | None:
-        """Open and close alarms; the one that changed."""
+        """Open and close alarms; return the one that changed."""
         if finding is not None and not finding.slow:
             self._quiet = self._proofs = 0
         else:
@@ -240,16 +240,16 @@ class Monitor:
             news = self._raise(index, finding)
             if news is not None:
                 return news
-        if self._open and self._mended():
-            return self._close(index - (1 if self._slowly else self._quiet))
+        if self._open and self._recovered():
+            return self._close(index - (1 if self._slow_alarm else self._quiet))
         return None
 
     def _raise(self, index: int, finding: Finding) -> Alarm | None:
         earliest = self._begin
         if self._open:
             on = self._alarms[-1].fault
-            if finding.slow and finding.fault is on and self._slow.told is None:
-                self._slow.tell(index)  # what the drive's effect has told already
+            if finding.slow and finding.fault is on and self._slow.reported is None:
+                self._slow.mark_reported(index)  # the drive's effect has reported it already
             if finding.fault not in GRAVER.get(on, ()):
                 return None
             earliest = index
@@ -257,22 +257,22 @@ class Monitor:
         elif self._alarms and self._alarms[-1].last is not None:
             earliest = max(self._begin, self._alarms[-1].last + 1)
         self._alarms.append(Alarm(finding.fault, max(finding.first, earliest), index, None, finding.reason))
-        self._open, self._slowly = True, finding.slow
+        self._open, self._slow_alarm = True, finding.slow
         if finding.fault in UNFOLLOWED:
             self._slow.restart(offset=finding.fault is Fault.SENSOR_IMPLAUSIBLE)
         elif finding.slow:
-            self._slow.tell(index)
+            self._slow.mark_reported(index)
         return self._alarms[-1]
 
-    def _mended(self) -> bool:
-        """Whether the fault that is on has gone."""
+    def _recovered(self) -> bool:
+        """Whether the fault that is on is over."""
         fault = self._alarms[-1].fault
         quiet, proven = self._quiet * self.settings.period, self._proofs * self.settings.period
-        if self._slowly:
+        if self._slow_alarm:
             return self._slow.over(self._index)
         if fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK, Fault.SENSOR_LATE):
-            return proven >= _PROVE or quiet >= _TACIT
-        return quiet >= _MEND
+            return proven >= _PROVE or quiet >= _UNPROVEN
+        return quiet >= _RECOVERED
 
     def _close(self, last: int) -> Alarm:
         self._alarms[-1] = replace(self._alarms[-1], last=last)
@@ -288,15 +288,15 @@ class Monitor:
             return Health(index, State.FAULT, alarm.fault, alarm.first, reason, share, rate, news)
         if finding is None:
             return Health(index, State.HEALTHY, None, None, "", share, rate, news)
-        # At the start a camera that is late looks like a dead drive, and is far more common.
+        # At the start a late camera looks like a dead drive, and is far more common.
         short = finding.fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
         fault = None if starting and short else finding.fault
-        reason = f"only just begun: {finding.reason}" if starting else finding.reason
+        reason = f"during start-up: {finding.reason}" if starting else finding.reason
         first = max(finding.first, self._begin)
         return Health(index, State.SUSPECT, fault, first, reason, share, rate, news)
 
     def _possible(self, sample: Sample) -> bool:
-        """Whether the numbers are some that the plant can have."""
+        """Whether the values of the sample are possible for this plant."""
         low, high = self.settings.reference.model.plant.output.span
         given = (sample.input, sample.reference, *sample.disturbances)
         return all(map(math.isfinite, given)) and low <= sample.output <= high

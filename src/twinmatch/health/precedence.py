@@ -1,4 +1,4 @@
-"""Which fault is told though another one is on."""
+"""Precedence of faults: which ones replace a fault that is already reported."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ GRAVER: Final = {
     Fault.DRIVE_WEAK: frozenset({Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}),
     **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
 }
-"""Faults that are told though another one is on, and take its place."""
+"""For each fault, the graver ones that replace it while it is on."""
 UNFOLLOWED: Final = frozenset({
     Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_LATE, Fault.SENSOR_IMPLAUSIBLE,
 })  # fmt: skip
-"""Faults during which nothing else can be learned of the plant."""
+"""Faults during which nothing else can be learned about the plant."""

@@ -1,4 +1,4 @@
-"""What the monitor says."""
+"""Records of the monitor: states, faults, alarms and the judgement at one sample."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Fault(Enum):
     """What is wrong."""
 
     DRIVE_LOST = "drive-lost"
-    """The input has no effect on the plant, or the contrary one."""
+    """The input has no effect on the plant, or the opposite one."""
     DRIVE_WEAK = "drive-weak"
     """The input has an effect on the plant, but too small a one."""
     SENSOR_FROZEN = "sensor-frozen"
@@ -29,19 +29,19 @@ class Fault(Enum):
     SENSOR_LATE = "sensor-late"
     """The output follows the drive, but seconds too late."""
     SENSOR_IMPLAUSIBLE = "sensor-implausible"
-    """A reading that the plant cannot have, or can have come to since the sample before."""
+    """A reading that the plant cannot have, or cannot have reached since the sample before."""
     SENSOR_DRIFT = "sensor-drift"
-    """The readings are off from what they were."""
+    """The readings have shifted."""
     LOSSES_CHANGED = "losses-changed"
-    """The plant gives away more or less than before: a fan, a lid, a draught."""
+    """The plant loses more or less heat than before: a fan, a lid, a draught."""
     ROOM_CHANGED = "room-changed"
-    """What surrounds the plant is not what it was."""
+    """The surroundings of the plant have changed."""
     DRIFT = "drift"
-    """The plant does something else than before, and the samples do not tell what has changed."""
+    """The plant no longer behaves as before, and the samples do not show why."""
 
 
 SLOW = frozenset({Fault.SENSOR_DRIFT, Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT})
-"""Changes of a plant that obeys all the same: matching brings the twin up to them."""
+"""Changes of a plant that still obeys its drive: matching adapts the twin to them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ class Alarm:
     first: int
     """Sample at which its trace begins."""
     flagged: int
-    """Sample at which it was told."""
+    """Sample at which it was reported."""
     last: int | None
-    """Last sample of its trace; None while it goes on."""
+    """Last sample of its trace; None while it lasts."""
     reason: str
     """One plain sentence with numbers."""
 
@@ -70,7 +70,7 @@ class Health:
     index: int
     state: State
     fault: Fault | None
-    """Name of the fault, or of what is suspected if that can be told; None when healthy."""
+    """The fault, or the suspected one if it can be named; None when healthy."""
     since: int | None
     """Sample at which the trace of the fault or of the suspicion begins."""
     reason: str
@@ -78,6 +78,6 @@ class Health:
     share: float
     """Share of the drive's expected effect that the plant shows; NaN while too little is expected."""
     unexplained: float
-    """Slow movement that nothing explains, in the output's unit per second."""
+    """Slow unexplained movement, in the output's unit per second."""
     news: Alarm | None = None
     """The alarm that began at this sample, or ended at it (then it has a `last`)."""

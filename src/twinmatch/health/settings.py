@@ -1,4 +1,4 @@
-"""The numbers of the monitor: what the twin is before it is known, and where healthy ends."""
+"""Settings of the monitor: the twin it begins with, and the limits of healthy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["HealthError", "HealthSettings"]
 
 
 class HealthError(TwinmatchError):
-    """Settings that can tell nothing apart."""
+    """Settings that cannot separate healthy from faulty."""
 
 
 _JUMP: Final = 80.0
@@ -27,39 +27,38 @@ def _typical(plant: type[Plant] = Peltier) -> Parameters:
 
 @dataclass(frozen=True)
 class HealthSettings:
-    """When a trace in the signals becomes a fault; docs/health.md measures what each limit leaves.
+    """When a trace in the signals becomes a fault; docs/health.md has the measured margin of each limit.
 
     Raises:
-        HealthError: a value is not positive, or `lost` and `weak` are no shares.
+        HealthError: a value is not positive, or `lost` and `weak` are not shares in growing order.
     """
 
     period: float = 1.0
     """Sample time, s."""
     reference: Parameters = field(default_factory=_typical)
-    """The twin until one is known that explains the plant better, in the structure that is judged by. How
-    much the drive does and the time constant matter, and those roughly: half or twice will do. Of the
-    Peltier rig, if not given."""
+    """The twin to judge by until a better one is known, in the structure used for the balance. Only the gain
+    of the drive and the time constant matter, within a factor of two. Default: the Peltier rig's."""
     lost: float = 0.4
     """Share of the drive's expected effect below which it is lost. A healthy plant shows 0.65 and more."""
     weak: float = 0.6
-    """The same below which it is weak, if that lasts."""
+    """Share below which it is weak, if that lasts."""
     jump: float = 8.0
     """Step of a reading within one sample that the plant cannot make, in the output's unit. Corrections of
     the rig's healthy camera make 3 °C."""
     frozen: float = 10.0
-    """How long the same reading has to be repeated, s. Healthy cameras repeat theirs for 5 s at most."""
+    """How long the same reading must be repeated, s. Healthy cameras repeat theirs for 5 s at most."""
     change: float = 9.0
-    """By how much better a change has to explain the readings than none does, in nats, to be told."""
+    """How much better than no change a change must explain the readings to be reported, in nats."""
     lead: float = 4.0
-    """The same against the next best change, for it to be told by name."""
+    """The same compared with the next best change, for it to be reported by name."""
     start: float = 30.0
-    """Time after the first sample, and after a gap, in which there is no more than a suspicion, s: cameras
-    that deliver their first pictures late are common and mend themselves."""
+    """Time after the first sample, and after a gap, in which only suspicions are reported, s: cameras that
+    deliver their first pictures late are common and recover without help."""
 
     @property
     def followed(self) -> Parameters:
-        """Where the plant begins to be followed, in the structure its file names: at what it calls
-        typical, or at the values of `reference` where it calls nothing so."""
+        """Initial parameters for tracking the plant, in the structure that its file names: the typical
+        ones, or the values of `reference` where the file declares none."""
         plant = self.reference.model.plant
         model = plant.model(plant.followed or None)
         if plant.typical:
@@ -68,8 +67,8 @@ class HealthSettings:
 
     @classmethod
     def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:
-        """Those for a plant: judged by its first structure with typical parameters, a jump being 80 times its
-        noise."""
+        """Settings for a plant: its first structure with typical parameters, and a jump of 80 times the
+        output's noise."""
         return cls(period=period, reference=_typical(plant), jump=_JUMP * plant.output.noise)
 
     def __post_init__(self) -> None:
@@ -80,7 +79,7 @@ class HealthSettings:
                 raise HealthError(msg)
         if not self.lost <= self.weak < 1:
             msg = (
-                f"health: lost is {self.lost} and weak {self.weak}; they are shares of the expected effect "
-                "and must grow, up to 1"
+                f"health: lost is {self.lost} and weak is {self.weak}; give shares of the expected effect, "
+                "lost at most weak and weak below 1"
             )
             raise HealthError(msg)

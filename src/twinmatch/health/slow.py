@@ -1,4 +1,4 @@
-"""Slow changes of a plant from the first doubt to their end: told by name, or as what is left."""
+"""Slow changes of a plant, from first suspicion to end: reported by name, or as an unnamed drift."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ _NAMES: Final = {
     Kind.SENSOR: Fault.SENSOR_DRIFT,
     Kind.OTHER: Fault.DRIFT,
 }
-_ASKED: Final = {
+_CAUSES: Final = {
     Kind.LOSSES: "its losses",
     Kind.ROOM: "the room",
     Kind.DRIVE: "its drive",
     Kind.SENSOR: "the reading",
-    Kind.OTHER: "something that has no name",
+    Kind.OTHER: "something unknown",
 }
-_RUNNING: Final = 2
-"""Comparisons in a row that have to come to the same."""
-_UNNAMED: Final = 2.0
-"""A change that cannot be named has to explain the readings so much better than one that can."""
-_STILL_UNNAMED: Final = 60.0
-"""Time for which a name is waited for, s."""
+_AGREEING: Final = 2
+"""Consecutive comparisons that must agree on the kind of change."""
+_UNNAMED_FACTOR: Final = 2.0
+"""Factor on the gain required of a change that cannot be named, over that of one that can."""
+_NAME_WAIT: Final = 60.0
+"""Time to wait for a name before an unnamed change is reported, s."""
 _ACCEPT: Final = 600.0
-"""Time after which a change that was told counts as how the plant is now, s."""
-_BACK: Final = 0.4
-"""Share of a change that may be left of it when it is over."""
+"""Time after which a reported change counts as the plant's normal state, s."""
+_REMAINDER: Final = 0.4
+"""Share of a change that may remain when it counts as over."""
 
 
 @dataclass
-class _Told:
+class _Reported:
     fault: Fault
     hypothesis: Hypothesis
     before: float
@@ -50,64 +50,64 @@ class _Told:
 
 
 class Slow:
-    """What `Changes` finds, made into findings of a monitor."""
+    """Turns what `Changes` detects into findings for the monitor."""
 
     def __init__(self, settings: HealthSettings, words: Words) -> None:
-        """Begin with nothing seen."""
+        """Begin without samples."""
         self._settings, self._words = settings, words
         self._changes = Changes(settings.followed, settings.period)
         self._change: Change | None = None
-        self._told: _Told | None = None
+        self._reported: _Reported | None = None
         self._over = False
         self.finding: Finding | None = None
-        """What there is to say now."""
+        """The current finding, if any."""
         self._running = 0
         self._unnamed_since: int | None = None
 
     @property
-    def told(self) -> Fault | None:
-        """The fault that was told last and is not over."""
-        return self._told.fault if self._told is not None else None
+    def reported(self) -> Fault | None:
+        """The last reported fault, unless it is over."""
+        return self._reported.fault if self._reported is not None else None
 
     @property
-    def doubted(self) -> bool:
+    def suspected(self) -> bool:
         """Whether something seems to have changed."""
         return self.finding is not None
 
     @property
     def rate(self) -> float:
-        """Movement of the output that nothing explains, in its unit per second."""
+        """Unexplained movement of the output, in its unit per second."""
         return self._changes.push_rate
 
     def restart(self, *, offset: bool = False) -> None:
-        """Begin anew behind a gap or a fault; `offset`: the reading may be off from now on."""
+        """Start over after a gap or a fault; with `offset`, the reading may be off from now on."""
         self._changes.restart(offset=offset)
-        self._told = None
-        self._forget_doubt()
+        self._reported = None
+        self._clear_suspicion()
 
     def forget(self) -> None:
-        """Begin with a plant that was never seen."""
+        """Start over with an unknown plant."""
         self._changes = Changes(self._settings.followed, self._settings.period)
-        self._told = None
-        self._forget_doubt()
+        self._reported = None
+        self._clear_suspicion()
 
-    def tell(self, index: int) -> None:
-        """The finding is told now; from now on the plant is what it is since."""
+    def mark_reported(self, index: int) -> None:
+        """Note that the finding was reported; the changed plant is the baseline from now on."""
         change = self._change
-        assert change is not None and self.finding is not None  # noqa: S101, PT018 — it is what was found
-        self._told = _Told(self.finding.fault, change.hypothesis, change.before, index)
+        assert change is not None and self.finding is not None  # noqa: S101, PT018 — only findings are reported
+        self._reported = _Reported(self.finding.fault, change.hypothesis, change.before, index)
         self._over = False
         if self.finding.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
             self._changes.adopt()
-            self._forget_doubt()
+            self._clear_suspicion()
 
     def over(self, index: int) -> bool:
-        """Whether what was told is over: undone, or how the plant is now."""
-        if self._told is None:
+        """Whether the reported change is over: reversed, or accepted as the plant's normal state."""
+        if self._reported is None:
             return True
-        known = (index - self._told.at) * self._settings.period >= _ACCEPT
+        known = (index - self._reported.at) * self._settings.period >= _ACCEPT
         if known or self._over:
-            self._told = None
+            self._reported = None
         return known or self._over
 
     def push(self, sample: Sample) -> None:
@@ -115,96 +115,94 @@ class Slow:
         change = self._changes.push(sample)
         if change is None:
             if not self._changes.suspected:
-                self._over = self._told is not None and self._unnamed_now
-                self._forget_doubt()
+                self._over = self._reported is not None and self._reported_unnamed
+                self._clear_suspicion()
             return
         kind = change.hypothesis.kind
         self._running = self._running + 1 if self._change and self._change.hypothesis.kind is kind else 1
         self._change = change
         if not self._settled(change):
-            self.finding = self._said(change, sample.index)
+            self.finding = self._finding(change, sample.index)
 
-    def _forget_doubt(self) -> None:
+    def _clear_suspicion(self) -> None:
         self.finding, self._change, self._running = None, None, 0
         self._unnamed_since = None
 
     @property
-    def _unnamed_now(self) -> bool:
-        return self._told is not None and self._told.fault is Fault.DRIFT
+    def _reported_unnamed(self) -> bool:
+        return self._reported is not None and self._reported.fault is Fault.DRIFT
 
     def _settled(self, change: Change) -> bool:
-        """Whether the change is none to be told: known all along, or the end or more of one that was told."""
-        if change.gain < self._settings.change or self._running < _RUNNING:
+        """Whether the change needs no report: always there, or the end or growth of a reported one."""
+        if change.gain < self._settings.change or self._running < _AGREEING:
             return False
         if not change.begun:
             self._changes.adopt()
-            self._forget_doubt()
+            self._clear_suspicion()
             return True
-        told, h = self._told, change.hypothesis
-        same = told is not None and told.hypothesis.index == h.index
+        reported, h = self._reported, change.hypothesis
+        same = reported is not None and reported.hypothesis.index == h.index
         if not same and h.parameter:
             return False
-        usual = told.before if told is not None and same else 0.0
+        usual = reported.before if reported is not None and same else 0.0
         left = change.value - usual
-        if abs(left) <= max(_BACK * max(abs(change.shift), abs(change.before - usual)), h.least):
+        if abs(left) <= max(_REMAINDER * max(abs(change.shift), abs(change.before - usual)), h.least):
             self._over = self._over or same
         elif not same or change.lead < self._settings.lead:
             return False
         self._changes.adopt()
-        self._forget_doubt()
+        self._clear_suspicion()
         return True
 
-    def _said(self, change: Change, index: int) -> Finding:
-        """The finding that a change amounts to."""
+    def _finding(self, change: Change, index: int) -> Finding:
+        """The finding for a change."""
         h, settings = change.hypothesis, self._settings
-        enough = self._running >= _RUNNING and change.gain >= settings.change and change.begun
+        enough = self._running >= _AGREEING and change.gain >= settings.change and change.begun
         material = abs(change.shift) >= h.least
         named = change.lead >= settings.lead and h.kind is not Kind.OTHER
         if h.kind is Kind.DRIVE and not settings.lost - 1.0 <= change.shift < 0.0:
-            named = False  # a lost drive is told otherwise, and one that does more has no name
+            named = False  # a lost drive is found by `Effect`, and one that does more has no fault name
         if h.kind is Kind.SENSOR and not any(rival in (Kind.ROOM, Kind.LOSSES) for rival in change.rivals):
-            named = False  # where nothing says what other surroundings do, they do what the sensor would
+            named = False  # changed surroundings, if not modelled, look the same as an offset
         if named:
-            reason = f"{self._described(change)}: look at {self._where(h.kind)}"
+            reason = f"{self._describe(change)}: look at {self._to_check(h.kind)}"
             return Finding(_NAMES[h.kind], enough and material, change.first, reason, slow=True)
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
         waited = self._unnamed_since is not None and (
-            (index - self._unnamed_since) * settings.period >= _STILL_UNNAMED
+            (index - self._unnamed_since) * settings.period >= _NAME_WAIT
         )
-        sure = enough and material and waited and change.gain >= _UNNAMED * settings.change
-        return Finding(Fault.DRIFT, sure, change.first, self._either(change), slow=True)
+        sure = enough and material and waited and change.gain >= _UNNAMED_FACTOR * settings.change
+        return Finding(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
 
-    def _either(self, change: Change) -> str:
-        """A sentence for a change that the samples do not name."""
+    def _ambiguous(self, change: Change) -> str:
+        """Describe a change that the samples cannot attribute to one cause."""
         gains = zip(change.rivals, change.gains, strict=True)
-        near = [_ASKED[kind] for kind, gain in gains if gain > change.gain - self._settings.lead]
-        names = [_ASKED[change.hypothesis.kind], *near]
+        near = [_CAUSES[kind] for kind, gain in gains if gain > change.gain - self._settings.lead]
+        names = [_CAUSES[change.hypothesis.kind], *near]
         listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
         return (
-            f"the plant does something else than before; {listed} may have changed, which these readings "
-            f"do not tell apart: {self._words.surroundings}"
+            f"the plant no longer behaves as before; {listed} may have changed, "
+            f"which these readings cannot distinguish: {self._words.surroundings}"
         )
 
-    def _where(self, kind: Kind) -> str:
+    def _to_check(self, kind: Kind) -> str:
         if kind is Kind.DRIVE:
             return "drive, wires and supply"
         if kind is Kind.SENSOR:
             return self._words.sensor.removeprefix("look at ")
         return self._words.surroundings.removeprefix("look at ")
 
-    def _described(self, change: Change) -> str:
-        """What has changed, and by how much."""
+    def _describe(self, change: Change) -> str:
+        """Say what has changed, and by how much."""
         h, words = change.hypothesis, self._words
         if h.kind is Kind.DRIVE:
-            return f"the drive does {1.0 + change.value:.0%} of what it should to {words.output}"
+            return f"the drive has {1.0 + change.value:.0%} of its expected effect on {words.output}"
         if h.kind is Kind.SENSOR:
-            return (
-                f"the readings of {words.output} are {signed(change.shift)}{words.unit} from what they were"
-            )
+            return f"the readings of {words.output} have shifted by {signed(change.shift)}{words.unit}"
         declared = self._settings.followed.model.declared[h.parameter]
         if h.kind is Kind.LOSSES:
             factor = math.exp(change.shift)
-            return f"the losses are {factor:.2g} times what they were ({declared.text})"
+            return f"the losses are {factor:.2g} times those before ({declared.text})"
         unit = f" {declared.unit}".rstrip()
-        return f"the {declared.text} is {signed(change.shift)}{unit} from what it was"
+        return f"the {declared.text} has changed by {signed(change.shift)}{unit}"

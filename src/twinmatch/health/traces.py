@@ -1,4 +1,4 @@
-"""The traces that faults leave, each looked for on its own.
+"""Detectors for the traces that faults leave, one per kind of trace.
 
 Sizes are counted in units of the output's noise, rates in that per second.
 """
@@ -16,41 +16,41 @@ from twinmatch.health.balance import Movement
 __all__ = ["Effect", "Lag", "Repeats"]
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
-"""Lengths of the stretches over which the drive's effect is asked for, s."""
+"""Lengths of the stretches over which the drive's effect is estimated, s."""
 _LEAST_EFFECT: Final = 15.0
-"""Movement the drive must have been expected to make: what a healthy camera jumps by …"""
+"""Least movement expected from the drive: the size of a healthy camera's jumps …"""
 _LEAST_RATE: Final = 4.5
-"""… and this for every second: twice what a twin is off by for minutes …"""
+"""… plus this for every second: twice the error of a twin over minutes …"""
 _ROUGHNESS: Final = 2.0
-"""… or, with a twin that is off by more, so many times the roughness of the balance."""
+"""… or, with a less accurate twin, so many times the roughness of the balance."""
 _STEP: Final = 8.0
-"""An unexplained step larger than this is the sensor's own if none like it came before."""
+"""A larger unexplained step is attributed to the sensor unless one like it came just before."""
 _LIKE: Final = 4.0
-"""Unexplained movement in the same direction that makes a step belong to a movement."""
+"""Unexplained movement in the same direction just before that makes a step part of a movement."""
 _FOLLOWS: Final = (0.6, 2.5)
-"""Shares of the expected effect that prove the drive to work."""
+"""Range of shares of the expected effect that prove that the drive works."""
 
 _CHANCE: Final = 1e-9
-"""Probability below which repeated readings are no chance; a year has 3e7 seconds."""
+"""Probability below which repeated readings are not chance; a year has 3e7 seconds."""
 _LEAST_NOISE: Final = 0.1
-"""Mean change from reading to reading below which a sensor may stand still for good."""
+"""Mean change from reading to reading below which a healthy sensor may repeat itself indefinitely."""
 _LEAST_MOVES: Final = 30
-"""Changes of the reading from which it is known how often it repeats itself."""
+"""Changes of the reading needed to know how often it repeats."""
 _COARSELY: Final = 8.0
-"""Movement of the plant that a sensor of coarse steps should have shown, lest its repetition be unusual."""
+"""Movement of the plant above which even a sensor with coarse steps should not repeat its reading."""
 _STEPS: Final = 3.0
-"""Changes have to differ by so many of the smallest, on average, for a reading to show noise."""
+"""A reading shows noise if its changes differ, on average, by so many of the smallest change."""
 _MOVED: Final = 30.0
-"""Movement of the plant that a standing sensor should have shown."""
+"""Movement of the plant above which a sensor that repeats its reading is frozen."""
 
 _LONGEST_LAG: Final = 7.0
-"""Longest lag that is tried, s; a shorter one has to be best, or it could be a dead drive as well."""
+"""Longest lag tried, s; the best one must be shorter, or it could as well be a dead drive."""
 _LEAST_LAG: Final = 2.0
-"""A reading this late is late, s."""
+"""Least lag that is reported, s."""
 _LAG_SUM: Final = 4.0
-"""Movements are compared in sums over this time, so that noise does not count, s."""
+"""Movements are compared in sums over this time, to suppress noise, s."""
 _FAR_BETTER: Final = 0.3
-"""Share of the squared error that is left by an explanation far better than another."""
+"""Share of the squared error that a far better explanation may leave."""
 
 
 class Effect:
@@ -67,15 +67,15 @@ class Effect:
         self._sums: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=self._spans[-1] + 1)
         self._last = 0.0
         self.share = math.nan
-        """Least share of the expected effect seen in a stretch that expects enough; NaN if none does."""
+        """Least share of the expected effect over the judged stretches; NaN if none expects enough."""
         self.length = 0
         """Samples of that stretch."""
         self.expected = 0.0
-        """Movement expected in it of the drive alone."""
+        """Movement in it expected from the drive alone."""
 
     @property
     def follows(self) -> bool:
-        """Whether the newest stretches prove the drive to work."""
+        """Whether the newest stretches prove that the drive works."""
         return _FOLLOWS[0] <= self.share <= _FOLLOWS[1]
 
     def push(self, movement: Movement, roughness: float) -> None:
@@ -83,10 +83,10 @@ class Effect:
         least = max(_LEAST_RATE * self._noise, _ROUGHNESS * roughness) * self._period
         left = movement.unexplained
         like = abs(self._last) > _LIKE * self._noise and left * self._last > 0
-        lonely = abs(left) > _STEP * self._noise and not like
+        isolated = abs(left) > _STEP * self._noise and not like
         self._last = left
         drive, rest = self._sums[-1]
-        self._sums.append((drive + movement.drive, rest + (0.0 if lonely else left)))
+        self._sums.append((drive + movement.drive, rest + (0.0 if isolated else left)))
         self.share = math.nan
         newest, known = self._sums[-1], len(self._sums) - 1
         for length in self._spans:
@@ -102,25 +102,25 @@ class Effect:
 
 
 class Repeats:
-    """Whether the sensor stands still."""
+    """Whether the sensor is frozen, judged from repeated readings."""
 
     def __init__(self, period: float, longest: float, noise: float, step: float = 0.0) -> None:
-        """`longest` is the time that a reading may be repeated, s; `noise` and `step` are those of a reading.
+        """`longest`: time for which a reading may be repeated, s; `noise` and `step`: those of a reading.
 
-        Where steps are coarser than the noise, a sensor stands still whenever the plant does.
+        Where steps are coarser than the noise, a healthy sensor repeats itself whenever the plant is at rest.
         """
         self._noise = noise
         self._coarse = step > noise
         self._most = max(3, round(longest / period))
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
         self._change = 0.0  # mean change from reading to reading
-        self._seen, self._moves = 10, 0  # readings and changes of them, the first as good as so many
+        self._seen, self._moves = 10, 0  # readings (the first shares count as 10) and changes
         self._last = self._jitter = 0.0  # the change before, and by how much changes differ on average
         self._step = math.inf  # smallest change so far: that of a reading's last digit
         self.count = 0
-        """How often the newest reading has been repeated."""
+        """How many times the newest reading has been repeated."""
         self.expected = 0.0
-        """Movement expected meanwhile."""
+        """Movement expected since the first of them."""
 
     def push(self, change: float, movement: Movement) -> None:
         """Take the newest change of the reading and the movement it belongs to."""
@@ -143,24 +143,24 @@ class Repeats:
 
     @property
     def unusual(self) -> bool:
-        """Whether the newest reading has been repeated so often that nothing else can be judged by it."""
+        """Whether the newest reading has been repeated so often that nothing else can be judged from it."""
         moved = not self._coarse or abs(self.expected) > _COARSELY * self._noise
         return self.count >= 3 and moved
 
     @property
     def stands(self) -> bool:
-        """Whether the sensor is frozen."""
+        """Whether the repeated readings show a frozen sensor."""
         if self.count + 1 < self._most:
             return False
         chance = max(self._often, self._lately, 0.02) ** self.count
         noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE * self._noise
-        # A reading whose noise is lost in its last digit stands still whenever the plant does.
+        # A reading whose noise is smaller than its last digit repeats whenever the plant is at rest.
         noisy = noisy and not self._coarse and self._jitter >= _STEPS * self._step
         return abs(self.expected) > _MOVED * self._noise or (noisy and chance < _CHANCE)
 
 
 class Lag:
-    """How late the readings come."""
+    """Lag of the readings behind the plant."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -170,15 +170,17 @@ class Lag:
 
     def restart(self) -> None:
         """Forget what was pushed."""
-        self._past: deque[tuple[float, float]] = deque(maxlen=self._size)  # what drive did, what it should
+        self._past: deque[tuple[float, float]] = deque(
+            maxlen=self._size
+        )  # observed and expected effect of the drive
 
     def push(self, movement: Movement) -> None:
         """Take the movement of one period."""
         self._past.append((movement.unexplained + movement.drive, movement.drive))
 
     def seconds(self, length: int) -> float | None:
-        """The lag that explains the newest `length` readings, if one does far better than none and than a
-        drive without effect."""
+        """The lag that explains the newest `length` readings, s; None unless it does so far better than no
+        lag and than a drive without effect."""
         most = round(_LONGEST_LAG / self._period)
         size = max(length, self._sum)
         if len(self._past) < most + size + self._sum:
