@@ -157,7 +157,7 @@ def test_what_is_not_a_model_is_refused() -> None:
         graph_symbol([1, 2])
     with pytest.raises(DiscriminationError, match="it has 2 inputs"):
         graph_symbol(control.ss([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]]))
-    with pytest.raises(DiscriminationError, match="give time in another unit"):
+    with pytest.raises(DiscriminationError, match="use another unit of time"):
         GraphSymbol.of_polynomials([1.0, 1e-200], [[1e-200]], 0.0)
     with pytest.raises(DiscriminationError, match="it has no output"):
         GraphSymbol.of_polynomials([1.0], [], 0.0)

@@ -197,7 +197,7 @@ def test_twins_without_a_common_point_stay_as_far_apart_as_can_be() -> None:
 
 def test_what_cannot_be_judged_is_refused() -> None:
     twins, gaps = family()
-    with pytest.raises(DiscriminationError, match="give one at least"):
+    with pytest.raises(DiscriminationError, match="give at least one"):
         family_uncertainty([], plant_gaps([], POINTS, TERMS), TERMS)
     with pytest.raises(DiscriminationError, match=r"2 twins and ν-gaps of shape \(4, 3, 3\)"):
         family_uncertainty(twins[:2], gaps, TERMS)

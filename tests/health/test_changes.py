@@ -43,7 +43,7 @@ def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> N
     (alarm,) = rig.watch(samples)[0].alarms
     assert alarm.fault is Fault.ROOM_CHANGED
     assert 680 <= alarm.first <= 720
-    assert alarm.reason.startswith("the temperature of the room is +")
+    assert alarm.reason.startswith("the temperature of the room has changed by +")
     assert "look at fan, heat sink and room" in alarm.reason
 
 

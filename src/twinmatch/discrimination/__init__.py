@@ -1,14 +1,15 @@
 """Which model explains the plant best, and how far apart two models are.
 
-`code_length` and `information_gain` price what a model leaves unexplained in characters. `naic`, `bic` and
-`mdl` price its prediction errors against its parameters. `nu_gap` is the distance between two models that
-counts for feedback: small where one controller serves both; `stability_margin` says how small it has to be
-for a given controller, and `loop_margin` says it of the running PID.
+`code_length` and `information_gain` measure, in characters, what a model leaves unexplained. `naic`, `bic`
+and `mdl` weigh its prediction errors against the number of its parameters. `nu_gap` is the distance between
+two models that matters for feedback: it is small where one controller serves both. `stability_margin` gives
+the ν-gap up to which a given controller still stabilises, and `loop_margin` does so for the running PID.
 
-On these rests the judgement of a `Family` of candidates: `twin_response` runs a candidate's twin on its
-window, `identify` finds Box–Jenkins models of it, and `score` holds them against the measured window.
-`plant_gaps` says how far the candidates' plants are apart, `nominal_of` names the one nearest to all others,
-and `judge_uncertainty` how sure all that is. A `Verdict` carries it.
+The judgement of a `Family` of candidates is built on these: `twin_response` runs a candidate's twin on its
+window, `identify` estimates Box–Jenkins models of the response, and `score` compares them with the measured
+window. `plant_gaps` computes the ν-gaps between the candidates' plants, `nominal_of` selects the candidate
+nearest to all others, and `judge_uncertainty` gives the uncertainty of all this. A `Verdict` carries the
+result.
 """
 
 from twinmatch.discrimination.certainty import DECIDED_FROM, Certainty, judge_uncertainty, with_margins

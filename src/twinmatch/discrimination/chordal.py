@@ -2,12 +2,12 @@
 
 A frequency is t = ln Ω on the imaginary axis of the half plane, from −∞ to ∞. A row of coefficients
 c[0..n] stands for p(jΩ) = Σ c[k] (jΩ)^k; above Ω = 1 it is evaluated as p(jΩ)/Ω^n, which leaves every
-ratio below as it was and never overflows. Powers of j are folded into the coefficients (`with_powers_of_j`),
+ratio below unchanged and never overflows. Powers of j are folded into the coefficients (`with_powers_of_j`),
 so that even rows are real and odd ones imaginary.
 
 With the minors M[j,k] = g1[j] g2[k] − g1[k] g2[j], Lagrange's identity reads
-|g1|² |g2|² − |g2* g1|² = Σ |M[j,k]|², so κ² = Σ |M|² / (|g1|² |g2|²) without taking nearly equal numbers
-from each other, however close the models are.
+|g1|² |g2|² − |g2* g1|² = Σ |M[j,k]|², so κ² = Σ |M|² / (|g1|² |g2|²) needs no subtraction of nearly equal
+numbers, however close the models are.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _square_and_slope(stack: FloatArray, x: float, weight: float, above: bool) -
 def squared_distance(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, t: float
 ) -> tuple[float, float]:
-    """κ² and dκ²/dt at t, in plain floats: for searching."""
+    """κ² and dκ²/dt at t, in plain floats, for the search."""
     x, above = math.exp(-abs(t)), t > 0
     size1, slope1 = _square_and_slope(stack1, x, 1.0, above)
     size2, slope2 = _square_and_slope(stack2, x, 1.0, above)
@@ -149,7 +149,7 @@ def exact_distance(
     pair_minors: tuple[FloatArray, FloatArray],
     t: float,
 ) -> float:
-    """κ at t from double-double coefficients with powers of j folded in: to the last few bits."""
+    """κ at t, to the last few bits, from double-double coefficients with powers of j folded in."""
     size1 = math.sqrt(_exact_square(pair1[0], pair1[1], t, 1.0))
     size2 = math.sqrt(_exact_square(pair2[0], pair2[1], t, 1.0))
     return min(1.0, math.sqrt(_exact_square(pair_minors[0], pair_minors[1], t, 1 / size1 / size2)))

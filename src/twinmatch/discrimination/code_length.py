@@ -5,9 +5,9 @@ score and then written as its sign and its digits, with
 
 * no decimal point and no leading zeros: 10.34 is `+1034`, five characters; −0.45 is `-45`, three;
 * no trailing zeros after the decimal point: 323.10 K is `+3231`, five; but 320.00 K is `+320`, four,
-  because the zeros of the integer part are digits like any other. This is how a number prints by
-  itself, and what the published lengths show: 5.87 to 5.94 characters per temperature sample, where
-  two kept decimals would give 6 exactly;
+  because the zeros of the integer part are digits like any other. This is how a single number prints,
+  and what the published lengths show: 5.87 to 5.94 characters per temperature sample, where keeping
+  both decimals would give 6 exactly;
 * zero as `+0`, two characters. The paper leaves it open; a sample cannot cost less than its sign and a
   digit. A value that rounds to zero is zero, whatever its sign.
 
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 TRIVIAL_PROGRAM = 15
-"""Length of the program that only reads the table out (paper, section IV)."""
+"""Length of the program that only prints the table (paper, section IV)."""
 
 MODEL_PROGRAM = 176
 """Length of the program that runs a Box–Jenkins model of any order (paper, section IV)."""
@@ -48,14 +48,14 @@ _EXACT = 2.0**52  # below this a scaled value still resolves halves
 
 @dataclass(frozen=True, slots=True)
 class InformationGain:
-    """How much shorter a model writes a signal than its bare table; `float()` of it is the gain."""
+    """Saving in length when a signal is written with a model; `float()` of it is the gain."""
 
     trivial_length: int
     """l(t): program and table of the measured values, characters."""
     model_length: int
     """l(p): program and table of what the model leaves unexplained, characters."""
     decimals: int
-    """Decimals both tables were rounded to; gains at different decimals do not compare."""
+    """Decimals both tables were rounded to; gains at different decimals cannot be compared."""
 
     @property
     def gain(self) -> int:
@@ -96,7 +96,7 @@ def code_length(values: ArrayLike, decimals: int) -> int:
         scaled = np.abs(table) * scale
     scaled = np.where(scaled < _EXACT, scaled, 0.5)
     nearest = np.rint(scaled)
-    # A product that rounds to a half may stand for a little more or less: text decides, as for large values.
+    # A product that rounds to a half may be a little more or less: these are formatted, like large values.
     plain = np.abs(scaled - nearest) != 0.5
     digits = nearest[plain].astype(np.int64)
     written = [len(_written(v, decimals)) for v in table[~plain].tolist()]
@@ -113,15 +113,15 @@ def information_gain(  # noqa: PLR0917
 ) -> InformationGain:
     """Information gain of a simulated signal over the bare table of the measured one (paper, section II-A).
 
-    Temperatures are to be given in kelvin to compare with the published gains.
+    Give temperatures in kelvin to compare with the published gains.
 
     Args:
         measured: signal of the plant, shape (N,).
-        simulated: what the model says it should be, shape (N,), same unit.
+        simulated: the model's output, shape (N,), same unit.
         decimals: digits kept after the decimal point in both tables, 0 to 15.
-        copied: so many samples at the start are the model's initial conditions: its table holds the
-            measured values there, not the differences.
-        trivial_program: characters of the program that reads out the table.
+        copied: number of samples at the start that are the model's initial conditions: its table holds
+            the measured values there, not the differences.
+        trivial_program: characters of the program that prints the table.
         model_program: characters of the program that runs the model.
 
     Raises:
@@ -137,7 +137,7 @@ def information_gain(  # noqa: PLR0917
         )
         raise DiscriminationError(msg)
     if not 0 <= copied <= observed.size:
-        msg = f"information gain: {copied} samples copied of {observed.size}; give 0 to {observed.size}"
+        msg = f"information gain: {copied} of {observed.size} samples copied; give 0 to {observed.size}"
         raise DiscriminationError(msg)
     trivial = code_length(observed, decimals)
     start: FloatArray = observed[:copied]
@@ -147,26 +147,26 @@ def information_gain(  # noqa: PLR0917
 
 
 def two_part_length(model_length: float, parameters: int, samples: int) -> float:
-    """Length of a model's program and table with the parameters that the program needs written down too.
+    """Length of a model's program and table, including the parameters that the program needs.
 
     The published length charges 176 characters for the program of any order, as if its coefficients were
-    known beforehand. In a two-part code (Rissanen, Automatica 14, 1978) whoever reads the table gets them
-    first. N samples determine a parameter to about 1/√N of its size, and writing it more finely makes the
-    whole longer: ½ log₂ N bits each, which are ½ log₁₀ N digits, and its sign. So
+    known beforehand. In a two-part code (Rissanen, Automatica 14, 1978) they are transmitted before the
+    table. N samples determine a parameter to about 1/√N of its size, and a finer resolution lengthens the
+    total: each takes ½ log₂ N bits, which are ½ log₁₀ N digits, and its sign. So
 
         l₂(p) = l(p) + n (1 + ½ log₁₀ N) characters.
 
     Args:
         model_length: l(p), characters.
-        parameters: n, how many coefficients the program needs: those of B and F, as the table is that of
-            the simulated B/F.
+        parameters: n, the number of coefficients that the program needs: those of B and F, because the
+            table belongs to the simulated B/F.
         samples: N, the number of samples in the table.
 
     Raises:
         DiscriminationError: no samples, or a number of parameters below zero.
     """
     if samples < 1 or parameters < 0:
-        msg = f"two-part length: {parameters} parameters and {samples} samples; give 0 and 1 at least"
+        msg = f"two-part length: {parameters} parameters and {samples} samples; give at least 0 and 1"
         raise DiscriminationError(msg)
     return model_length + parameters * (1 + 0.5 * math.log10(samples))
 
@@ -198,7 +198,7 @@ def _lengths(digits: NDArray[np.int64], decimals: int) -> NDArray[np.int64]:
 
 
 def _written(value: float, decimals: int) -> str:
-    """One number as it stands in the table; exact where integer arithmetic cannot be."""
+    """Format one number as in the table; exact where integer arithmetic is not."""
     whole, _, fraction = f"{abs(value):.{decimals}f}".partition(".")
     text = (whole + fraction.rstrip("0")).lstrip("0") or "0"
     return ("-" if value < 0 and text != "0" else "+") + text
@@ -206,5 +206,5 @@ def _written(value: float, decimals: int) -> str:
 
 def _check_decimals(decimals: int) -> None:
     if not 0 <= decimals <= MOST_DECIMALS:
-        msg = f"code length: {decimals} decimals asked; give 0 to {MOST_DECIMALS}"
+        msg = f"code length: {decimals} decimals; give 0 to {MOST_DECIMALS}"
         raise DiscriminationError(msg)

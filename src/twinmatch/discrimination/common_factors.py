@@ -1,9 +1,9 @@
 """Common factors of a column of polynomials, to rounding.
 
-Stable common factors do the ν-gap no harm: they cancel in every ratio. One with a root on the imaginary
-axis makes 0/0 there, and one in the right half plane adds to the winding number although no transfer function
-has the pole. These are divided out, if the coefficients hold them to within rounding. What only nearly
-cancels is a property of the model and stays.
+Stable common factors do not affect the ν-gap: they cancel in every ratio. One with a root on the imaginary
+axis gives 0/0 there, and one in the right half plane adds to the winding number although no transfer function
+has the pole. These are divided out if they are common to within rounding. Factors that only nearly cancel
+are a property of the model and stay.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from twinmatch.signals import FloatArray
 __all__ = ["without_unstable_common_factor"]
 
 ON_AXIS = 1e-6
-"""A root this close to the axis, relative to 1 or its distance from 0, is looked at as if it were on it."""
+"""A root this close to the axis, relative to 1 or its distance from 0, is treated as lying on it."""
 
 SUSPECT = 1e-6
 """Roots of double factors are known to the square root of rounding only; so are the values there."""
@@ -26,16 +26,16 @@ NEARLY_SINGULAR = 1e-12
 """Singular values below this, relative to the largest, make a common factor worth trying."""
 
 ROUNDING = 1e-13
-"""What a factor may leave over to count as common, relative to the largest coefficient."""
+"""Largest residual of a factor that counts as common, relative to the largest coefficient."""
 
 STEPS = 3
 
 
 def without_unstable_common_factor(column: Column, *, discrete: bool) -> Column:
-    """The column, divided by its common factor if that has a root that is not safely stable.
+    """Divide the column by its common factor if that has a root that is not clearly stable.
 
-    Rounding in coefficients of z shows in those of w relative to the largest; a continuous model has no
-    frequency of its own, and the one that balances its coefficients is taken.
+    Rounding errors in coefficients of z appear in those of w relative to the largest; a continuous model has
+    no natural frequency unit, so the one that balances its coefficients is used.
     """
     high, _ = split(column)
     scale = 1.0 if discrete else _frequency(high)
@@ -48,7 +48,7 @@ def without_unstable_common_factor(column: Column, *, discrete: bool) -> Column:
 
 
 def _frequency(rows: FloatArray) -> float:
-    """A power of two at which the lowest and highest powers weigh alike."""
+    """A power of two that gives the lowest and the highest power equal weight."""
     size = np.abs(rows).max(axis=0)
     used = np.flatnonzero(size)
     if used.size < 2:
@@ -57,7 +57,7 @@ def _frequency(rows: FloatArray) -> float:
 
 
 def _shares_unstable_root(rows: FloatArray) -> bool:
-    """Whether all polynomials nearly vanish at one root of the first that is not safely stable."""
+    """Whether all polynomials nearly vanish at a root of the first that is not clearly stable."""
     roots = power.polyroots(np.trim_zeros(rows[0], "b"))
     for root in roots[roots.real >= -ON_AXIS * np.maximum(1, np.abs(roots))]:
         powers = root ** np.arange(rows.shape[1])
@@ -67,7 +67,7 @@ def _shares_unstable_root(rows: FloatArray) -> bool:
 
 
 def _cofactors(rows: FloatArray) -> FloatArray | None:
-    """Quotients by the greatest common factor, or nothing if no factor is common to within rounding."""
+    """Quotients by the greatest common factor, or None if no factor is common to within rounding."""
     degree = rows.shape[1] - 1
     singular = np.linalg.svd(_proportionality(rows, degree - 1), compute_uv=False)
     common = rows.shape[0] * degree - int(np.sum(singular > NEARLY_SINGULAR * singular[0]))
@@ -80,7 +80,7 @@ def _cofactors(rows: FloatArray) -> FloatArray | None:
 
 
 def _refined(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArray, float]:
-    """Quotients after Gauss–Newton steps on rows = factor·quotients, and the largest difference left."""
+    """Quotients after Gauss–Newton steps on rows = factor·quotients, and the largest residual."""
     from scipy.linalg import block_diag  # noqa: PLC0415 — a tenth of a second that few models need
 
     count, width = quotients.shape

@@ -2,7 +2,7 @@
 
 All take the loss V = det(1/N Σ ε εᵀ) of the prediction errors (the plain mean square for one output), the
 number of estimated parameters and the number of samples; smaller is better. The forms are those that the
-paper's own table obeys, which for nAIC and MDL are not the printed ones: these are here under the names
+paper's own table follows, which for nAIC and MDL differ from the printed ones: those are here under the names
 `naic_as_printed` and `mdl_as_printed` for comparison only.
 
 A loss of zero (the model predicts every sample exactly) gives −∞ in the logarithmic criteria and 0 in MDL:
@@ -37,7 +37,7 @@ def loss(errors: ArrayLike) -> float:
         bad = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
         msg = f"loss: the error at sample {bad} is {table[bad].tolist()}; only finite values can be used"
         raise DiscriminationError(msg)
-    # The product of squared singular values cannot turn out negative, a determinant by elimination can.
+    # A product of squared singular values cannot become negative; a determinant by elimination can.
     singular = np.linalg.svd(table / math.sqrt(table.shape[0]), compute_uv=False)
     return float(np.prod(singular**2)) if table.shape[0] >= table.shape[1] else 0.0
 
@@ -68,19 +68,19 @@ def mdl(loss: float, n_parameters: int, n_samples: int) -> float:
 
 
 def naic_as_printed(loss: float, n_parameters: int, n_samples: int) -> float:
-    """The paper's nAIC to the letter, N ln V + 2 n_p / N; its table does not follow it. Raises as `naic`."""
+    """The paper's printed nAIC, N ln V + 2 n_p / N, which its table does not follow; raises as `naic`."""
     return n_samples * _log(loss, n_parameters, n_samples) + 2 * n_parameters / n_samples
 
 
 def mdl_as_printed(loss: float, n_parameters: int, n_samples: int) -> float:
-    """The paper's MDL to the letter, V (1 + d/N) ln N; its table does not follow it. Raises as `naic`."""
+    """The paper's printed MDL, V (1 + d/N) ln N, which its table does not follow; raises as `naic`."""
     _check(loss, n_parameters, n_samples)
     return loss * (1 + n_parameters / n_samples) * math.log(n_samples)
 
 
 def _likelihood(loss: float, n_parameters: int, n_samples: int, n_outputs: int) -> float:
     if n_outputs < 1:
-        msg = f"criteria: {n_outputs} outputs; give one at least"
+        msg = f"criteria: {n_outputs} outputs; give at least one"
         raise DiscriminationError(msg)
     return n_samples * (_log(loss, n_parameters, n_samples) + n_outputs * math.log(2 * math.pi) + 1)
 
@@ -92,8 +92,8 @@ def _log(loss: float, n_parameters: int, n_samples: int) -> float:
 
 def _check(loss: float, n_parameters: int, n_samples: int) -> None:
     if not (math.isfinite(loss) and loss >= 0):
-        msg = f"criteria: the loss is {loss}; a mean square is finite and not negative"
+        msg = f"criteria: the loss is {loss}; give a mean square, finite and not negative"
         raise DiscriminationError(msg)
     if n_samples < 1 or n_parameters < 0:
-        msg = f"criteria: {n_parameters} parameters and {n_samples} samples; give 0 and 1 at least"
+        msg = f"criteria: {n_parameters} parameters and {n_samples} samples; give at least 0 and 1"
         raise DiscriminationError(msg)

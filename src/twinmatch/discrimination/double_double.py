@@ -1,6 +1,6 @@
-"""Arithmetic on unevaluated sums of two floats: some 32 digits, for polynomials that nearly cancel.
+"""Arithmetic on unevaluated sums of two floats: about 32 digits, for polynomials that nearly cancel.
 
-Dekker's and Knuth's exact sum and product; they rely on IEEE rounding, so never under `fastmath`.
+Dekker's and Knuth's exact sum and product; they rely on IEEE rounding, so never compile with `fastmath`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The error of this room."""
+"""The error of this package."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["DiscriminationError"]
 
 
 class DiscriminationError(TwinmatchError):
-    """Models or tables that cannot be scored or compared; the message says which and why."""
+    """A model or table that cannot be scored or compared; the message says which and why."""

@@ -1,4 +1,4 @@
-"""The family: parameter sets matched at different operating points, one of which is to be nominal."""
+"""The family: parameter sets matched at different operating points, one of which becomes nominal."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ class Candidate:
     """Set-point at the end of the window it was matched on."""
     parameters: Parameters
     window: Window | None
-    """The window it was matched on; None for one that was given, not matched."""
+    """The window it was matched on; None if it was given, not matched."""
     free: tuple[str, ...] = ()
     """Names of the parameters that were fitted."""
     covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """Of these, in their order and units, shape (n, n); empty for one that was given and counts as exact."""
+    """Covariance of these, in their order and units, (n, n); empty if the candidate was given: exact."""
 
 
 class Family:
-    """At most `most` candidates, one per set-point regime; the newest match of a regime stands."""
+    """At most `most` candidates, one per set-point regime; a newer match of a regime replaces the older."""
 
     def __init__(self, most: int = 8, regime_width: float = 10.0) -> None:
         """Begin empty.
 
         Args:
-            most: how many candidates are kept; the one matched longest ago leaves first.
-            regime_width: operating points closer than half of this, in the output's unit, are one regime.
+            most: how many candidates are kept; the one matched longest ago is removed first.
+            regime_width: operating points closer than half of this, in the output's unit, belong to one
+            regime.
         """
         self.most = most
         self.regime_width = regime_width
@@ -47,18 +48,18 @@ class Family:
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
-        """In the order of their operating points."""
+        """The candidates in the order of their operating points."""
         return tuple(sorted(self._candidates, key=lambda c: (c.operating_point, c.name)))
 
     def standing_at(self, operating_point: float) -> Candidate | None:
-        """The candidate whose regime holds this set-point, if there is one."""
+        """The candidate whose regime contains this set-point, if any."""
         near = [
             c for c in self._candidates if abs(c.operating_point - operating_point) < self.regime_width / 2
         ]
         return min(near, key=lambda c: (abs(c.operating_point - operating_point), c.name), default=None)
 
     def admit(self, candidate: Candidate) -> Candidate | None:
-        """Take a candidate in; return the one that has to leave for it, if any."""
+        """Add a candidate; return the one it replaces, if any."""
         namesakes = [c for c in self._candidates if c.name == candidate.name]
         leaving = namesakes[0] if namesakes else self.standing_at(candidate.operating_point)
         if leaving is None and len(self._candidates) >= self.most:
@@ -69,5 +70,5 @@ class Family:
         return leaving
 
     def dismiss(self, name: str) -> None:
-        """Let the candidate of this name go, if it is there."""
+        """Remove the candidate of this name, if present."""
         self._candidates = [c for c in self._candidates if c.name != name]

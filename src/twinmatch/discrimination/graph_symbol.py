@@ -1,7 +1,8 @@
-"""A model as the ν-gap sees it: its right graph symbol, a column of polynomials.
+"""Right graph symbol of a model, a column of polynomials: the form in which ν-gaps are computed.
 
-A model with one input and m outputs is a column P = N/d; everything (input, output) it allows is a multiple
-of the column G = [d; N]. Poles on the stability boundary, integrators included, are nothing special in G.
+A model with one input and m outputs is a column P = N/d; every pair (input, output) that it allows is a
+multiple of the column G = [d; N]. Poles on the stability boundary, such as integrators, need no special
+treatment in G.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ __all__ = ["GraphSymbol", "graph_symbol", "spectral_roots"]
 class GraphSymbol:
     """Right graph symbol [d; N] of a model with one input and m outputs, built once per model.
 
-    Make it with `graph_symbol`, `of_polynomials`, `of_fractions` or `of_state_space`.
+    Create it with `graph_symbol`, `of_polynomials`, `of_fractions` or `of_state_space`.
     """
 
     column: Column
@@ -55,7 +56,7 @@ class GraphSymbol:
     stack: FloatArray = field(init=False, repr=False)
     """Values and derivatives for the kernels, shape (3, m + 1, n + 1)."""
     spectral_roots: NDArray[np.complex128] = field(init=False, repr=False)
-    """Minus the roots of the stable spectral factor of |d|² + |N|², so in the right half plane, (n,)."""
+    """Negated roots of the stable spectral factor of |d|² + |N|², so in the right half plane, (n,)."""
 
     def __post_init__(self) -> None:
         column = without_unstable_common_factor(trim(self.column), discrete=bool(self.period))
@@ -66,7 +67,7 @@ class GraphSymbol:
         object.__setattr__(self, "stack", with_derivatives(self.signed[0]))
         roots = spectral_roots(column)
         if roots.size != high.shape[1] - 1 or not np.all(np.isfinite(roots) & (roots != 0)):
-            msg = f"model: its dynamics {roots} are too far apart or from 1 rad/s; give time in another unit"
+            msg = f"model: its dynamics {roots} are too far apart or from 1 rad/s; use another unit of time"
             raise DiscriminationError(msg)
         object.__setattr__(self, "spectral_roots", roots)
 
@@ -92,10 +93,10 @@ class GraphSymbol:
     ) -> GraphSymbol:
         """From (numerator, denominator) per output, highest power of s or z first; raises as above.
 
-        Equal denominators are used once; of different ones the product is the common denominator.
+        Equal denominators are used once; the common denominator is the product of the different ones.
         """
         if not fractions:
-            raise DiscriminationError("model: it has no output; give one transfer function at least")
+            raise DiscriminationError("model: it has no output; give at least one transfer function")
         pairs = [(_ascending(n), _ascending(d)) for n, d in fractions]
         return cls(_exact_column(pairs, discrete=bool(period)), period)
 
@@ -106,7 +107,7 @@ class GraphSymbol:
         for pair in fractions:
             b, f = (np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in pair)
             width = max(b.size, f.size)
-            padded.append((_filled(b, width), _filled(f, width)))
+            padded.append((_padded(b, width), _padded(f, width)))
         return cls.of_transfer_functions(padded, period)
 
     @classmethod
@@ -123,7 +124,7 @@ class GraphSymbol:
 
 
 def graph_symbol(system: Any) -> GraphSymbol:
-    """The graph symbol of a `control` TransferFunction or StateSpace, or the symbol given.
+    """The graph symbol of a `control` TransferFunction or StateSpace; a given symbol is returned unchanged.
 
     State-space models are converted in exact arithmetic.
 
@@ -137,7 +138,7 @@ def graph_symbol(system: Any) -> GraphSymbol:
         msg = f"model: a {type(system).__name__} cannot be compared; give a TransferFunction or a StateSpace"
         raise DiscriminationError(msg)
     if inputs != 1:
-        msg = f"model: it has {inputs} inputs; the ν-gap here is for one input and any number of outputs"
+        msg = f"model: it has {inputs} inputs; give a model with one input and any number of outputs"
         raise DiscriminationError(msg)
     if hasattr(system, "A"):
         period = _time_base(system, dynamic=len(system.A) > 0)
@@ -149,7 +150,7 @@ def graph_symbol(system: Any) -> GraphSymbol:
 
 
 def _time_base(system: Any, *, dynamic: bool) -> float | bool | None:
-    """The period; a model without a time base is continuous unless it is a mere gain."""
+    """The period; a model without a time base is continuous unless it is a pure gain."""
     if system.dt is None:
         return 0.0 if dynamic else None
     return True if system.dt is True else float(system.dt)
@@ -163,8 +164,8 @@ def _ascending(coefficients: ArrayLike) -> FloatArray:
     return descending[::-1]
 
 
-def _filled(coefficients: FloatArray, width: int) -> FloatArray:
-    """With zeros up to this width; `np.pad` takes longer than all the arithmetic."""
+def _padded(coefficients: FloatArray, width: int) -> FloatArray:
+    """Pad with zeros to this width; `np.pad` takes longer than all the arithmetic."""
     filled = np.zeros(width)
     filled[: coefficients.size] = coefficients
     return filled
@@ -183,7 +184,7 @@ def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool)
     below, above = polynomials[: len(denominators)], polynomials[len(denominators) :]
     for k, denominator in enumerate(below):
         if not any(denominator):
-            msg = f"model: the denominator of output {which.index(k)} is zero"
+            msg = f"model: the denominator of output {which.index(k)} is zero; give one that is not"
             raise DiscriminationError(msg)
     column = [_product(below)]
     for k, numerator in zip(which, above, strict=True):
@@ -203,5 +204,5 @@ def _product(factors: Sequence[Polynomial]) -> Polynomial:
 def spectral_roots(column: Column) -> NDArray[np.complex128]:
     """Square roots with positive real part of −λ, λ the roots in Ω² of Σ |p(jΩ)|²."""
     roots = np.sqrt(-roots_of_even_part(even_part(column)))
-    # rounding may put one on the axis itself, where no spectral factor has any
+    # rounding may put one on the axis itself, where a spectral factor has no roots
     return np.asarray(np.maximum(roots.real, 1e-14 * np.abs(roots)) + 1j * roots.imag)

@@ -1,12 +1,12 @@
-"""A twin as its loop holds it at a set-point, and its plant linearised there.
+"""The plant of a twin, linearised where its loop holds it at a set-point.
 
-Twins are compared at operating points that all of them share, and not every twin can rest at every one of
-them: where a heat sink has little convection, its temperature goes on falling for as long as the plate is
-heated, and the plant as the loop meets it is that of the minutes in which a set-point is held. So the loop
-runs: from a start of which nothing but the output is known, on a constant set-point, as long as a set-point
+Twins are compared at shared operating points, but not every twin has an equilibrium at each of them: with
+little convection, the temperature of a heat sink keeps falling for as long as the plate is heated, and what
+the loop controls is the plant during the minutes in which a set-point is held. So the closed loop is
+simulated on a constant set-point, from a start that only the output determines, for as long as a set-point
 regime lasts before it is judged. Where the drive's limits keep the output from the set-point, the plant is
-linearised where it is held instead. Of plants without slow states this is the rest. Where the loop is not
-known, nothing holds a twin but a constant input: the plant is linearised where it rests.
+linearised where the loop does hold it. For plants without slow states this is the equilibrium. Where the loop
+is not known, the plant is linearised at its equilibrium under a constant input.
 """
 
 from __future__ import annotations
@@ -37,32 +37,32 @@ HOLD = 240
 """Samples for which a set-point is held."""
 
 ANGLES: FloatArray = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, 8)])
-"""Frequencies at which responses are known, radians per sample: zero, and from a quarter of what a regime
-resolves to the highest there is."""
+"""Frequencies at which responses are computed, radians per sample: zero, and from a quarter of the lowest
+that a regime resolves to the Nyquist frequency."""
 
 STEP = 1e-3
 """Change of a parameter for a difference quotient, in units of its scale: the response of a plant is smooth
-over a fraction of that, and the search for the point at which it is held is right to a millionth."""
+over it, and the point at which the plant is held is accurate to a millionth."""
 
 
 class Held(NamedTuple):
-    """On which terms twins are held; hashable, so that nothing is computed twice."""
+    """The loop in which twins are held; hashable, so that results can be cached."""
 
     gains: PidGains | None
-    """Of the controller that holds them; None: it is not known."""
+    """Gains of the controller; None if it is not known."""
     scales: Scales
-    """What counts as 1 of output and input."""
+    """Scales of output and input."""
     samples: int = HOLD
-    """For how long."""
+    """How long a set-point is held, samples."""
     period: float = 1.0
-    """Sample time of a plant whose loop is not known, s; a loop has its controller's."""
+    """Sample time if the loop is not known, s; otherwise the controller's is used."""
 
 
 def held(parameters: Parameters, set_point: float, terms: Held) -> Linear:
-    """The plant around where its loop holds it, in the units of output and input.
+    """Linearise the plant where its loop holds it, in the units of output and input.
 
     Raises:
-        DiscriminationError: the loop does not hold it: its states grow beyond all bounds.
+        DiscriminationError: the loop does not hold it: its states diverge.
         PlantError: the plant is too fast for the period; without a loop, no input holds it there.
     """
     if terms.gains is None:
@@ -92,19 +92,21 @@ def held_symbol(parameters: Parameters, set_point: float, terms: Held) -> GraphS
 def held_slopes(
     parameters: Parameters, free: tuple[str, ...], set_point: float, terms: Held
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Frequency response of that plant at `ANGLES`, scaled, and its derivatives by some parameters.
+    """Frequency response of that plant at `ANGLES`, scaled, and its derivatives with respect to `free`.
 
     Shapes (frequencies,) and (n, frequencies). Raises as `held`.
     """
-    still = _response(parameters, set_point, terms)
+    response = _response(parameters, set_point, terms)
     slopes = np.zeros((len(free), ANGLES.size), dtype=np.complex128)
     for row, name in zip(slopes, free, strict=True):
         declared, value = parameters.model.declared[name], parameters[name]
         moved = value + STEP * declared.scale
         if not declared.possible(moved):
             moved = value - STEP * declared.scale
-        row[:] = (_response(parameters.replace(**{name: moved}), set_point, terms) - still) / (moved - value)
-    return still, slopes
+        row[:] = (_response(parameters.replace(**{name: moved}), set_point, terms) - response) / (
+            moved - value
+        )
+    return response, slopes
 
 
 def _response(parameters: Parameters, set_point: float, terms: Held) -> NDArray[np.complex128]:

@@ -1,4 +1,4 @@
-"""Whether a polynomial has all its roots in the open left half plane, decided without rounding."""
+"""Test whether all roots of a polynomial lie in the open left half plane, without rounding."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ __all__ = ["is_hurwitz"]
 
 
 def is_hurwitz(polynomial: Polynomial) -> bool:
-    """Routh's test on integers, the constant first; a vanishing highest coefficient is a root at infinity.
+    """Routh's test on integers, constant first; a highest coefficient of zero is a root at infinity.
 
     Roots on the imaginary axis or at infinity are not stable.
     """
     sign = -1 if polynomial[-1] < 0 else 1
-    falling = [sign * c for c in reversed(polynomial)]
-    if not all(c > 0 for c in falling):
+    descending = [sign * c for c in reversed(polynomial)]
+    if not all(c > 0 for c in descending):
         return False
-    above, row = falling[::2], falling[1::2]
+    above, row = descending[::2], descending[1::2]
     while row:
         if row[0] <= 0:
             return False

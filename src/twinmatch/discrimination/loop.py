@@ -1,15 +1,15 @@
-"""The loop as the stability margin sees it: the plant around an operating point, and the PID.
+"""The linear loop for the stability margin: the plant around an operating point, and the PID.
 
-The plant P, from input to the output that the sensor sees, is the twin's own equations linearised where the
-set-point is held, sampled as the loop samples it: the input acts on the output one tick later. The PID
-answers an output in its own tick. Both are exact for small movements in which nothing is limited.
+The plant P, from input to measured output, consists of the twin's own equations linearised where the
+set-point is held, sampled as in the loop: the input acts on the output one tick later. The PID responds to an
+output in the same tick. Both are exact for small deviations that stay within the limits.
 
-The plant might also be had from the identified models, as the quotient of set-point → output and
+The plant could also be computed from the identified models, as the quotient of set-point → output and
 set-point → input. It is not: the zeros of an estimated set-point → input become poles of that quotient, and
 where noise puts one outside the unit circle a good twin counts as an unstable plant.
 
-Margin and ν-gap depend on the units of input and output. Here the input counts in units of its limit and
-the output in proportional bands, the deviation that alone drives the controller to that limit
+Margin and ν-gap depend on the units of input and output. Here the input is in units of its limit and the
+output in proportional bands, the deviation at which the proportional part alone reaches that limit
 (255/38.57 = 6.6 °C on the rig). In these units the controller's gain is 1 where it neither integrates nor
 differentiates, so that neither side of the loop outweighs the other, and the margin is not far below the
 largest that any choice of units gives.
@@ -32,27 +32,27 @@ __all__ = ["Scales", "loop_controller", "loop_margin", "loop_plant"]
 
 
 class Scales(NamedTuple):
-    """What counts as 1 in margin and ν-gap of a loop; only the ratio of the two matters."""
+    """Scales of output and input in margin and ν-gap; only the ratio of the two matters."""
 
     output: float
     """In the output's unit."""
     input: float
-    """In the input's."""
+    """In the input's unit."""
 
     @property
     def ratio(self) -> float:
-        """What an answer of the output to the input is multiplied by."""
+        """Factor that scales a response from input to output."""
         return self.input / self.output
 
     @classmethod
     def of(cls, gains: PidGains) -> Scales:
-        """Half the controller's range, and the deviation that its proportional part answers with it.
+        """Half the controller's range, and the deviation at which the proportional part reaches it.
 
         Raises:
             DiscriminationError: the controller has no proportional part.
         """
         if gains.proportional == 0:
-            msg = "stability margin: the controller has no proportional gain to scale by; give the scales"
+            msg = "stability margin: the controller has no proportional gain to scale by; give scales"
             raise DiscriminationError(msg)
         limit = (gains.high - gains.low) / 2
         return cls(limit / abs(gains.proportional), limit)
@@ -74,17 +74,17 @@ def loop_plant(
     *,
     scales: Scales | None = None,
 ) -> GraphSymbol:
-    """The plant from input to output around a set-point it is held at, scaled.
+    """The plant from input to output around a set-point at which it is held, scaled.
 
     Args:
         parameters: the candidate's physics.
         operating_point: the output it is held at.
-        gains: of the running controller: its period and limits, and the scales if none are given. Those of
-            the plant file, at 1 s, if not given.
+        gains: those of the running controller: they give the period, the limits, and the scales unless given.
+            Default: those of the plant file, at 1 s.
         scales: units of margin and ν-gap.
 
     Raises:
-        DiscriminationError: the controller's limits do not hold the plant there; as `Scales.of`.
+        DiscriminationError: the controller's limits cannot hold the plant there; as `Scales.of`.
         PlantError: no input holds it there, or the plant cannot be computed with this period.
     """
     gains = gains or gains_of(parameters.model.plant, 1.0)
@@ -98,7 +98,7 @@ def loop_margin(
     *,
     scales: Scales | None = None,
 ) -> float:
-    """b(P, C) of the running PID on a candidate's plant around a set-point, 0 (not stable) to 1.
+    """Stability margin b(P, C) of the running PID with a candidate's plant at a set-point, 0 (unstable) to 1.
 
     The PID stabilises every plant whose ν-gap to this one, in the same units, is smaller. Arguments and
     errors as `loop_plant`.
@@ -134,8 +134,8 @@ def _plant(parameters: Parameters, operating_point: float, gains: PidGains, scal
         msg = (
             f"stability margin: {plant.title} needs {linear.rest.input:.4g} {plant.drive.unit} at "
             f"{operating_point:g} {plant.output.unit}, beyond the controller's limits {gains.low:g} and "
-            f"{gains.high:g}; give an operating point it can be held at"
+            f"{gains.high:g}; give an operating point at which it can be held"
         )
         raise DiscriminationError(msg)
-    seen = linear.C * (scales.input / scales.output)
-    return GraphSymbol.of_state_space(linear.A, linear.B, seen, np.zeros((1, 1)), gains.period)
+    scaled = linear.C * (scales.input / scales.output)
+    return GraphSymbol.of_state_space(linear.A, linear.B, scaled, np.zeros((1, 1)), gains.period)

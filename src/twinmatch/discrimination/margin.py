@@ -1,7 +1,7 @@
-"""How far a plant may move before its controller loses it: the stability margin b(P, C) (Vinnicombe 1993).
+"""The stability margin b(P, C): how far a plant may change and still be stabilised (Vinnicombe 1993).
 
 A controller C that stabilises P stabilises every plant whose ν-gap to P is smaller than b(P, C), and there
-is a plant at just that distance which it does not stabilise. b is the inverse of the H∞ norm of the four
+is a plant at exactly that distance which it does not stabilise. b is the inverse of the H∞ norm of the four
 transfer functions of the loop, ‖[P; 1](1 + C P)⁻¹[1 C]‖∞, and 0 when the loop is not stable.
 
 With one plant input this norm is a quotient of polynomials: for P = N/d and C = M/c, with G = [d; N] and
@@ -32,7 +32,7 @@ __all__ = ["stability_margin"]
 def stability_margin(plant: Any, controller: Any) -> float:
     """Stability margin b(P, C) of the loop u = −C y around y = P u, 0 (not stable) to 1.
 
-    It depends on the units of u and y: scale them so that equal numbers weigh alike.
+    It depends on the units of u and y: scale them so that equal numbers are equally important.
 
     Args:
         plant: `control` TransferFunction or StateSpace, or `GraphSymbol`; one input, m outputs.
@@ -40,7 +40,7 @@ def stability_margin(plant: Any, controller: Any) -> float:
 
     Raises:
         DiscriminationError: numbers of signals that do not fit, different time bases, or a system that
-            is no model.
+            is not a valid model.
     """
     g = graph_symbol(plant)
     k = controller if isinstance(controller, GraphSymbol) else graph_symbol(_transposed(controller))
@@ -59,7 +59,7 @@ def stability_margin(plant: Any, controller: Any) -> float:
 
 
 def _transposed(controller: Any) -> Any:
-    """A controller of one output as the model of one input with the same entries."""
+    """Transpose a controller with one output into a model with one input."""
     if getattr(controller, "noutputs", None) != 1 or controller.ninputs == 1:
         return controller
     if hasattr(controller, "A"):
@@ -81,7 +81,7 @@ def _smallest(
     high, low = _inner(plant[0], plant[1], controller[0], controller[1])
     high, low = chordal.with_powers_of_j(high), chordal.with_powers_of_j(low)
     one = np.ones((1, 1))
-    # in the words of the search: |G|²|K|² is a sum of squares over |K G|², highest where the margin is least
+    # as the search needs it: a sum of squares |G|²|K|² over |K G|², largest where the margin is smallest
     products = chordal.with_powers_of_j(_products(plant[0], controller[0]))
     grid = peak.frequency_grid(poles, poles[:0])
     _, place = peak.highest(

@@ -1,7 +1,7 @@
-"""From a window to its Box–Jenkins models, set-point → output and set-point → input, or input → output where
-the loop is not known.
+"""Box–Jenkins models of a window: set-point → output and set-point → input, or input → output where the loop
+is not known.
 
-Where the paper's text is open, this is where the reading is taken; `docs/method.md` gives the reasons.
+Where the paper leaves a choice open, it is made here; `docs/method.md` gives the reasons.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ LEAD = 20
 
 
 class Level(NamedTuple):
-    """What models describe deviations from: the steady state that a window starts from, if it does."""
+    """The steady state at the start of a window; models describe deviations from it."""
 
     output: float
-    """In closed loop of reference and output alike: the integral action makes them equal at rest."""
+    """Level of the output, in closed loop also of the reference: integral action makes them equal at rest."""
     input: float
 
 
 @dataclass(frozen=True, eq=False)
 class SimoModel:
-    """One input, the set-point; two outputs, y and u of the loop. Where that is not known, u is the input and
-    y the only output."""
+    """A model from the set-point to y and u of the loop, or, where the loop is not known, from the input u to
+    the output y."""
 
     order: str
     y: BoxJenkins
@@ -44,11 +44,11 @@ class SimoModel:
     u: BoxJenkins | None
     """r[k+1] → u[k]; see `ahead`."""
     scale: float = 1.0
-    """Of a plant's graph symbol: what counts as 1 of the input, in units of what does of the output."""
+    """Scale of the input over that of the output, for a plant's graph symbol."""
 
     @cached_property
     def symbol(self) -> GraphSymbol:
-        """Graph symbol of [y/r; u/r], for the ν-gap, y and u in their units, as in the paper; or of y/u,
+        """Graph symbol for the ν-gap: of [y/r; u/r], y and u in their units, as in the paper; or of y/u,
         scaled."""
         if self.u is None:
             return GraphSymbol.of_fractions([(self.scale * self.y.B, self.y.F)], period=self.y.period)
@@ -57,13 +57,13 @@ class SimoModel:
 
 
 def operating_level(window: Window, *, driven: bool = False) -> Level:
-    """What to subtract so that the window begins at zero.
+    """The level to subtract so that the window begins at zero.
 
-    The set-point before the first step stands for reference and output; for the input the mean of the last
-    samples before that step, when the loop has come to rest even if the window began in a transient.
+    For reference and output it is the set-point before the first step; for the input the mean of the last
+    samples before that step, when the loop has settled even if the window began in a transient.
 
-    Where the loop is not known, no set-point says where a window begins: if its input stood still before it
-    first moved, output and input are those of the last samples before; if not, their means over the window.
+    Where the loop is not known, there is no set-point: if the input was constant before its first change, the
+    level is the mean of the last samples before that change; if not, the mean over the window.
     """
     if driven:
         return _driven_level(window)
@@ -90,11 +90,11 @@ def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, Fl
 
 
 def ahead(reference: FloatArray) -> FloatArray:
-    """The set-point one tick early, shape (N,): what the input's model is driven with.
+    """The set-point one tick early, shape (N,): the input of the model of u.
 
-    The controller answers a set-point in the same tick, so u[k] depends on r[k]; orders with nk = 1 know
-    no such thing and would take the whole kick at a step for noise. Counted from the tick in which the
-    set-point was decided, the delay is one.
+    The controller responds to a set-point in the same tick, so u[k] depends on r[k]; orders with nk = 1 have
+    no direct feedthrough and would treat the jump of u at a step as noise. Relative to the set-point one tick
+    early, the delay is one.
     """
     return np.append(reference[1:], reference[-1])
 
@@ -104,12 +104,12 @@ def identify(
 ) -> tuple[SimoModel, ...]:
     """Box–Jenkins models of every order from a window's set-point to its output and input.
 
-    Where the loop is not known, from its input to its output: then `scale` is that of the models.
+    Where the loop is not known, from its input to its output: then `scale` is the models' scale.
 
-    They are the minima next to the start values, not the lowest of all: on windows of the rig the lowest
-    differ by a few per cent in the prediction errors, and reach them with a noise model that takes over
-    part of the set-point's work, so that gains of y and u, and with them the ν-gap, mean little
-    (docs/decisions/0015). `identification.estimate` searches for the lowest.
+    They are the minima next to the start values, not the global ones: on windows of the rig the prediction
+    errors of the global minima are only a few per cent smaller, and come from a noise model that explains
+    part of the response to the set-point, so that the gains of y and u, and with them the ν-gap, mean little
+    (docs/decisions/0015). `identification.estimate` searches for the global minimum.
 
     Raises:
         IdentificationError: set-point or input does not move, or there are too few samples.
@@ -119,7 +119,7 @@ def identify(
         found = estimate_ladder(u, y, orders, hops=0, period=window.period)
         return tuple(SimoModel(o, found[o], None, scale) for o in orders)
     r, y, u = deviations(window, operating_level(window))
-    # Side by side: almost all of the work is compiled, which holds no lock, and neither needs the other.
+    # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
     with ThreadPoolExecutor(1) as other:
         u_models = other.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)
         y_models = estimate_ladder(r, y, orders, hops=0, period=window.period)
@@ -129,10 +129,10 @@ def identify(
 def twin_response(
     parameters: Parameters, window: Window, gains: PidGains | None, sensor: Sensor | None, seed: int
 ) -> Window:
-    """The closed-loop twin on a window's reference, or without gains the twin under its input, seen through
-    the sensor.
+    """Simulate the twin on a window, in closed loop under its reference, or driven by its input without
+    gains, with the sensor.
 
-    It starts from the window's third sample: the first two give the controller's state.
+    It starts at the window's third sample: the first two give the controller's state.
     """
     response = simulate_window(parameters, window, gains=gains, sensor=sensor, seed=seed)
     return Window(

@@ -2,12 +2,12 @@
 
 δν(P1, P2) is the largest chordal distance between the models over all frequencies if the inner product of
 their normalised graph symbols, g2* g1, has no zero on the axis and does not wind around it; otherwise 1.
-The paper's formula is the first half alone; two models of small chordal distance can be as far apart as can
-be, such as 0.1/(s + 1) and 0.1/(s − 1).
+The paper's formula is the first half alone; two models with a small chordal distance can have a ν-gap of 1,
+such as 0.1/(s + 1) and 0.1/(s − 1).
 
-Discrete models are mapped to the half plane, which leaves the ν-gap as it is. Coefficients are exact until
-the search, minors and the final value are computed with 32 digits: the result is right to some 12 digits
-even between models that agree in eight.
+Discrete models are mapped to the half plane, which leaves the ν-gap unchanged. Coefficients are exact up to
+the search; minors and the final value are computed with 32 digits, so the result is accurate to about 12
+digits even between models that agree in eight.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ def nu_gap(p1: Any, p2: Any) -> float:
 
     Args:
         p1, p2: `control` TransferFunction or StateSpace, or `GraphSymbol`; one input, equal outputs.
-            An unstable common factor of all entries is cancelled if it is there to within rounding.
+            An unstable common factor of all entries is cancelled if it is common to within rounding.
 
     Raises:
-        DiscriminationError: different time bases or numbers of outputs, more inputs than one, or a
-            model that is no model.
+        DiscriminationError: different time bases or numbers of outputs, more than one input, or an
+            invalid model.
     """
     return nu_gap_of(graph_symbol(p1), graph_symbol(p2))
 
 
 def nu_gap_of(g1: GraphSymbol, g2: GraphSymbol) -> float:
-    """ν-gap between two models whose graph symbols are at hand; raises as `nu_gap`."""
+    """ν-gap between two models given as graph symbols; raises as `nu_gap`."""
     common_period(g1, g2)
     if g1.column == g2.column:
         return 0.0
@@ -56,7 +56,7 @@ def nu_gap_of(g1: GraphSymbol, g2: GraphSymbol) -> float:
         g1.coefficients, g2.coefficients, g1.signed, g2.signed, g1.stack, g2.stack,
         g1.spectral_roots, g2.spectral_roots,
     )  # fmt: skip
-    # through zero is a distance of 1 that rounding may have left a bit below
+    # passing through zero is a distance of 1, which rounding may have left slightly below
     return largest if abs(half_turns) < 0.5 and largest < ALMOST_ONE else 1.0
 
 
@@ -96,7 +96,7 @@ def chordal_distance(p1: Any, p2: Any, frequencies: ArrayLike) -> FloatArray:
 
 
 def common_period(g1: GraphSymbol, g2: GraphSymbol) -> float | bool | None:
-    """The time base both models share."""
+    """The time base that both models share."""
     if g1.outputs != g2.outputs:
         msg = f"ν-gap: one model has {g1.outputs} outputs, the other {g2.outputs}; they must be equal"
         raise DiscriminationError(msg)
@@ -123,7 +123,7 @@ def _compare(  # noqa: PLR0917
     roots1: NDArray[np.complex128],
     roots2: NDArray[np.complex128],
 ) -> tuple[float, float]:
-    """Largest κ and the half turns of the inner product (NaN: through zero)."""
+    """Largest κ, and the half turns of the inner product (NaN if it passes through zero)."""
     high, low = chordal.minors(pair1[0], pair1[1], pair2[0], pair2[1])
     high, low = chordal.with_powers_of_j(high), chordal.with_powers_of_j(low)
     grid = peak.frequency_grid(roots1, roots2)
@@ -131,7 +131,7 @@ def _compare(  # noqa: PLR0917
     if square == 0.0:  # one model is a multiple of the other, term by term
         return 0.0, 0.0
     if -math.inf < place < math.inf:
-        # where c is smallest is where its phase can turn fastest
+        # the phase of c can turn fastest where c is smallest
         grid = np.sort(np.append(grid, place))
         kappa = _polished(signed1, signed2, (high, low), grid, place)
     else:
@@ -147,7 +147,7 @@ def _polished(
     grid: FloatArray,
     place: float,
 ) -> float:
-    """Largest κ near a place that is right to the search's tolerance, a node of the grid."""
+    """Refine the largest κ near a grid node that is accurate to the search's tolerance."""
     best = chordal.exact_distance(signed1, signed2, pair_minors, place)
     node = int(np.searchsorted(grid, place))
     width = grid[min(node + 1, grid.size - 1)] - grid[max(node - 1, 0)]

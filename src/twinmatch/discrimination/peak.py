@@ -1,9 +1,9 @@
 """Kernel: the largest chordal distance over all frequencies.
 
-κ² as a function of t = ln Ω is smooth but for poles off the real axis at the spectral roots of the two
-models, known beforehand. The grid is as fine as the nearest of them asks for, however narrow the peak.
-Between nodes Hermite cubics, checked at every middle, bound what κ² can reach; intervals that may still
-exceed the best value found are halved until none is left. That finds the global maximum, not a nearby one.
+κ² as a function of t = ln Ω is analytic except at poles off the real axis, which are known: the spectral
+roots of the two models. The grid is as fine as the nearest of them requires, however narrow the peak. Between
+nodes Hermite cubics, checked at every midpoint, bound κ²; intervals that may still exceed the best value
+found are halved until none is left. This finds the global maximum.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ STEP = 0.25
 """Length of a first interval over its distance to the nearest pole."""
 
 MARGIN = 7.0
-"""How far the grid reaches beyond the outermost pole: κ² is as at the end there but for e^−14 of it."""
+"""How far the grid reaches beyond the outermost pole: there κ² equals its end value to within e^−14."""
 
 TOLERANCE = 1e-12
-"""Relative to κ²: what an interval must promise more than the best value to be looked into."""
+"""Relative excess over the best κ² that an interval must be able to reach to be searched."""
 
 STACK = 128
 SHORTEST = 1e-10
@@ -35,7 +35,7 @@ MOST_HALVINGS = 20_000
 
 @compiled
 def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128]) -> FloatArray:
-    """Nodes t, increasing; at least the two ends of what has any feature."""
+    """Nodes t, increasing, over the range of all poles; at least its two ends."""
     count = roots1.size + roots2.size
     if count == 0:
         return np.array([-1.0, 1.0])
@@ -83,7 +83,7 @@ def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
 def highest(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, grid: FloatArray
 ) -> tuple[float, float]:
-    """Largest κ² and where; the place may be −∞ or ∞."""
+    """The largest κ² and its place t, which may be −∞ or ∞."""
     best, place = squared_distance(stack1, stack2, stack_minors, -math.inf)[0], -math.inf
     end = squared_distance(stack1, stack2, stack_minors, math.inf)[0]
     if end > best:
@@ -110,7 +110,7 @@ def highest(
                 best, place = fm, m
             off = abs(fm - (0.5 * (fa + fb) + 0.125 * h * (da - db)))
             off += 0.25 * h * abs(dm - (1.5 * (fb - fa) / h - 0.25 * (da + db)))
-            # halves are 16 times closer to their cubics; an eighth leaves room
+            # halving reduces the error of the cubics 16 times; an eighth leaves a margin
             bar = best * (1 + TOLERANCE) - 0.125 * off
             if h < SHORTEST or halvings > MOST_HALVINGS or waiting > STACK - 3:
                 continue

@@ -1,14 +1,13 @@
 """ν-gaps between the plants of a family, at operating points that all of them share.
 
-Two twins behave alike in the loop if their plants are near each other in the ν-gap wherever the loop takes
-them. So their equations are linearised where the loop holds them (`held`) at every operating point of the
-family, and the distance of two candidates is the largest ν-gap of these pairs of plants: the ν-gap of the
-two plants as they are scheduled over the points, and a metric as each of them is. One controller that holds
-the one by more than this holds the other, at each of the points.
+Two twins behave alike in the loop if the ν-gap between their plants is small wherever the loop takes them. So
+their equations are linearised where the loop holds them (`held`) at every operating point of the family, and
+the distance of two candidates is the largest ν-gap over these points, which is again a metric. A controller
+whose stability margin with one plant exceeds this distance at each of the points stabilises the other, too.
 
-The ν-gap depends on units. Here the output counts in halves of the span of its set-points and the input in
-halves of the drive's range, so that what the plant does at rest weighs like what the controller answers
-(docs/decisions/0022 has the figures of the other readings).
+The ν-gap depends on units. Here the output is in halves of the span of its set-points and the input in halves
+of the drive's range, so that the static gain of the plant counts as much as the controller's response
+(docs/decisions/0022 has the figures for the alternatives).
 """
 
 from __future__ import annotations
@@ -39,14 +38,14 @@ def spans_of(plant: type[Plant]) -> Scales:
 
 @dataclass(frozen=True, eq=False)
 class PlantGaps:
-    """How far apart the plants of some twins are."""
+    """ν-gaps between the plants of some twins."""
 
     points: tuple[float, ...]
     """Operating points at which all of them were linearised, ascending, in the output's unit."""
     at: FloatArray
-    """ν-gaps at each point, shape (points, n, n); 1 throughout where there is no point."""
+    """ν-gaps at each point, shape (points, n, n); all 1 if there is no point."""
     left_out: tuple[str, ...]
-    """Why points that were asked for are missing, one sentence each."""
+    """Why requested points are missing, one sentence each."""
 
     @property
     def matrix(self) -> FloatArray:
@@ -54,15 +53,15 @@ class PlantGaps:
         return np.asarray(self.at.max(axis=0), dtype=np.float64)
 
     def of(self, count: int) -> PlantGaps:
-        """Those between the first `count` twins."""
+        """The ν-gaps between the first `count` twins."""
         return PlantGaps(self.points, self.at[:, :count, :count], self.left_out)
 
 
 def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], terms: Held) -> PlantGaps:
     """ν-gaps between the plants of all pairs of twins, of any structures of one plant.
 
-    A point at which one of them cannot be linearised is left out for all. Twins that then share no point are
-    as far apart as can be, since nothing says that they are alike.
+    A point at which one of them cannot be linearised is left out for all. If no shared point remains, the
+    ν-gaps are 1, since nothing shows that the twins are alike.
     """
     shared, rows, left_out = [], [], []
     for point in sorted(set(points)):

@@ -32,7 +32,7 @@ Column = list[Polynomial]
 
 
 def exact(polynomials: Sequence[FloatArray]) -> Column:
-    """Float coefficients, constant first, as integers over one common scale that is dropped.
+    """Convert float coefficients, constant first, to integers times a common scale that is dropped.
 
     Raises:
         DiscriminationError: a coefficient is not finite.
@@ -59,13 +59,13 @@ def multiply(left: Polynomial, right: Polynomial) -> Polynomial:
 
 
 def trim(column: Column) -> Column:
-    """Without the highest powers that no polynomial has, nor the lowest: common roots at ∞ and at 0."""
+    """Remove the highest and lowest powers that no polynomial has: common roots at ∞ and at 0."""
     used = [k for k in range(len(column[0])) if any(p[k] for p in column)]
     return [p[used[0] : used[-1] + 1] for p in column] if used else column
 
 
 def trim_top(column: Column) -> Column:
-    """Without the highest powers that no polynomial has: it lowers the degree."""
+    """Remove the highest powers that no polynomial has: this lowers the degree."""
     top = max(k for k in range(len(column[0])) if any(p[k] for p in column))
     return [p[: top + 1] for p in column]
 
@@ -73,8 +73,8 @@ def trim_top(column: Column) -> Column:
 def to_half_plane(column: Column) -> Column:
     """Polynomials in z as polynomials in w, z = (1 + w)/(1 − w), all times (1 − w)^n.
 
-    The unit disc becomes the left half plane, z = 1 becomes w = 0 and z = −1 becomes w = ∞. Both ends of
-    the frequency axis are then where powers of w resolve best, as slow poles near z = 1 need it.
+    The unit disc becomes the left half plane, z = 1 becomes w = 0 and z = −1 becomes w = ∞. Powers of w then
+    resolve best at both ends of the frequency axis, as slow poles near z = 1 require.
     """
     degree = len(column[0]) - 1
     basis = _half_plane_basis(degree)
@@ -109,7 +109,7 @@ def even_part(column: Column) -> Polynomial:
 
 
 def split(column: Column) -> tuple[FloatArray, FloatArray]:
-    """Coefficients as unevaluated sums of two floats, shape (polynomials, n + 1) each, largest near 1."""
+    """Coefficients as unevaluated sums of two floats, shape (polynomials, n + 1) each, the largest near 1."""
     scale = 1 << max(abs(c).bit_length() for p in column for c in p)
     high = np.zeros((len(column), len(column[0])))
     low = np.zeros_like(high)

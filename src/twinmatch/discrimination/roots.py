@@ -1,7 +1,7 @@
-"""Roots of a polynomial with integer coefficients, as accurate as their use demands.
+"""Roots of a polynomial with integer coefficients, refined where float accuracy is not enough.
 
-Two roots closer to each other than the square root of rounding come out of a float eigenvalue solver with no
-correct distance between them. Where that may hide a resonance they are computed once more with 50 digits.
+A float eigenvalue solver cannot resolve two roots closer than the square root of the rounding error. Where
+that may hide a resonance, the roots are computed again with 50 digits.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def roots_of_even_part(polynomial: Polynomial) -> NDArray[np.complex128]:
 
 
 def _refined(polynomial: Polynomial, starts: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Simultaneous iteration after Ehrlich and Aberth; the roots keep each other apart."""
+    """Simultaneous iteration of Ehrlich and Aberth, in which the roots repel each other."""
     with localcontext(Context(prec=50)):
         powers = [Decimal(c) for c in reversed(polynomial)]
-        # a pair of conjugates that came out real could never leave the axis
+        # a conjugate pair computed as real could never leave the axis
         at = [(Decimal(r.real), Decimal(r.imag + 1e-9 * abs(r) * (k + 1))) for k, r in enumerate(starts)]
         for _ in range(SWEEPS):
             moved = Decimal(0)

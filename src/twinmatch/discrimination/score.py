@@ -1,4 +1,4 @@
-"""The four criteria of a model on measured data, per output and in total, and the order they choose."""
+"""The four criteria of a model on measured data, per output and in total, and the order that they choose."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ __all__ = ["Criteria", "OrderScore", "choose_order", "common_order", "score"]
 
 @dataclass(frozen=True)
 class Criteria:
-    """What the criteria say of one output, or of both together."""
+    """The criteria of one output, or of both together."""
 
     trivial_length: int
-    """l(t), characters: the program that reads the measured table."""
+    """l(t), characters: the program that prints the measured table."""
     model_length: int
-    """l(p), characters: the model's program and the table of what it leaves unexplained."""
+    """l(p), characters: the model's program and the table of its residuals."""
     gain: int
     """Information gain l(t) − l(p), characters; larger is better."""
     explanation: float
@@ -35,10 +35,10 @@ class Criteria:
     bic: float
     mdl: float
     two_part_length: float = math.nan
-    """l(p) with the parameters written down too, characters (`two_part_length`); NaN where not computed."""
+    """l(p) including the parameters, characters (`two_part_length`); NaN where not computed."""
 
     def __add__(self, other: Criteria) -> Criteria:
-        """Both outputs together: lengths and criteria add, as in the paper's table."""
+        """Combine two outputs: lengths and criteria add, as in the paper's table."""
         trivial = self.trivial_length + other.trivial_length
         gain = self.gain + other.gain
         return Criteria(
@@ -60,10 +60,10 @@ class OrderScore:
     order: str
     y: Criteria
     u: Criteria | None
-    """None where the loop is not known: the input is given then, and nobody foretells it."""
+    """None where the loop is not known: then the input is given, not predicted."""
     total: Criteria
     aic_difference: float = math.nan
-    """AIC of both outputs together above that of the best order, 0 for the best; NaN where not computed."""
+    """AIC of both outputs together minus that of the best order; NaN where not computed."""
     weight: float = math.nan
     """Akaike weight of this order among those scored beside it, 0 to 1; NaN where not computed."""
 
@@ -74,9 +74,9 @@ def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: floa
     Args:
         model: set-point to output and to input, or input to output.
         window: measured samples.
-        decimals: places the tables of the information gain are written with.
+        decimals: decimal places of the tables of the information gain.
         absolute: added to outputs in these tables (`Output.absolute`): the published lengths show that
-            they hold kelvin (paper, table IV).
+            the tables are in kelvin (paper, table IV).
     """
     if model.u is None:
         level = operating_level(window, driven=True)
@@ -91,7 +91,7 @@ def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: floa
 
 
 def choose_order(scores: Sequence[OrderScore]) -> str:
-    """The order most criteria prefer in total; of equals the lowest, as Occam would have it."""
+    """The order preferred by most criteria in total; of equals the lowest, by Occam's razor."""
     best = [max(scores, key=lambda s: s.total.gain).order]
     for name in ("naic", "bic", "mdl"):
         best.append(min(scores, key=lambda s: float(getattr(s.total, name))).order)
@@ -99,7 +99,7 @@ def choose_order(scores: Sequence[OrderScore]) -> str:
 
 
 def common_order(chosen: Sequence[str]) -> str:
-    """The order most candidates chose, of equals the lowest.
+    """The order chosen by most candidates; of equals the lowest.
 
     Models of different orders differ by more than their twins do, so the ν-gap compares one order
     throughout, as the paper does.

@@ -1,9 +1,9 @@
-"""Kernels: how the chordal distance of two models moves when their frequency responses are disturbed.
+"""Kernels: how the chordal distance of two models changes when their frequency responses are perturbed.
 
 At one frequency the distance is the length of a complex vector, v = minors of [1 P1; 1 P2] over both lengths.
-A disturbance moves it to v + e. If the truth were t·v, an estimate would be the largest |t·v + e| over the
-frequencies, and |t·v + e|² = a t² + b t + c with a = |v|², b = 2 Re v*e, c = |e|². These three are all that
-has to be kept of a pair to see what estimates any truth t·v would give.
+A perturbation moves it to v + e. If the true vector were t·v, the estimate would be the largest |t·v + e|
+over the frequencies, and |t·v + e|² = a t² + b t + c with a = |v|², b = 2 Re v*e, c = |e|². These three
+coefficients per pair are enough to compute the estimates for any true t·v.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["directions", "disturbed_pair", "estimates", "failing_draws", "fittin
 Complex = NDArray[np.complex128]
 
 HALVINGS = 7
-"""Of the interval that holds a scale: finer than a hundred draws make it."""
+"""Halvings of the interval that contains a scale: finer than a hundred draws resolve."""
 
 
 @compiled
@@ -48,14 +48,14 @@ def disturbed_pair(
     """The coefficients a, b and c of one pair.
 
     Args:
-        still1: direction of the one model, shape (frequencies, 1 + outputs).
-        still2: of the other.
-        moved1: of the one in every draw, shape (draws, frequencies, 1 + outputs).
-        moved2: of the other.
+        still1: unperturbed direction of the first model, shape (frequencies, 1 + outputs).
+        still2: that of the second model.
+        moved1: direction of the first model in every draw, shape (draws, frequencies, 1 + outputs).
+        moved2: that of the second model.
 
     Returns:
-        Shapes (frequencies,), (frequencies, draws) and (frequencies, draws): draws lie side by side, so that
-        a machine takes several at once.
+        Shapes (frequencies,), (frequencies, draws) and (frequencies, draws): draws are contiguous in memory,
+        so that they can be vectorised.
     """
     draws, points, rows = moved1.shape
     a = np.zeros(points)
@@ -75,7 +75,7 @@ def disturbed_pair(
 
 @compiled
 def turn(direction1: Complex, direction2: Complex) -> float:
-    """By how much the inner product of two models' directions turns over the frequencies, radians."""
+    """Total phase change of the inner product of two models' directions over the frequencies, radians."""
     total, before = 0.0, 0j
     for w in range(direction1.shape[0]):
         inner = 0j
@@ -98,13 +98,13 @@ def failing_draws(
 ) -> NDArray[np.bool_]:
     """In which draws the winding condition fails at any operating point, shape (draws,).
 
-    It cannot change while the distance stays below 1 on the way, and it changes with the turn of the inner
-    product.
+    The condition cannot change while the distance stays below 1 along the perturbation; a change shows in the
+    phase of the inner product.
 
     Args:
-        a: of `disturbed_pair`, the frequencies of one operating point after the other.
+        a: from `disturbed_pair`, the frequencies of one operating point after the other.
         c: likewise.
-        still: directions of the two models, shape (frequencies, 1 + outputs).
+        still: unperturbed directions of the two models, shape (frequencies, 1 + outputs).
         moved: the same in every draw, shape (draws, frequencies, 1 + outputs).
         failed: whether the condition fails at each operating point without the draws, shape (points,).
     """
@@ -145,10 +145,10 @@ def estimates(
 
 
 @compiled
-def _reaching(  # noqa: PLR0917
+def _count_reaching(  # noqa: PLR0917
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float, seen: float
 ) -> int:
-    """In how many draws `estimates` is `seen` or more."""
+    """Number of draws in which `estimates` is `seen` or more."""
     return int(np.sum(estimates(which, a, b, c, scale) >= seen))
 
 
@@ -156,9 +156,9 @@ def _reaching(  # noqa: PLR0917
 def fitting_scales(
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, tail: float
 ) -> tuple[float, float]:
-    """Least and largest t such that what was estimated is no rare estimate of t·v: tail to 1 − tail.
+    """Least and largest t for which the actual estimate lies between the quantiles tail and 1 − tail of t·v.
 
-    What was estimated is the sum over the pairs of the largest |v|.
+    The actual estimate is the sum over the pairs of the largest |v|.
     """
     seen, most = 0.0, 0.0
     for p in which:
@@ -166,14 +166,14 @@ def fitting_scales(
         most += math.sqrt(c[p].max())
     draws = b.shape[2]
     rare = int(tail * draws)
-    # beyond these no draw could bring the estimate to what was seen
+    # beyond these limits no draw reaches the actual estimate
     widest = 2 * most / max(seen, 1e-300)
     low, high = max(0.0, 1.0 - widest), 1.0
-    if low == 0.0 and _reaching(which, a, b, c, 0.0, seen) > rare:
+    if low == 0.0 and _count_reaching(which, a, b, c, 0.0, seen) > rare:
         high = 0.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if _reaching(which, a, b, c, middle, seen) > rare:
+        if _count_reaching(which, a, b, c, middle, seen) > rare:
             high = middle
         else:
             low = middle
@@ -181,7 +181,7 @@ def fitting_scales(
     low, high = 1.0, 1.0 + widest
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if _reaching(which, a, b, c, middle, seen) < draws - rare:
+        if _count_reaching(which, a, b, c, middle, seen) < draws - rare:
             low = middle
         else:
             high = middle

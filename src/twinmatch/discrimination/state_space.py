@@ -1,7 +1,7 @@
 """State-space models as columns of polynomials, in exact arithmetic.
 
-The method of Faddeev and LeVerrier is useless in floats and perfect in integers: every division in it is
-exact. A model of order 10 takes some milliseconds, once.
+The method of Faddeev and LeVerrier is inaccurate in floats but exact in integers: every division in it has
+no remainder. A model of order 10 takes some milliseconds, once.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
 
 
 def _integers(matrix: FloatArray) -> tuple[Any, int]:
-    """A matrix times the smallest power of two that makes it whole, and that power."""
+    """A matrix times the smallest power of two that makes its entries integers, and that power."""
     if not np.isfinite(matrix).all():
         msg = (
             f"model: a state-space matrix {np.asarray(matrix).tolist()} is not finite; it cannot be compared"

@@ -1,17 +1,18 @@
-"""How sure the ν-gaps of a family are, and with them its choice.
+"""Uncertainty of the ν-gaps of a family, and of the choice that rests on them.
 
-What is uncertain is what the matches left open: their parameters come with a covariance. Draws of it (fixed
-seed) move the frequency response of every plant at every operating point to first order, which stays
-meaningful along the valley in which parameters trade off: a straight line through parameters leaves it, its
-tangent does not. The exact ν-gaps stand in the middle; only their spread is computed so. A candidate that was
-given, not matched, has no covariance and is taken as exact.
+The uncertainty is that of the matches: their parameters come with a covariance. Draws from it (fixed seed)
+perturb the frequency response of every plant at every operating point to first order. Parameters that trade
+off lie in a curved valley: to first order, a step along its tangent hardly changes the response, whereas
+simulating with the stepped parameters would change it. The exact ν-gaps are kept as centres; only their
+spread is computed from the draws. A candidate that was given, not matched, has no covariance and counts as
+exact.
 
-A ν-gap is a largest distance, and noise makes distances longer: two twins of one plant are matched some way
-apart, and draws around the matches are farther apart still. Their percentiles would leave the truth out.
-So the interval is that of a test (Neyman): it holds the gaps t·δ for which the δ that was found is neither
-among the smallest nor the largest twentieth of what would then be found, plants moved apart in proportion.
+A ν-gap is a maximum, and noise biases it upwards: matches of one plant differ a little, and draws around
+them differ more. Percentiles of the draws would exclude the true value. So the interval is that of a test
+(Neyman): it holds the gaps t·δ for which the estimate δ is neither among the smallest nor among the largest
+twentieth of the estimates expected for t·δ.
 
-Not in it: what no parameters of a structure can describe.
+Model errors that no parameters of a structure can describe are not included.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from twinmatch.signals import FloatArray
 __all__ = ["CONFIDENCE", "FamilyUncertainty", "Uncertain", "family_uncertainty"]
 
 CONFIDENCE = 0.9
-"""Of the intervals, both sides together."""
+"""Confidence of the intervals, both sides together."""
 
 TAIL = (1 - CONFIDENCE) / 2
 
@@ -49,24 +50,24 @@ SEED = 2000
 
 @dataclass(frozen=True, eq=False)
 class Uncertain:
-    """Parameters, and what their match left open."""
+    """Parameters with the covariance of their match."""
 
     parameters: Parameters
     free: tuple[str, ...] = ()
     """Names of those that were fitted."""
     covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """Of these, in their units, shape (n, n); empty: they are exact."""
+    """Covariance of these, in their units, shape (n, n); empty: they are exact."""
 
     @property
     def loose(self) -> tuple[str, ...]:
-        """Names of the parameters that a draw moves."""
+        """Names of the parameters that vary in the draws."""
         return self.free if len(self.covariance) else ()
 
     def root(self) -> FloatArray:
-        """L with L·Lᵀ the covariance, shape (n, n), what nothing tells of as uncertain as its scale.
+        """L with L·Lᵀ the covariance, shape (n, n); undetermined directions have their scale as uncertainty.
 
         Raises:
-            DiscriminationError: the covariance has another shape, or an entry that is no number.
+            DiscriminationError: the covariance has another shape, or an entry that is not a number.
         """
         scales = np.array([self.parameters.model.declared[name].scale for name in self.loose])
         wrong = len(self.covariance) and self.covariance.shape != (scales.size, scales.size)
@@ -79,7 +80,7 @@ class Uncertain:
         if not scales.size:
             return np.zeros((0, 0))
         relative = self.covariance / np.outer(scales, scales)
-        if not np.isfinite(relative).all():  # the match saw no end of some combination
+        if not np.isfinite(relative).all():  # the match left some combination unbounded
             return np.diag(scales)
         values, vectors = np.linalg.eigh((relative + relative.T) / 2)
         values = np.maximum(values, 0.0)
@@ -88,10 +89,10 @@ class Uncertain:
 
 @dataclass(frozen=True, eq=False)
 class FamilyUncertainty:
-    """90 % intervals of a family's ν-gaps and their sums, and who is nominal how probably."""
+    """90 % intervals of a family's ν-gaps and their sums, and the probabilities of being nominal."""
 
     nu_gap_low: FloatArray
-    """Lower ends, shape (n, n), symmetric with a zero diagonal, as the upper ends are."""
+    """Lower ends, shape (n, n), symmetric with a zero diagonal, like the upper ends."""
     nu_gap_high: FloatArray
     sum_low: FloatArray
     """Lower ends for the column sums, shape (n,)."""
@@ -108,23 +109,23 @@ def family_uncertainty(
     plant: Parameters | None = None,
     seed: int = SEED,
 ) -> FamilyUncertainty:
-    """Intervals and probabilities from what the matches left open.
+    """Compute intervals and probabilities from the covariances of the matches.
 
     Args:
         twins: the candidates.
-        gaps: between their plants.
-        terms: on which they are held.
-        plant: the plant as it is now; of two candidates, whose sums are always equal, the one nearer to it
+        gaps: ν-gaps between their plants.
+        terms: the loop in which they are held.
+        plant: the plant as it is now; two candidates always have equal sums, so the one nearer to the plant
             counts as nominal.
-        seed: of the draws; the same seed gives the same bits.
+        seed: seed of the draws; the same seed gives the same bits.
 
     Raises:
-        DiscriminationError: no twin, gaps of another number, or a covariance that does not go with the
+        DiscriminationError: no twin, gaps of another shape, or a covariance that does not fit the
             parameters.
     """
     n = len(twins)
     if not n or gaps.at.shape[1:] != (n, n):
-        msg = f"uncertainty: {n} twins and ν-gaps of shape {gaps.at.shape}; give one at least, (points, n, n)"
+        msg = f"uncertainty: {n} twins and ν-gaps of shape {gaps.at.shape}; give at least one, (points, n, n)"
         raise DiscriminationError(msg)
     family = _Family.of(twins, gaps, terms, seed)
     low, high = np.zeros((n, n)), np.zeros((n, n))
@@ -148,7 +149,7 @@ class _Sum:
     low: float
     high: float
     draws: FloatArray
-    """What the sum may be, shape (draws,)."""
+    """Draws of the sum, shape (draws,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +179,7 @@ class _Family:
         return cls(first, second, gaps.matrix[first, second], a, b, c, fails)
 
     def interval(self, pair: int) -> tuple[float, float]:
-        """Of one ν-gap."""
+        """Interval of one ν-gap."""
         gap = float(self.gaps[pair])
         if gap == 1:
             return float(np.quantile(self._whole(pair), TAIL)), 1.0
@@ -189,13 +190,13 @@ class _Family:
         return least * gap, 1.0 if reaches else min(1.0, most * gap)
 
     def sum_of(self, candidate: int) -> _Sum:
-        """Of one candidate's sum: pairs that fail the winding condition have a spread of their own."""
+        """Interval and draws of one candidate's sum; pairs failing the winding condition count separately."""
         own = np.flatnonzero((self.first == candidate) | (self.second == candidate))
-        wound, rest = own[self.gaps[own] == 1], own[self.gaps[own] < 1]
+        winding_failed, rest = own[self.gaps[own] == 1], own[self.gaps[own] < 1]
         draws = np.zeros(DRAWS)
-        for pair in wound:
+        for pair in winding_failed:
             draws += self._whole(pair)
-        low, high = float(np.quantile(draws, TAIL)), float(wound.size)
+        low, high = float(np.quantile(draws, TAIL)), float(winding_failed.size)
         if rest.size:
             total = float(self.gaps[rest].sum())
             least, most = fitting_scales(rest, self.a, self.b, self.c, TAIL)
@@ -204,7 +205,7 @@ class _Family:
         return _Sum(low, high, draws)
 
     def distance(self, pair: int) -> FloatArray:
-        """What one ν-gap may be, shape (draws,)."""
+        """Draws of one ν-gap, shape (draws,)."""
         gap = float(self.gaps[pair])
         return self._whole(pair) if gap == 1 else _recentred(self._whole(pair), gap)
 
@@ -217,12 +218,12 @@ class _Family:
 
 
 def _recentred(draws: FloatArray, estimate: float) -> FloatArray:
-    """Draws moved onto the estimate: the noise in them makes every distance longer, and some by more."""
+    """Shift draws so that their median is the estimate: noise biases distances upwards."""
     return draws + (estimate - float(np.median(draws)))
 
 
 def _shares(draws: FloatArray) -> FloatArray:
-    """How often each row is the smallest, shape (n,)."""
+    """Share of the draws in which each row is the smallest, shape (n,)."""
     found = np.bincount(np.argmin(draws, axis=0), minlength=len(draws))
     return np.asarray(found / draws.shape[1], dtype=np.float64)
 
@@ -230,9 +231,9 @@ def _shares(draws: FloatArray) -> FloatArray:
 def _nearer(
     twins: Sequence[Uncertain], plant: Parameters, points: Sequence[float], terms: Held, seed: int
 ) -> FloatArray:
-    """How often each of two candidates is the nearer to the plant, shape (2,)."""
-    everyone = [*twins, Uncertain(plant)]
-    family = _Family.of(everyone, plant_gaps([t.parameters for t in everyone], points, terms), terms, seed)
+    """Share of the draws in which each of two candidates is nearer to the plant, shape (2,)."""
+    all_twins = [*twins, Uncertain(plant)]
+    family = _Family.of(all_twins, plant_gaps([t.parameters for t in all_twins], points, terms), terms, seed)
     to_plant = np.flatnonzero(family.second == 2)
     return _shares(np.array([family.distance(int(p)) for p in to_plant]))
 
@@ -240,10 +241,10 @@ def _nearer(
 def _directions(
     twin: Uncertain, points: Sequence[float], terms: Held, rng: np.random.Generator
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Directions of a twin's plant, the frequencies of one operating point after the other, and as the draws
-    move them; shapes (frequencies, 2) and (draws, frequencies, 2).
+    """Directions of a twin's plant, the frequencies of one operating point after the other, unperturbed and
+    in every draw; shapes (frequencies, 2) and (draws, frequencies, 2).
 
-    Without a point it has no plant that could move.
+    Without an operating point both are those of a zero response.
     """
     root = twin.root()
     draws = rng.standard_normal((DRAWS, len(root))) @ root.T

@@ -1,4 +1,4 @@
-"""What is published: the family's scores, the nominal candidate, and how far to trust it."""
+"""The published verdict: the family's scores, leader and nominal candidate, and how far to trust them."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from twinmatch.dynamics import Parameters
 __all__ = ["ADMITTED", "REFUSED", "CandidateScore", "ForecastScore", "TrustLevel", "Verdict", "nominal_of"]
 
 ADMITTED: Final = "admitted"
-"""The match is a candidate of the family now."""
+"""The match is now a candidate of the family."""
 REFUSED: Final = "refused"
-"""The gate, a fault of the plant or the lack of models kept it out; the verdict's reason says which."""
+"""The gate, a fault of the plant or missing models kept it out; the verdict's reason says which."""
 
 
 class TrustLevel(Enum):
     """How far to trust the leader, from the newest window."""
 
     UNKNOWN = "unknown"
-    """There is no candidate yet, or nothing has come of what it foretold."""
+    """There is no candidate yet, or none of its forecasts could be compared yet."""
     TRUSTED = "trusted"
-    """What came lies in the bands that were given before."""
+    """The samples lie in the bands forecast for them."""
     DOUBTFUL = "doubtful"
-    """What came lies outside, or a window cannot be explained; `miss_since` says since when."""
+    """The samples lie outside, or a window cannot be explained; `miss_since` says since when."""
     FAULT = "fault"
-    """No parameters explain what the plant does; look at the plant."""
+    """No parameters explain what the plant does; check the plant."""
 
 
 @dataclass(frozen=True)
@@ -40,20 +40,20 @@ class CandidateScore:
     """In the output's unit."""
     parameters: Parameters
     first: int
-    """First sample of the window it was matched on; equal to `last` + 1 for one that was given."""
+    """First sample of the window it was matched on; `last` + 1 if it was given."""
     last: int
     orders: tuple[OrderScore, ...]
-    """Every order, scored on the measured window the candidate was matched on."""
+    """Scores of every order on the measured window on which the candidate was matched."""
     chosen_order: str
     nu_gap_sum: float
     """Column sum of `Verdict.nu_gap`."""
     newest: Criteria | None
-    """The family's order scored on the newest window that excited the loop, both outputs together."""
+    """Score of the family's order on the newest window with excitation, both outputs together."""
     nu_gap_to_plant: float | None
-    """Largest ν-gap, over the family's operating points, between this plant and the plant as the newest
-    samples show it."""
+    """Largest ν-gap, over the family's operating points, between this plant and the plant matched to the
+    newest samples."""
     margin: float | None = None
-    """Stability margin b(P, C) of the running controller on this candidate's plant, 0 to 1."""
+    """Stability margin b(P, C) of the running controller with this candidate's plant, 0 to 1."""
     plant_gap_to_nominal: float | None = None
     """ν-gap from the nominal candidate's plant to this one's, input to output, scaled as `margin`."""
     nu_gap_low: tuple[float, ...] = ()
@@ -64,30 +64,30 @@ class CandidateScore:
     """Lower end of the 90 % interval of `nu_gap_sum`; NaN where not computed, as for the two below."""
     nu_gap_sum_high: float = math.nan
     nominal_probability: float = math.nan
-    """Probability, given what the matches leave open, of having the smallest ν-gap sum."""
+    """Probability, given the uncertainty of the matches, of having the smallest ν-gap sum."""
     identified_gap_sum: float = math.nan
     """Column sum of `Verdict.identified_gap`; NaN where not computed."""
     identified_gap_to_plant: float | None = None
-    """ν-gap from its model of the family's order to that identified on the newest measured window."""
+    """ν-gap from its model of the family's order to the one identified on the newest measured window."""
 
 
 @dataclass(frozen=True)
 class ForecastScore:
-    """What the forecasts of one candidate have been worth."""
+    """How well one candidate has forecast."""
 
     name: str
     parameters: Parameters
     first: int
-    """First sample of what it was fitted to; equal to `last` + 1 for one that was given."""
+    """First sample of the data it was fitted to; `last` + 1 if it was given."""
     last: int
     gain: float
-    """Characters its forecasts of output and input have saved, against saying that nothing changes; the mean
-    over forecasts, those long ago counting less, summed over the horizons. NaN before one could be compared
-    with what came."""
+    """Characters that its forecasts of output and input have saved compared with a forecast of no change: the
+    mean over forecasts, older ones weighted less, summed over the horizons. NaN before one could be compared
+    with the samples."""
     gains: tuple[float, ...]
-    """The same at each horizon."""
+    """The gain at each horizon."""
     forecasts: float
-    """How many forecasts that is the mean of."""
+    """Effective number of forecasts in that mean."""
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,13 @@ class Verdict:
     """One judgement of the family."""
 
     sample: int
-    """Index of the sample that set it off."""
+    """Index of the sample that triggered it."""
     first: int
     last: int
-    """The window it looked at."""
+    """Last sample of the window that was judged; `first` is its first."""
     level: TrustLevel
     stands: bool
-    """True when the window identified nothing and the scores are those of the verdict before."""
+    """Whether nothing could be identified from the window and the scores are those of the verdict before."""
     nominal: str | None
     """Name of the candidate with the smallest ν-gap sum."""
     reason: str
@@ -110,70 +110,70 @@ class Verdict:
     """Decimal places of the tables in the information gain."""
     candidates: tuple[CandidateScore, ...]
     order: str | None
-    """The order most candidates chose; `identified_gap` compares their models of this order."""
+    """The order chosen by most candidates; `identified_gap` compares their models of this order."""
     nu_gap: tuple[tuple[float, ...], ...]
     """Largest ν-gap between the candidates' plants over `nu_gap_points`, in the order of `candidates`."""
     driven_rms_y: float
-    """RMS over the newest samples of measured minus driven-twin output; NaN without a nominal."""
+    """RMS over the newest samples of measured minus driven twin's output; NaN without a nominal."""
     closed_rms_u: float
-    """RMS over the same samples of measured minus closed-loop-twin input; NaN without a nominal."""
+    """RMS over the same samples of measured minus closed-loop twin's input; NaN without a nominal."""
     nu_gap_points: tuple[float, ...] = ()
     """Operating points at which the candidates' plants are compared, in the output's unit."""
     identified_gap: tuple[tuple[float, ...], ...] = ()
-    """ν-gap between the models identified on the candidates' twins, as in the paper; in the same order."""
+    """ν-gaps between the models identified on the candidates' twins, as in the paper; in the same order."""
     match: str = ""
-    """What became of the window's match: `ADMITTED`, `REFUSED`, or nothing where none was to be made."""
+    """Result of the window's match: `ADMITTED`, `REFUSED`, or empty if none was requested."""
     dismissed: tuple[str, ...] = ()
-    """Names of the candidates that left with this verdict: matched while the fault already showed."""
+    """Names of the candidates removed with this verdict: matched while the fault already showed."""
     decided: bool = False
-    """Whether the data tell who leads: `leader_confidence` is 0.9 or more."""
+    """Whether the data decide who leads: `leader_confidence` is 0.9 or more."""
     certainty: str = ""
-    """Plain words: how sure the leader is, how sure the nominal, and which candidates the running controller
-    holds for."""
+    """A sentence on how certain leader and nominal are, and which candidates the running controller is
+    guaranteed to hold."""
     fault: str = ""
     """Name of the fault a health monitor found in the plant; empty for none."""
     fault_since: int | None = None
     """Index of the sample since which that fault shows; None without a fault."""
     structure: str = ""
-    """Name of the plant structure that the samples pay for; empty before the first comparison."""
+    """Name of the plant structure that the samples support; empty before the first comparison."""
     structure_parameters: Parameters | None = None
-    """The plant as that structure has it."""
+    """Parameters fitted in that structure."""
     leader: str | None = None
-    """Name of the candidate whose forecasts have saved the most characters: the twin to ask what comes."""
+    """Name of the candidate whose forecasts have saved the most characters: the one to use for forecasts."""
     leader_confidence: float = math.nan
-    """How often the leader's error of the longest horizon was, so far, within 3 % of the best candidate's in
-    hindsight; NaN without a leader."""
+    """Share of the forecasts so far in which the leader's error at the longest horizon was within 3 % of the
+    best candidate's in hindsight; NaN without a leader."""
     miss_y: float = math.nan
-    """RMS over the newest samples of output minus forecast, in half widths of the band that the leader gave
-    before them; NaN where none was given."""
+    """RMS over the newest samples of output minus forecast, in half widths of the leader's band; NaN if there
+    was no forecast."""
     miss_u: float = math.nan
-    """The same of the input."""
+    """The same for the input."""
     inside_y: float = math.nan
-    """Share of those samples whose output lay in the band; 0.9 is promised."""
+    """Share of those samples with the output inside the band; 0.9 is expected."""
     inside_u: float = math.nan
     miss_since: int | None = None
-    """Index of the first sample of the stretch in which what came lies outside; None while it does not."""
+    """Index of the first sample of the current stretch outside the bands; None while inside."""
     held_low: float = math.nan
-    """Least output of the levels at which forecasts came true, as far as they hang together; NaN for none."""
+    """Lowest output of the contiguous range of levels at which forecasts held; NaN if there is none."""
     held_high: float = math.nan
-    """Greatest output of these levels."""
+    """Highest output of that range."""
     horizons: tuple[float, ...] = ()
-    """Of the forecasts, s."""
+    """Horizons of the forecasts, s."""
     forecasts: tuple[ForecastScore, ...] = ()
-    """Every candidate that foretells, the leader among them."""
+    """Scores of every candidate that forecasts, including the leader."""
 
     @property
     def modelled(self) -> tuple[CandidateScore, ...]:
-        """The paper's family: candidates that have Box–Jenkins models, first among all, in the order of
-        `identified_gap`. Those behind them are other structures of the plant."""
+        """The paper's family: the candidates with Box–Jenkins models, which come first, in the order of
+        `identified_gap`. The ones after them are other structures of the plant."""
         return tuple(candidate for candidate in self.candidates if candidate.orders)
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:
     """The candidate nearest to the whole family.
 
-    The smallest ν-gap sum names it (paper, section IV-C). Of equal sums (two candidates always have
-    equal ones) the one nearest to the plant as it is now.
+    It has the smallest ν-gap sum (paper, section IV-C); of equal sums (two candidates always have
+    equal ones), it is the one nearest to the plant as it is now.
     """
     if not candidates:
         return None

@@ -1,13 +1,13 @@
 """How strongly the Akaike criterion prefers one order over the others (Burnham and Anderson 2002).
 
 With Δ = AIC − least AIC, exp(−Δ/2) is the likelihood of an order relative to the best, the charge for its
-parameters included; divided by their sum these are the Akaike weights, of which 0.9 means that the order is
-nine times as well supported as all others together. A difference below 2 says next to nothing, one above
-10 leaves an order no support. Both outputs count together: AIC = N·(nAIC of y + nAIC of u) but for a
+parameters included; divided by their sum these are the Akaike weights. A weight of 0.9 means that the order
+is nine times as well supported as all others together. A difference below 2 says next to nothing; one above
+10 leaves an order no support. Both outputs count together: AIC = N·(nAIC of y + nAIC of u) up to a
 constant.
 
 The coefficients were identified on the twin's response and are scored on the plant's: the differences then
-hold that twin against the plant, not only the order, and the weights are a guide more than a probability.
+compare that twin with the plant, not only the orders, and the weights are a guide rather than probabilities.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ __all__ = ["AkaikeWeights", "akaike_weights", "score_orders"]
 
 
 class AkaikeWeights(NamedTuple):
-    """Of models scored on the same data."""
+    """Akaike differences and weights of models scored on the same data."""
 
     differences: FloatArray
     """AIC above the least, shape (n,); 0 for the best."""
     weights: FloatArray
-    """Sum 1, shape (n,)."""
+    """Akaike weights, sum 1, shape (n,)."""
 
 
 def akaike_weights(criteria: ArrayLike) -> AkaikeWeights:
@@ -57,7 +57,7 @@ def akaike_weights(criteria: ArrayLike) -> AkaikeWeights:
 def score_orders(
     models: Sequence[SimoModel], window: Window, decimals: int = 2, *, absolute: float
 ) -> tuple[OrderScore, ...]:
-    """`score` of every order of one candidate, with the Akaike differences and weights among them.
+    """Score every order of one candidate, with the Akaike differences and weights among them.
 
     Raises:
         DiscriminationError: no model, or as `score`.

@@ -1,8 +1,8 @@
 """Kernel: how often the inner product of two graph symbols winds around zero.
 
 With stable spectral factors w of |g|², c = g2* g1/(w2* w1) is the inner product of the normalised symbols:
-|c|² = 1 − κ². Its phase is followed along the axis from 0 to ∞; the steps are cut in half until what lies
-between two points is so close to straight that it cannot pass behind zero.
+|c|² = 1 − κ². Its phase is tracked along the axis from 0 to ∞; steps are halved until the curve between two
+points is so close to its chord that it cannot pass on the other side of zero.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ZERO = 1e-8
 """Below this |c| counts as zero: κ is 1 to the last bit."""
 
 CURVATURE = 3.0
-"""How many times the deviation of a step's middle from its chord must fit between the chord and zero."""
+"""Least distance from the chord to zero, in deviations of a step's midpoint from its chord."""
 
 DEPTH = 60
 
