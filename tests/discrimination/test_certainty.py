@@ -83,16 +83,16 @@ def test_a_clear_choice_is_decided_and_the_controller_holds_all() -> None:
     found = judged(name, factor=1e-4)
     assert found.decided
     assert found.certainty.startswith(
-        f"{name} is nominal with probability above 0.99; the controller holds it"
+        f"{name} is nominal with probability above 0.99; the controller stabilises it"
     )
-    assert "so all candidates (the farthest is 0." in found.certainty
+    assert "which covers all candidates (the farthest is 0." in found.certainty
 
 
 def test_when_the_data_cannot_tell_it_says_so() -> None:
     found = judged(smallest_sum(), factor=100.0)
     assert not found.decided
     assert found.certainty.startswith(
-        f"the data do not tell which candidate is nominal: {smallest_sum()} with probability 0."
+        f"the data do not decide which candidate is nominal: {smallest_sum()} with probability 0."
     )
     chosen = next(c for c in found.candidates if c.name == smallest_sum())
     assert chosen.nominal_probability < 0.9
@@ -110,7 +110,8 @@ def test_a_single_candidate_leaves_no_choice() -> None:
     assert found.decided
     margin = loop_margin(RIGS["50 °C"], 50.0)
     assert found.certainty == (
-        f"50 °C is the only candidate; the controller holds it and every plant within a ν-gap of {margin:.2f}"
+        "50 °C is the only candidate; the controller stabilises it and every plant "
+        f"within a ν-gap of {margin:.2f}"
     )
 
 
@@ -118,7 +119,7 @@ def test_a_controller_that_is_too_hot_holds_nothing() -> None:
     hot = replace(Peltier.loop, proportional=38.57 * 400, integral=1.46877 * 400, derivative=6.66875 * 400)
     found = judged(gains=hot)
     assert [c.margin for c in found.candidates] == [0.0, 0.0, 0.0]
-    assert found.certainty.endswith("; the controller does not hold it")
+    assert found.certainty.endswith("; the controller does not stabilise it")
 
 
 def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
@@ -129,7 +130,7 @@ def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
     found = judge_uncertainty([*candidates[:2], light], family, matrix, "70 °C", TERMS)
     assert found.candidates[2].plant_gap_to_nominal > found.candidates[1].margin > 0
     assert found.candidates[2].margin > 0
-    assert "which does not reach 90 °C (0." in found.certainty
+    assert "which excludes 90 °C (0." in found.certainty
     lighter = replace(candidates[2], parameters=RIGS["90 °C"].replace(heat_capacity=0.4))
     found = judge_uncertainty([*candidates[:2], lighter], family, matrix, "70 °C", TERMS)
     assert found.candidates[2].margin == 0.0
@@ -144,7 +145,9 @@ def test_a_candidate_out_of_reach_has_no_margin() -> None:
     assert found.candidates[0].plant_gap_to_nominal is None
     assert found.candidates[1].margin is not None
     found = judge_uncertainty(candidates, twins(), gaps(twins()), "50 °C", TERMS)
-    assert "the controller has no margin on it, because no input holds it at its set-point" in found.certainty
+    assert (
+        "the controller has no margin for it, because no input holds it at its set-point" in found.certainty
+    )
     assert found.candidates[1].plant_gap_to_nominal is None
 
 

@@ -17,7 +17,7 @@ def present() -> Present:
 
 
 def test_it_is_the_richest_structure_that_is_watched() -> None:
-    found = present().look(recorded(RIG, 1))
+    found = present().fitted(recorded(RIG, 1))
     assert found is not None
     assert found.model.structure_name == "sink with mass, free ambient, switched drive"
 
@@ -25,7 +25,7 @@ def test_it_is_the_richest_structure_that_is_watched() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_its_plant_is_near_the_one_that_was_recorded(seed: int) -> None:
     """Nearer by far than a rig whose plate holds a third more heat."""
-    found = present().look(recorded(RIG, seed))
+    found = present().fitted(recorded(RIG, seed))
     assert found is not None
     other = RIG.replace(heat_capacity=40.0)
     assert apart(found, RIG) < 0.5 * apart(other, RIG)
@@ -34,8 +34,8 @@ def test_its_plant_is_near_the_one_that_was_recorded(seed: int) -> None:
 def test_it_follows_a_plant_that_changes() -> None:
     """From one window to the next the plate has got heavier; each time the newest samples count."""
     now, heavy = present(), RIG.replace(heat_capacity=40.0)
-    first = now.look(recorded(RIG, 4))
-    second = now.look(recorded(heavy, 5))
+    first = now.fitted(recorded(RIG, 4))
+    second = now.fitted(recorded(heavy, 5))
     assert first is not None
     assert second is not None
     assert apart(first, RIG) < apart(first, heavy)
@@ -44,14 +44,14 @@ def test_it_follows_a_plant_that_changes() -> None:
 
 def test_too_few_samples_tell_nothing() -> None:
     now = present()
-    assert now.look(None) is None
-    assert now.look(recorded(RIG, 1).part(0, 40)) is None
+    assert now.fitted(None) is None
+    assert now.fitted(recorded(RIG, 1).part(0, 40)) is None
 
 
 def test_after_a_fault_it_starts_over() -> None:
     now, window = present(), recorded(RIG, 6)
-    first = now.look(window)
-    again = now.look(window)
+    first = now.fitted(window)
+    again = now.fitted(window)
     now.forget()
-    assert now.look(window) == first
+    assert now.fitted(window) == first
     assert again is not None

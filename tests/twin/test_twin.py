@@ -231,7 +231,7 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     assert told.fault == "sensor-implausible"
     assert newest.name in {c.name for c in told.candidates}
     # The same alarm, reaching back into the newest candidate's window.
-    gone = judge._let_go(dataclasses.replace(judge.monitor.alarms[-1], first=newest.last - 3))
+    gone = judge._remove_spoilt(dataclasses.replace(judge.monitor.alarms[-1], first=newest.last - 3))
     assert newest.name in gone
     assert judge.nominal is not None
     after = judge.push_sample(dataclasses.replace(broken, index=broken.index + 1))

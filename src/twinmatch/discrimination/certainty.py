@@ -138,7 +138,7 @@ def _choice(candidates: Sequence[CandidateScore], chosen: int, decided: bool) ->
     others = [c for c in candidates if c.name != name]
     rival = others[int(np.argmax([c.nominal_probability for c in others]))]
     return (
-        f"the data do not determine which candidate is nominal: {name} with probability {_probability(share)}, "
+        f"the data do not decide which candidate is nominal: {name} with probability {_probability(share)}, "
         f"{rival.name} with {_probability(rival.nominal_probability)}"
     )
 

@@ -1,11 +1,10 @@
-"""Samples in, matches and verdicts out: one object for the live nodes and for replay.
+"""The twin engine: takes samples, returns matches and verdicts; shared by the live nodes and by replay.
 
-`Discriminator` keeps schedule and family: it says when parameters are to be matched and judges the
-candidates. `answer` makes a match of such a `MatchRequest`. `Mirror` runs the nominal twin beside the
-plant. `Twin` is the first two on one stream. `choose_structure` says what the plant is made of as far as
-its samples pay for it, and `StructureWatch` asks that again and again. All of them are synchronous and
-depend on nothing but the samples they are given: no clock, no thread, no random state, so a recorded
-session judges itself again exactly.
+`Discriminator` keeps schedule and family: it requests matches and judges the candidates. `answer` carries
+out such a `MatchRequest`. `Mirror` runs the nominal twin beside the plant. `Twin` combines the first two on
+one stream. `choose_structure` finds the plant structure that the samples support, and `StructureWatch`
+repeats that at intervals. All of them are synchronous and depend only on the samples pushed: no clock, no
+thread, no random state, so a replay of a recorded session gives exactly the recorded verdicts.
 """
 
 from __future__ import annotations
@@ -61,14 +60,14 @@ __all__ = [
 
 
 class Outcome(NamedTuple):
-    """What one sample brought about."""
+    """The results of one sample."""
 
     match: MatchReport | None
     verdicts: tuple[Verdict, ...]
 
 
 class Twin:
-    """A discriminator whose requests are answered at once, on one stream of samples."""
+    """A discriminator whose match requests are answered immediately, on one stream of samples."""
 
     def __init__(
         self,
@@ -77,16 +76,16 @@ class Twin:
         *,
         matching: TwinSettings | None = None,
     ) -> None:
-        """Begin with no samples and with the candidates given, if any.
+        """Begin without samples, with the given candidates, if any.
 
-        `matching` are the settings of matches, if they have their own.
+        `matching`: settings for the matches; default: `settings`.
         """
         self.settings = settings or TwinSettings()
         self.discriminator = Discriminator(self.settings, given)
         self._matching = matching or self.settings
 
     def push(self, sample: Sample) -> Outcome:
-        """Take one sample; return the match and the verdicts it sets off."""
+        """Take one sample; return the match and the verdicts that it triggers."""
         step = self.discriminator.push_sample(sample)
         if step.request is None:
             return Outcome(None, step.verdicts)

@@ -1,4 +1,4 @@
-"""Who stands, and what they are worth: matches and structures, their scores, and what they foretell."""
+"""All candidates, from matches and from structure fits, with their scores and forecasts."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from twinmatch.twin.structures import StructureChoice
 __all__ = ["Bench"]
 
 
-class _Looked(NamedTuple):
-    """The newest window that was judged, and the plant's model of it."""
+class _NewestWindow(NamedTuple):
+    """The newest window that was judged, and the model identified on it."""
 
     window: Window
     plant: SimoModel
     now: Parameters | None
-    """The plant as the newest samples show it."""
+    """Parameters of the plant fitted to the newest samples."""
 
 
 class Bench:
-    """All candidates: the family of matches, the structures beside it, and the forecaster that hears them."""
+    """All candidates: the family of matches, the structures beside it, and the forecaster that runs them."""
 
     def __init__(self, settings: TwinSettings, spoilt: Callable[[int, int], bool]) -> None:
-        """Begin with nobody; of stretches that are `spoilt` nothing is learned."""
+        """Begin without candidates; `spoilt(first, last)` excludes stretches from learning."""
         plant, noise, gains, period = settings.plant, settings.noise, settings.gains, settings.period
         self.members = Members(settings)
         self.forecaster = Forecaster(gains, settings.forecasts, spoilt, period)
@@ -45,7 +45,7 @@ class Bench:
         self._contenders = Contenders(others, noise, gains, period)
         self._present = Present(watched(plant), noise, gains)
         self._successors: dict[str, str] = {}
-        self._looked: _Looked | None = None
+        self._newest: _NewestWindow | None = None
 
     @property
     def choice(self) -> StructureChoice | None:
@@ -53,7 +53,7 @@ class Bench:
         return self._structure.choice
 
     def take_in(self, candidate: Candidate, window: Window) -> str:
-        """Admit a match to the family; return a sentence saying so.
+        """Admit a match to the family; return a sentence about it.
 
         Raises:
             TwinmatchError: its twin cannot be run or identified on the window.
@@ -64,56 +64,56 @@ class Bench:
         return self.members.admit(candidate, window)
 
     def watch(self, window: Window, *, excited: bool) -> None:
-        """Look at a window of a healthy plant with all structures."""
+        """Fit all structures to a window of a healthy plant."""
         self._structure.push(window)
         self._contenders.push(window, excited=excited)
 
     def renew(self, first: int) -> None:
-        """Fit structures to samples from `first` on only: the plant has changed there."""
+        """Discard structure-fit samples before `first`, where the plant has changed."""
         self._contenders.renew(first)
 
     def enter(self) -> None:
-        """Let all candidates foretell: the structures, then the matches, the newest first."""
+        """Pass all candidates to the forecaster: the structures, then the matches, newest first."""
         entrants = [Entrant.of(c.candidate, c.states_at) for c in self._contenders.held]
         entrants += [Entrant.of(candidate) for candidate in reversed(self.members.newest)]
         self.forecaster.enter(entrants, self._successors)
         self._successors = {}
 
     def score(self, verdict: Verdict, window: Window) -> Verdict:
-        """The verdict with everyone scored against a window.
+        """Score all candidates on a window; return the updated verdict.
 
         Raises:
             TwinmatchError: no model can be identified on it.
         """
         plant = self.members.model(window)
-        self._looked = _Looked(window, plant, self._present.look(self._structure.history))
-        return self._scored(verdict, self._looked)
+        self._newest = _NewestWindow(window, plant, self._present.fitted(self._structure.history))
+        return self._scored(verdict, self._newest)
 
     def expel(self, verdict: Verdict | None, first: int, last: int) -> tuple[Verdict | None, tuple[str, ...]]:
-        """Let everyone go who was fitted to samples that touch `first` to `last`.
+        """Remove the candidates fitted to samples that overlap `first` to `last`.
 
-        Returns the verdict with those that are left, and the names of those who went.
+        Returns the verdict with the remaining candidates, and the names of those removed.
         """
         gone = self.members.expel(first, last) + self._contenders.expel(first, last)
         self._present.forget()
         self.enter()
-        if not gone or verdict is None or self._looked is None:
+        if not gone or verdict is None or self._newest is None:
             return verdict, gone
         if not len(self.members):
-            nobody = Judged((), None, None, (), (), (), certainty="")
-            return replace(verdict, **nobody._asdict()), gone
-        plant = self.members.model(self._looked.window)
-        return self._scored(verdict, self._looked._replace(plant=plant)), gone
+            nothing = Judged((), None, None, (), (), (), certainty="")
+            return replace(verdict, **nothing._asdict()), gone
+        plant = self.members.model(self._newest.window)
+        return self._scored(verdict, self._newest._replace(plant=plant)), gone
 
-    def let_lead(self, verdict: Verdict) -> Verdict:
-        """The verdict scored again if another structure has come to lead, so that it stands in the family."""
+    def with_leader(self, verdict: Verdict) -> Verdict:
+        """Score the verdict again if the leader is a structure that is not in it."""
         names = {candidate.name for candidate in verdict.candidates}
-        if self._looked is None or not names or self.forecaster.leader in names:
+        if self._newest is None or not names or self.forecaster.leader in names:
             return verdict
-        return self._scored(verdict, self._looked)
+        return self._scored(verdict, self._newest)
 
     def with_forecasts(self, verdict: Verdict) -> Verdict:
-        """The verdict with what the candidates' forecasts are worth."""
+        """Add the scores of the candidates' forecasts to the verdict."""
         forecaster = self.forecaster
         leader, confidence = forecaster.leader, forecaster.confidence
         return replace(
@@ -126,18 +126,18 @@ class Bench:
             forecasts=forecaster.scores,
         )
 
-    def _scored(self, verdict: Verdict, looked: _Looked) -> Verdict:
+    def _scored(self, verdict: Verdict, newest: _NewestWindow) -> Verdict:
         beside = self._beside()
         try:
-            judged = self.members.judge(*looked, beside)
+            judged = self.members.judge(*newest, beside)
         except PlantError:
             if not any(candidate.parameters.model.is_elsewhere for candidate in beside):
                 raise
-            judged = self.members.judge(*looked)
+            judged = self.members.judge(*newest)
         return replace(verdict, **judged._asdict())
 
     def _beside(self) -> list[Candidate]:
-        """The structure that stands beside the matches: of all the one that foretells best."""
+        """The structure to compare with the matches: the one with the best forecasts."""
         held = {contender.candidate.name: contender.candidate for contender in self._contenders.held}
         best = self.forecaster.best_of(held)
         return [] if best is None else [held[best]]

@@ -1,9 +1,9 @@
-"""Structures that compete in the family: each of them fitted again and again to the newest samples.
+"""Structures that compete in the family, each refitted regularly to the newest samples.
 
-A match of three parameters is made on one step of the set-point. What a sink holds, or how warm the room is,
-shows over many: such structures are fitted to the newest forty minutes, from the first excited window on. The
-plant file's typical values count as one observation of each parameter, so that the first minutes do not lead
-into the valley where many parameters fit alike.
+A match of three parameters needs one step of the set-point. The heat stored in a sink, or the temperature of
+the room, shows only over many: such structures are fitted to the newest forty minutes, from the first excited
+window on. The plant file's typical values count as one observation of each parameter, so that during the
+first minutes the fit does not drift along the valley in which many parameters fit equally well.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from twinmatch.twin.history import History
 __all__ = ["Contender", "Contenders"]
 
 LONGEST_S: Final = 2400.0
-"""Newest stretch that is fitted, s."""
+"""Length of the newest stretch that is fitted, s."""
 EVERY_S: Final = 600.0
-"""A fit this old is made anew although nothing moved since, s."""
+"""Age after which a fit is repeated even without excitation, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """A structure as it was fitted last."""
+    """The latest fit of one structure."""
 
     candidate: Candidate
     fit: StructureFit
@@ -38,14 +38,14 @@ class Contender:
     """Index of the newest sample of that fit."""
 
     def states_at(self, sample: int) -> FloatArray | None:
-        """Of the twin at a sample of the fit; None outside."""
+        """States of the twin at a sample of the fit; None outside."""
         states = self.fit.states[-1]
         place = sample - (self.last - len(states) + 1)
         return states[place] if 0 <= place < len(states) else None
 
 
 class Contenders:
-    """Keeps the history and the structures' newest fits; all depends on the windows alone."""
+    """Keeps the history and the structures' latest fits; depends only on the windows."""
 
     def __init__(
         self, models: tuple[Model, ...], noise: Noise, gains: PidGains | None, period: float = 1.0
@@ -54,9 +54,9 @@ class Contenders:
 
         Args:
             models: the plant in each structure that competes.
-            noise: what residuals are measured in.
-            gains: of the running controller; None for a loop that is not known.
-            period: sample time of such a plant, s; a loop has its controller's.
+            noise: unit of the residuals.
+            gains: those of the running controller; None if the loop is not known.
+            period: sample time if the loop is not known, s; otherwise the controller's is used.
         """
         self._models, self._noise, self._gains = models, noise, gains
         period = gains.period if gains is not None else period
@@ -66,7 +66,7 @@ class Contenders:
 
     @property
     def held(self) -> tuple[Contender, ...]:
-        """The contenders that can still be run, the one whose fit is worth most first."""
+        """The contenders that can still be run, best fit first."""
         able = (c for c in self._held.values() if not c.fit.model.lost)
         return tuple(sorted(able, key=lambda c: c.fit.charge))
 
@@ -84,11 +84,11 @@ class Contenders:
         return bool(found)
 
     def renew(self, first: int) -> None:
-        """Forget the samples before `first`; fits stand until there are new ones."""
+        """Forget the samples before `first`; fits stay until new ones replace them."""
         self._history.cut(first)
 
     def expel(self, first: int, last: int) -> tuple[str, ...]:
-        """Forget fits and samples that touch `first` to `last`; return the names of those who go."""
+        """Forget fits and samples that overlap `first` to `last`; return the names of the removed fits."""
         held = self._history.window
         if held is not None and held.last >= first:
             self._history = History(self._history.longest)
@@ -114,7 +114,7 @@ class Contenders:
                 informed=True,
             )
         except TwinmatchError:
-            return None  # too few samples yet, or no fit: the one before stands
+            return None  # too few samples yet, or no fit: the previous one stays
         point = float(np.median(history.output if self._gains is None else history.reference))
         free = model.structure.free
         candidate = Candidate(model.structure_name, point, fit.parameters, history, free, fit.covariance)

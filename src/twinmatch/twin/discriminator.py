@@ -1,4 +1,4 @@
-"""Samples and matches in, verdicts out."""
+"""The discriminator: takes samples and matches, returns verdicts."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ __all__ = ["Discriminator", "Step"]
 
 
 class Step(NamedTuple):
-    """What one sample or match brought about."""
+    """The results of one sample or match."""
 
     verdicts: tuple[Verdict, ...]
-    """In order."""
+    """Verdicts in order."""
     request: MatchRequest | None
-    """A match to be asked for now; its answer is awaited."""
+    """The match to request now; its answer is awaited."""
 
 
-class _Fate(NamedTuple):
-    """What became of a match."""
+class _Decision(NamedTuple):
+    """The decision on a match."""
 
     word: str
     """`ADMITTED` or `REFUSED`."""
@@ -54,11 +54,10 @@ class _Fate(NamedTuple):
 class Discriminator:
     """Judges the family at every trigger of the schedule, and the plant's health at every sample.
 
-    Schedule and family are here and nowhere else. At an excited trigger it asks for the match of that
-    window and waits for the answer; samples that come meanwhile wait behind it. So a request depends on
-    nothing but the samples before it, verdicts come out in one order whenever matches arrive, and live nodes
-    and a replay give the same ones. A fault of the plant is told at once, with a verdict between the
-    triggers.
+    It alone owns schedule and family. At an excited trigger it requests a match of that window and waits for
+    the answer; samples that arrive meanwhile are queued. So a request depends only on the samples before it,
+    the order of verdicts does not depend on when matches arrive, and live nodes and a replay give the same
+    verdicts. A fault of the plant is reported immediately, by a verdict between the triggers.
     """
 
     def __init__(
@@ -67,9 +66,9 @@ class Discriminator:
         given: Sequence[Candidate] = (),
         followed: Callable[[Sample], None] = lambda _: None,
     ) -> None:
-        """Begin with no candidates but those given (their twins are judged on the first excited window).
+        """Begin with the given candidates only (their twins are judged on the first excited window).
 
-        `followed` is called with every sample as soon as all candidates foretell from it.
+        `followed` is called with every sample as soon as all candidates can forecast from it.
         """
         self._followed = followed
         self.settings = settings or TwinSettings()
@@ -88,28 +87,28 @@ class Discriminator:
 
     @property
     def forecaster(self) -> Forecaster:
-        """Of all candidates, at the newest sample of which everything is said."""
+        """The forecaster of all candidates, at the newest settled sample."""
         return self._bench.forecaster
 
     @property
     def request(self) -> MatchRequest | None:
-        """The request whose answer is awaited, if any; it may be sent again, the answer is the same."""
+        """The request whose answer is awaited, if any; sending it again gives the same answer."""
         return self._request
 
     @property
     def settled(self) -> int | None:
-        """Index of the newest sample of which everything is said; None before the first."""
+        """Index of the newest sample with all its verdicts given; None before the first."""
         return self._settled if self._request is None else self._request.sample - 1
 
     @property
     def nominal(self) -> Candidate | None:
-        """The nominal candidate as it stands."""
+        """The current nominal candidate."""
         if self._standing is None or self._standing.nominal is None:
             return None
         return self._bench.members.candidate(self._standing.nominal)
 
     def push_sample(self, sample: Sample) -> Step:
-        """Take one sample; return the verdicts that became due, and the match to ask for."""
+        """Take one sample; return the verdicts now due, and the match to request."""
         self._waiting.append(sample)
         trigger = self._schedule.push(sample)
         if trigger is not None:
@@ -117,9 +116,9 @@ class Discriminator:
         return Step((), None) if self._request is not None else self._settle([])
 
     def push_match(self, report: MatchReport) -> Step:
-        """Take one match; return the verdicts that became due, and the next match to ask for.
+        """Take one match; return the verdicts now due, and the next match to request.
 
-        A match nobody waits for changes nothing: an answer that came twice, or to another who asked.
+        An unexpected match is ignored: a repeated answer, or one to another discriminator.
         """
         if self._request is None or not report.answers(self._request):
             return Step((), None)
@@ -129,32 +128,32 @@ class Discriminator:
         return self._settle([self._judged(trigger, self._admit(trigger, report), report)])
 
     def _settle(self, verdicts: list[Verdict]) -> Step:
-        """Go on until nothing waits, or a match has to be waited for."""
+        """Process the queue until it is empty or a match is needed."""
         while self._waiting:
             item = self._waiting[0]
             if isinstance(item, Sample):
                 self._settled = item.index
-                told = self._watch(item)
+                due = self._watch(item)
                 self.forecaster.push(item)
                 self.forecaster.notes = self._notes()
                 self._followed(item)
-                verdicts += [self._bench.with_forecasts(verdict) for verdict in told]
+                verdicts += [self._bench.with_forecasts(verdict) for verdict in due]
             elif not item.excited:
                 verdicts.append(self._judged(item, None))
             elif (alarm := self.monitor.fault_between(item.window.first, item.window.last)) is not None:
                 reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
-                verdicts.append(self._judged(item, _Fate(REFUSED, reason)))
+                verdicts.append(self._judged(item, _Decision(REFUSED, reason)))
             else:
-                self._request = self._asked(item)
+                self._request = self._new_request(item)
                 break
             self._waiting.popleft()
         return Step(tuple(verdicts), self._request)
 
-    def _asked(self, trigger: Trigger) -> MatchRequest:
-        """What to ask for; the rival is who stands for the regime, as far as the family knows now."""
+    def _new_request(self, trigger: Trigger) -> MatchRequest:
+        """The request for a trigger; its incumbent is the regime's current candidate."""
         with one_thread():
             while self._given:
-                self._take_in(self._given.pop(0), trigger.window)
+                self._admitted(self._given.pop(0), trigger.window)
         rival = self._bench.members.standing_at(trigger.operating_point)
         incumbent = rival.parameters if rival else None
         return MatchRequest(
@@ -166,9 +165,9 @@ class Discriminator:
         )
 
     def _watch(self, sample: Sample) -> list[Verdict]:
-        """Judge the plant's health; return a verdict if a fault has just begun or gone."""
+        """Judge the plant's health; return a verdict if a fault has just begun or ended."""
         if self._recent and sample.index != self._recent[-1].index + 1:
-            if sample.index <= self._recent[-1].index:  # another session: old alarms are not in its count
+            if sample.index <= self._recent[-1].index:  # another session: the old alarms have other indices
                 self.monitor = Monitor(self.monitor.settings)
             self._recent.clear()
         self._recent.append(sample)
@@ -179,53 +178,56 @@ class Discriminator:
             return []
         window = Window.from_samples(list(self._recent), self.settings.period)
         if news.last is not None:
-            return [self._stand(sample.index, window, f"{news.fault.value} is over: the plant obeys again")]
+            reason = f"{news.fault.value} is over: the plant responds normally again"
+            return [self._stand(sample.index, window, reason)]
         with one_thread():
-            gone = self._let_go(news)
+            gone = self._remove_spoilt(news)
         return [replace(self._stand(sample.index, window, news.reason), dismissed=gone)]
 
-    def _let_go(self, alarm: Alarm) -> tuple[str, ...]:
-        """Dismiss the candidates that were matched while the fault was already there; return their names."""
-        if alarm.fault in SLOW:  # the plant is another one since then, and obeys
+    def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
+        """Remove the candidates that were matched while the fault was already on; return their names."""
+        if alarm.fault in SLOW:  # the plant has changed since then, but still obeys its drive
             self._bench.renew(alarm.first)
             return ()
         self._standing, gone = self._bench.expel(self._standing, alarm.first, alarm.flagged)
         return gone
 
-    def _judged(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None = None) -> Verdict:
-        """The verdict on a window and what became of its match; None: none was to be made."""
+    def _judged(
+        self, trigger: Trigger, decision: _Decision | None, report: MatchReport | None = None
+    ) -> Verdict:
+        """The verdict on a window and the decision on its match; None if no match was requested."""
         with one_thread():
-            verdict = self._judge(trigger, fate, report)
-        return self._bench.with_forecasts(replace(verdict, match=fate.word if fate else ""))
+            verdict = self._judge(trigger, decision, report)
+        return self._bench.with_forecasts(replace(verdict, match=decision.word if decision else ""))
 
     def _notes(self) -> tuple[str, ...]:
-        """What no forecast can promise at this sample, and which structure takes no part any more."""
+        """Reservations on forecasts at this sample, and structures that no longer take part."""
         lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._elsewhere if model.lost)
-        return (*self._doubts(), *lost)
+        return (*self._reservations(), *lost)
 
-    def _doubts(self) -> tuple[str, ...]:
+    def _reservations(self) -> tuple[str, ...]:
         health, since = self._health, self._promises.since
         if health is not None and health.state is State.FAULT and health.fault is not None:
-            told = f"the plant shows {health.fault.value} since sample {health.since}"
-            return (f"{told}: this is what a healthy plant would do",)
+            fault = f"the plant has shown {health.fault.value} since sample {health.since}"
+            return (f"{fault}: this forecast is for a healthy plant",)
         if since is not None:
-            return (f"what came lies outside the bands since sample {since}: these may not hold",)
+            return (f"readings have been outside the bands since sample {since}: these bands may not hold",)
         return ()
 
     def _spoilt(self, first: int, last: int) -> bool:
         """Whether the plant was known to be at fault between two samples."""
         return self.monitor.fault_between(first, last) is not None
 
-    def _judge(self, trigger: Trigger, fate: _Fate | None, report: MatchReport | None) -> Verdict:
+    def _judge(self, trigger: Trigger, decision: _Decision | None, report: MatchReport | None) -> Verdict:
         sample, window = trigger.sample, trigger.window
         if self.monitor.fault_between(window.first, window.last) is None:
             self._bench.watch(window, excited=trigger.excited)
         self._bench.enter()
-        if fate is None:
+        if decision is None:
             return self._stand(sample, window, trigger.reason)
         if not len(self._bench.members):
-            return self._stand(sample, window, fate.reason)
-        fresh = replace(self._standing or self._nothing(), stands=False, reason=fate.reason)
+            return self._stand(sample, window, decision.reason)
+        fresh = replace(self._standing or self._empty(), stands=False, reason=decision.reason)
         try:
             scored = self._bench.score(fresh, window)
         except TwinmatchError as error:
@@ -235,15 +237,15 @@ class Discriminator:
         return self._standing
 
     def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
-        """The verdict before, marked as standing; only health, residuals and level are new."""
+        """Repeat the previous verdict, marked as such; only health, residuals and level are new."""
         if self._standing is not None:
             with one_thread():
-                self._standing = self._bench.let_lead(self._standing)
-        base = replace(self._standing or self._nothing(), stands=True, reason=reason)
+                self._standing = self._bench.with_leader(self._standing)
+        base = replace(self._standing or self._empty(), stands=True, reason=reason)
         return self._at(base, sample, window)
 
     def _at(self, verdict: Verdict, sample: int, window: Window, *, doubtful: bool = False) -> Verdict:
-        """The verdict with what holds at this sample: window, residuals of the nominal, fault, level."""
+        """Update the verdict for this sample: window, residuals of the nominal, fault, level."""
         found, choice = self._residuals(verdict.nominal, window), self._bench.choice
         promise, held = self._promised(window), self._promises.held or (float("nan"), float("nan"))
         level, fault, since = trust_level(promise, self.settings.limits.doubtful), "", None
@@ -252,7 +254,7 @@ class Discriminator:
         health = self._health
         if health is not None and health.state is State.FAULT and health.fault is not None:
             fault, since = health.fault.value, health.since
-            # A plant that has changed still obeys: its next matches bring the twin up to it.
+            # A plant that has changed still obeys its drive: its next matches adapt the twin.
             level = TrustLevel.DOUBTFUL if health.fault in SLOW else TrustLevel.FAULT
         return replace(
             verdict,
@@ -273,7 +275,7 @@ class Discriminator:
         )
 
     def _promised(self, window: Window) -> Promise:
-        """How the newest samples lie in the bands that the leader gave before them."""
+        """How the newest samples lie in the bands that the leader forecast for them."""
         samples = min(self.settings.schedule.stride, len(window))
         promise = self.forecaster.promise(samples)
         if promise is None:
@@ -282,7 +284,7 @@ class Discriminator:
         self._promises.push(promise, self._recent[-1].index - len(newest) + 1, np.array(newest))
         return promise
 
-    def _nothing(self) -> Verdict:
+    def _empty(self) -> Verdict:
         return Verdict(
             sample=0,
             first=0,
@@ -299,27 +301,27 @@ class Discriminator:
             closed_rms_u=float("nan"),
         )
 
-    def _admit(self, trigger: Trigger, report: MatchReport) -> _Fate:
+    def _admit(self, trigger: Trigger, report: MatchReport) -> _Decision:
         match, window = report.match, trigger.window
         if match.status is not Status.ACCEPTED:
-            return _Fate(REFUSED, f"match refused: {match.reason}")
+            return _Decision(REFUSED, f"match refused: {match.reason}")
         name = f"{report.operating_point:g} {self.settings.plant.output.unit}"
         free, covariance = match.of_parameters()
         candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)
         with one_thread():
-            return self._take_in(candidate, window)
+            return self._admitted(candidate, window)
 
-    def _take_in(self, candidate: Candidate, window: Window) -> _Fate:
+    def _admitted(self, candidate: Candidate, window: Window) -> _Decision:
         try:
-            return _Fate(ADMITTED, self._bench.take_in(candidate, window))
+            return _Decision(ADMITTED, self._bench.take_in(candidate, window))
         except TwinmatchError as error:
-            return _Fate(REFUSED, f"no models of candidate {candidate.name}: {error}")
+            return _Decision(REFUSED, f"no models identified for candidate {candidate.name}: {error}")
 
     def _residuals(self, nominal: str | None, window: Window) -> Residuals:
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
         alarms = self.monitor.alarms
-        over = alarms[-1].last if alarms else None  # what a past fault left is not the twin's
+        over = alarms[-1].last if alarms else None  # residuals during a past fault are not the twin's
         first = max(
             window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
         )
@@ -328,7 +330,7 @@ class Discriminator:
 
 
 def _schedule(settings: TwinSettings) -> Schedule:
-    """By the set-points of a loop that is known; else by the input."""
+    """A schedule by the set-point if the loop is known; otherwise by the input."""
     if settings.gains is None:
         return InputSchedule(settings.schedule, settings.period, settings.regime_width)
     return Schedule(settings.schedule, settings.period)

@@ -1,4 +1,4 @@
-"""What a forecaster has to know of a candidate, and how it holds candidates to their forecasts."""
+"""A candidate as the forecaster takes it, and the settings of the forecasts."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ def _unknown(_: int) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class ForecastSettings:
-    """How far and how often the candidates are held to their forecasts.
+    """Horizons and intervals at which the candidates' forecasts are scored.
 
     Raises:
         ForecastError: a value is not positive.
     """
 
     horizons: tuple[float, ...] = HORIZONS
-    """s"""
+    """Forecast horizons, s."""
     every: float = 30.0
-    """s between two samples from which all candidates foretell."""
+    """Time between two forecasts of all candidates, s."""
     memory: float = 1800.0
-    """s after which a forecast counts for a share of 1/e."""
+    """Time after which the weight of a forecast has fallen to 1/e, s."""
 
     def __post_init__(self) -> None:
         for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):
@@ -42,24 +42,24 @@ class ForecastSettings:
 
 
 class Entrant(NamedTuple):
-    """A candidate as the forecaster takes it."""
+    """The data of a candidate that a forecast needs."""
 
     name: str
     parameters: Parameters
     samples: tuple[int, int]
-    """First and last sample it was fitted to."""
+    """First and last sample to which it was fitted."""
     free: tuple[str, ...] = ()
     covariance: FloatArray | None = None
-    """Of the free parameters."""
+    """Covariance of the free parameters."""
     states_at: Callable[[int], FloatArray | None] = _unknown
-    """Its states at a sample, where they are known."""
+    """Returns its states at a sample, or None where they are unknown."""
 
     @classmethod
     def of(cls, candidate: Candidate, states_at: Callable[[int], FloatArray | None] = _unknown) -> Entrant:
-        """A candidate of the family; one that was given counts as exact."""
+        """Convert a candidate of the family; one that was given counts as exact."""
         window = candidate.window
-        # Where a match saw no end of some combination, what it says of the others cannot be told from that.
-        # Then the parameters count as exact, and the bands are as wide as the errors have been.
+        # Where a match left some combination unbounded, the other variances are unusable, too.
+        # Then the parameters count as exact, and the width of the bands follows from past errors.
         known = len(candidate.covariance) > 0 and bool(np.isfinite(candidate.covariance).all())
         return cls(
             name=candidate.name,

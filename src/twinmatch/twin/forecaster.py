@@ -1,4 +1,4 @@
-"""Every candidate foretells; what came is held against it."""
+"""The forecaster: every candidate forecasts, and its forecasts are compared with the samples."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from twinmatch.twin.snapshot import Snapshot, candidate_called
 
 __all__ = ["Forecaster"]
 
-_RUN_IN_S: Final = (60.0, 300.0)
-"""Newest stretch on which a new candidate follows the plant, s: where its states are known, and where the
-hidden ones have to be found."""
-_SELDOM: Final = 3
-"""Only every third time do bands of those who do not lead learn."""
+_RUN_IN: Final = (60.0, 300.0)
+"""Newest stretch over which a new candidate tracks the plant before use, s: if its states are known, and if
+the hidden ones have to be estimated."""
+_OTHERS_EVERY: Final = 3
+"""The bands of candidates that do not lead learn from every third forecast only."""
 
 
 @dataclass
 class _Twin:
-    """A candidate on its way."""
+    """A candidate with its observer and its bands."""
 
     entrant: Entrant
     follower: Follower
@@ -45,12 +45,12 @@ class _Twin:
 
 
 class Forecaster:
-    """Follows every candidate and holds its forecasts against what came.
+    """Runs every candidate beside the plant and compares its forecasts with the samples.
 
-    At every sample each twin's states are corrected by the reading. Every `every` seconds all of them are put
-    down as they are; when the longest horizon has come, they foretell from there, under the set-points that
-    came meanwhile, and ledger and bands learn from the errors; twins whose loop is not known foretell the
-    output under the inputs that came. All depends on samples and entrants alone.
+    At every sample each twin's states are corrected by the reading. Every `every` seconds the state of all
+    twins is saved; when the samples up to a horizon are there, each twin forecasts them from the saved state,
+    under the actual set-points, and ledger and bands learn from the errors. Twins whose loop is not known
+    forecast the output under the actual inputs. All this depends only on samples and entrants.
     """
 
     def __init__(
@@ -63,11 +63,11 @@ class Forecaster:
         """Begin without candidates.
 
         Args:
-            gains: of the running controller; None for a loop that is not known.
-            settings: horizons and pace.
-            spoilt: whether something is known to have been wrong with the plant between two samples; nothing
-                is learned from such a stretch.
-            period: sample time of a plant whose loop is not known, s; a loop has its controller's.
+            gains: those of the running controller; None if the loop is not known.
+            settings: horizons and intervals.
+            spoilt: whether the plant is known to have been at fault between two samples; nothing is learned
+                from such a stretch.
+            period: sample time if the loop is not known, s; otherwise the controller's is used.
         """
         self.settings = settings or ForecastSettings()
         self._gains, self._spoilt = gains, spoilt
@@ -83,37 +83,37 @@ class Forecaster:
         self._ledger: Ledger | None = None
         self._hindsight = Hindsight(self._kept)
         self._departures: dict[int, Snapshot] = {}
-        self._run_in = tuple(round(stretch / period) for stretch in _RUN_IN_S)
+        self._run_in = tuple(round(stretch / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
         self._pid = None if gains is None else Pid(gains)
         self.notes: tuple[str, ...] = ()
-        """What forecasts cannot promise now, for those who ask."""
+        """Reservations to be shown with forecasts made now."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the candidates, in the order in which ties are decided."""
+        """Names of the candidates, in the order that decides ties."""
         return self._order
 
     @property
     def leader(self) -> str | None:
-        """Whose forecasts have saved most; None without candidates."""
+        """The candidate whose forecasts have saved the most characters; None without candidates."""
         return self.best_of(self._order)
 
     def best_of(self, names: Collection[str]) -> str | None:
-        """Of some candidates the one whose forecasts have saved most; None if none of them is here."""
+        """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
         scores = [score for score in self.scores if score.name in names]
         gains = [-np.inf if np.isnan(score.gain) else score.gain for score in scores]
         return scores[int(np.argmax(gains))].name if scores else None
 
     @property
     def confidence(self) -> float:
-        """How probable it is that the leader is within 3 % of the best in hindsight, as it was before."""
+        """Probability that the leader is within 3 % of the best in hindsight, estimated from the past."""
         return self._hindsight.share
 
     @property
     def scores(self) -> tuple[ForecastScore, ...]:
-        """Of all candidates, in their order."""
+        """Scores of all candidates, in their order."""
         ledger = self._ledger
         if ledger is None:
             return ()
@@ -136,30 +136,30 @@ class Forecaster:
 
     @property
     def sentence(self) -> str:
-        """Who leads and how sure that is, in plain words; empty without candidates."""
+        """A sentence on which candidate leads and how certain that is; empty without candidates."""
         leader = self.leader
         if leader is None:
             return ""
         best = next(score for score in self.scores if score.name == leader)
         if np.isnan(best.gain):
-            return f"{leader} leads as long as no forecast has come true"
-        saved = f"{leader} foretells best: it saves {best.gain:.2f} characters a forecast"
-        return f"{saved}, and in {100 * self.confidence:.0f} % of cases no other was better by more than 3 %"
+            return f"{leader} leads until a forecast can be compared with the samples"
+        saved = f"{leader} forecasts best: it saves {best.gain:.2f} characters per forecast"
+        return f"{saved}, and in {100 * self.confidence:.0f} % of cases no other was more than 3 % better"
 
     def forecasts_of(self, name: str) -> float:
-        """How many forecasts of a candidate could be held against what came, old ones counting less."""
+        """Effective number of a candidate's forecasts that could be scored, older ones weighted less."""
         return 0.0 if self._ledger is None else self._ledger.forecasts(name)
 
     def push(self, sample: Sample) -> None:
-        """Take one sample: follow with every twin, and learn from forecasts whose time has come."""
+        """Take one sample: correct every twin, and learn from the forecasts whose horizon it completes."""
         if self._recent and sample.index != self._recent[-1].index + 1:
-            self._break()
+            self._restart()
         self._recent.append(sample)
         self._visited = min(self._visited[0], sample.output), max(self._visited[1], sample.output)
         if self._pid is not None:
             self._pid.follow(sample.reference, sample.output, sample.input)
         for name, twin in list(self._twins.items()):
-            with self._sparing(name):
+            with self._removing_lost(name):
                 twin.follower.push(sample)
         if self._twins and sample.index % self._stride == 0:
             leader = self.leader
@@ -172,11 +172,11 @@ class Forecaster:
         self._departures.pop(sample.index - self._longest, None)
 
     def enter(self, entrants: Sequence[Entrant], successors: Mapping[str, str] | None = None) -> None:
-        """Set who the candidates are; those that are there with the same parameters just go on.
+        """Set the candidates; those already present with the same parameters continue.
 
         Args:
-            entrants: all candidates; of two that have saved as much, the one named first leads.
-            successors: by the name of a new candidate, whose account it goes on with.
+            entrants: all candidates; of two with equal savings, the one named first leads.
+            successors: by name of a new candidate, the earlier one whose score it inherits.
         """
         if self._ledger is None and entrants:
             plant = entrants[0].parameters.model.plant
@@ -188,7 +188,7 @@ class Forecaster:
             if held is None or held.entrant.parameters != entrant.parameters:
                 earlier = held or self._twins.get((successors or {}).get(entrant.name, ""))
                 try:
-                    held = self._begun(entrant, earlier)
+                    held = self._built(entrant, earlier)
                 except PlantError:
                     if not entrant.parameters.model.is_elsewhere:
                         raise
@@ -202,13 +202,13 @@ class Forecaster:
         self._twins, self._order = twins, tuple(twins)
 
     def snapshot(self) -> Snapshot:
-        """What all candidates know at the newest sample."""
+        """The outlooks of all candidates at the newest sample."""
         if not self._recent:
             return Snapshot()
         return Snapshot(self.leader, {name: self._outlook(name) for name in self._order})
 
     def outlook(self, name: str | None = None) -> Outlook:
-        """What a candidate, or the leader, knows at the newest sample.
+        """The outlook of a candidate, by default the leader, at the newest sample.
 
         Raises:
             ForecastError: there is no candidate yet, or none of that name.
@@ -217,7 +217,7 @@ class Forecaster:
         return self._outlook(name)
 
     def _outlook(self, name: str, *, banded: bool = True) -> Outlook:
-        """What a candidate knows; without bands it is made for its mean."""
+        """The outlook of a candidate; `banded=False` if only the mean will be used."""
         twin = self._twins[name]
         return Outlook(
             sample=self._recent[-1],
@@ -236,10 +236,10 @@ class Forecaster:
         )
 
     def promise(self, samples: int) -> Promise | None:
-        """How the newest readings lie in the bands that were given before them; None where none was.
+        """How the newest readings lie in the bands forecast for them; None if there was no forecast.
 
-        The forecast is that of the leader of its time, from the newest sample before these from which all
-        foretold, under the set-points (or inputs) and the disturbances that came.
+        The forecast is that of the leader at its time, from the last saved state before these samples, under
+        the actual set-points (or inputs) and disturbances.
         """
         if not self._recent:
             return None
@@ -250,7 +250,7 @@ class Forecaster:
         came = list(self._recent)[made[-1] - newest - 1 :]
         outlook = self._departures[made[-1]].outlook()
         try:
-            forecast = outlook.forecast(self._asked(came[1:]), _rows(came))
+            forecast = outlook.forecast(self._condition(came[1:]), _rows(came))
         except PlantError:
             if not outlook.parameters.model.is_elsewhere:
                 raise
@@ -260,8 +260,8 @@ class Forecaster:
         return promise_of(forecast, output, None if self._gains is None else input_)
 
     @contextmanager
-    def _sparing(self, name: str) -> Iterator[None]:
-        """Let a candidate go whose equations are elsewhere and fail there; all others stay and go on."""
+    def _removing_lost(self, name: str) -> Iterator[None]:
+        """Remove a candidate whose equations run elsewhere if they fail there; the others continue."""
         try:
             yield
         except PlantError:
@@ -272,20 +272,20 @@ class Forecaster:
             if self._ledger is not None:
                 self._ledger.keep(self._twins)
 
-    def _asked(self, came: Sequence[Sample]) -> FloatArray:
-        """What a forecast is made under: the set-points that came, or the inputs."""
+    def _condition(self, came: Sequence[Sample]) -> FloatArray:
+        """The actual set-points, or the inputs if the loop is not known, as the forecast's condition."""
         return np.array([s.input if self._gains is None else s.reference for s in came])
 
-    def _break(self) -> None:
-        """The next sample does not follow: start again from readings; what was learned stays."""
+    def _restart(self) -> None:
+        """Start over from readings after a gap; what was learned stays."""
         self._recent.clear()
         self._departures.clear()
         self._pid = None if self._gains is None else Pid(self._gains)
         for twin in self._twins.values():
             twin.follower.restart()
 
-    def _begun(self, entrant: Entrant, before: _Twin | None) -> _Twin:
-        """A twin that has followed the newest samples, as far back as they were kept."""
+    def _built(self, entrant: Entrant, before: _Twin | None) -> _Twin:
+        """Build a twin and run it over the newest samples, as far back as they are kept."""
         calibration = (
             before.calibration.copy() if before else Calibration(self._leads, self._kept, self._signals)
         )
@@ -306,25 +306,25 @@ class Forecaster:
         return _Twin(entrant, follower, calibration)
 
     def _learn(self, departure: Snapshot, sample: int, place: int) -> None:
-        """Hold the forecasts made at one sample against what came until one of their horizons."""
+        """Score the forecasts made at one sample on the samples up to one of their horizons."""
         ahead, ledger = self.horizons[place], self._ledger
         if ledger is None or self._spoilt(sample, sample + ahead):
             return
         past = list(self._recent)[-ahead - 1 :]
-        asked, rows, signals = self._asked(past[1:]), _rows(past), self._signals
+        given, rows, signals = self._condition(past[1:]), _rows(past), self._signals
         measured = np.array([[s.output for s in past[1:]], [s.input for s in past[1:]]])[:signals]
         before = max((h for h in self.horizons if h < ahead), default=0)
         held = np.array([[past[0].output], [past[0].input]])[:signals]
         errors, paths = {PERSISTENCE: (measured - held)[:, before:]}, {}
-        seldom = sample // self._stride % _SELDOM
+        skipped = sample // self._stride % _OTHERS_EVERY
         for name, outlook in departure.outlooks.items():
             if name not in self._twins:
                 continue
-            with self._sparing(name):
-                if seldom and name != departure.leader:
-                    off = measured - outlook.mean(asked, rows)[:signals]
+            with self._removing_lost(name):
+                if skipped and name != departure.leader:
+                    off = measured - outlook.mean(given, rows)[:signals]
                 else:
-                    foretold = outlook.foretold(asked, rows)
+                    foretold = outlook.foretold(given, rows)
                     off = measured - np.stack([foretold.output, foretold.input])[:signals]
                     quotients = np.abs(off) / outlook.deviations(foretold)[:signals]
                     self._twins[name].calibration.learn(quotients, before)
@@ -336,5 +336,5 @@ class Forecaster:
 
 
 def _rows(samples: Sequence[Sample]) -> FloatArray | None:
-    """Their disturbances, shape (N, d), if there are any."""
+    """The samples' disturbances, shape (N, d), or None if there are none."""
     return np.array([s.disturbances for s in samples]) if samples[0].disturbances else None

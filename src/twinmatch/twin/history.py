@@ -10,18 +10,18 @@ __all__ = ["History"]
 
 
 class History:
-    """The windows of a schedule joined, of which the newest samples are kept.
+    """Joins the windows of a schedule and keeps the newest samples.
 
-    Windows may overlap or follow one another; after a gap, or where one goes back, it begins anew.
+    Windows may overlap or follow one another; after a gap, or if one goes back, it starts over.
     """
 
     def __init__(self, longest: int) -> None:
-        """Begin with no samples; keep at most `longest`."""
+        """Begin without samples; keep at most `longest`."""
         self.longest = longest
         self.window: Window | None = None
 
     def push(self, window: Window) -> Window:
-        """Take one window; return all that is kept now."""
+        """Take one window; return all samples that are kept now."""
         held = self.window
         if held is None or window.first > held.last + 1 or window.last < held.last:
             held = window

@@ -1,16 +1,16 @@
-"""When to look at a plant whose loop is not known: where its input excites it.
+"""Triggers for a plant whose loop is not known: where its input excites it.
 
-Nobody says there what the plant is to do, so that no step of a set-point can be waited for. Two kinds of
-input have to be served by one rule: a step test, whose input stands still for minutes between two levels, and
-a controller that switches the drive on and off all the time.
+There is no set-point, so steps of the input start the regimes. One rule has to serve two kinds of input: a
+step test, with a constant input for minutes between two levels, and a controller that switches the drive on
+and off all the time.
 
 A movement of the input by `min_input_step` or more begins a regime. As with set-points, it is judged when the
-next movement ends it, provided that it began and ended with an input at rest (`min_span` samples without a
-movement), so that the window holds two levels; or else `span` samples after it began. What moves meanwhile
-belongs to it. A driven twin needs no levels that a loop holds, and every sample that is still remembered
-tells it something, so the window reaches back as far as `capacity` allows. It prefers to begin `lead` samples
-before a movement out of rest, where the plant stood as still as its input: the twin starts there from rest.
-An input that never rests gives the newest `capacity` samples.
+next movement ends it, provided that it began and ended with a constant input (`min_span` samples without a
+movement), so that the window holds two levels; or else `span` samples after it began. Movements in between
+belong to it. A driven twin needs no steady levels, and every sample still kept is informative, so the window
+reaches back as far as `capacity` allows. If possible it begins `lead` samples before a movement out of a
+constant input, where the plant is at rest, too, and the twin can start from equilibrium. An input that is
+never constant gives the newest `capacity` samples.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ __all__ = ["InputSchedule"]
 
 
 class InputSchedule(Schedule):
-    """A schedule by the steps of the input; operating points are what the output came to."""
+    """A schedule by the steps of the input; operating points are the outputs at the windows' ends."""
 
     def __init__(
         self, settings: ScheduleSettings | None = None, period: float = 1.0, width: float = 10.0
     ) -> None:
-        """Begin with no samples.
+        """Begin without samples.
 
         Args:
-            settings: how many samples make a window, and how far the input has to move.
+            settings: how many samples make a window, and the least movement of the input.
             period: sample time, s.
-            width: of a regime, in the output's unit: operating points are rounded to a power of ten that is a
-                tenth of it or less.
+            width: width of a regime, in the output's unit: operating points are rounded to a power of ten of
+                at most a tenth of it.
         """
         super().__init__(settings, period)
         self._decimals = -math.floor(math.log10(width / 10))
 
     def _restart(self, sample: Sample) -> None:
         super()._restart(sample)
-        self._newest = sample.index  # of the movements
+        self._newest = sample.index  # newest movement
         self._from_rest = False  # whether the regime began out of rest
-        # Movements out of rest; the record begins as if after one.
+        # Movements out of rest; the start of the record counts as one.
         self._rested: deque[int] = deque([sample.index + self.settings.lead])
 
     def _moving(self, sample: Sample) -> float:
@@ -71,11 +71,11 @@ class InputSchedule(Schedule):
 
     def _quiet(self) -> str:
         waits = self._step is not None and not self._judged
-        return "the input moved; its window is not full yet" if waits else "the input did not move"
+        return "the input moved; the window is not full yet" if waits else "the input did not move"
 
     def _point(self, window: Window) -> float:
         newest = window.output[-self.settings.min_span :]
-        return round(float(np.mean(newest)), self._decimals) + 0.0  # no operating point of minus zero
+        return round(float(np.mean(newest)), self._decimals) + 0.0  # avoids an operating point of minus zero
 
     def _begin(self, oldest: int) -> int:
         lead = self.settings.lead

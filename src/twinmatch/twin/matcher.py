@@ -1,4 +1,4 @@
-"""From a request to a match: nothing is kept between two of them."""
+"""The matcher: answers a request with a match, without state between requests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["MatchReport", "MatchRequest", "answer"]
 
 
 class MatchRequest(NamedTuple):
-    """All that a match is made from."""
+    """The complete input of a match."""
 
     sample: int
     """Index of the sample that set it off."""
@@ -24,13 +24,13 @@ class MatchRequest(NamedTuple):
     """Set-point at the window's end."""
     window: Window
     start: Parameters
-    """Where the search begins, and the values of all that is not free."""
+    """Start of the search, and the values of the parameters that are not free."""
     incumbent: Parameters | None
-    """What stands for this regime, which the match has to beat; None: nothing does."""
+    """Parameters of the regime's current candidate, which the match must beat; None if there is none."""
 
 
 class MatchReport(NamedTuple):
-    """A match and where in the session it was made."""
+    """A match and its place in the session."""
 
     sample: int
     """Index of the sample that set it off."""
@@ -39,13 +39,13 @@ class MatchReport(NamedTuple):
     match: Match
 
     def answers(self, request: MatchRequest) -> bool:
-        """Whether this is the match of that window."""
+        """Whether this is the match for that request."""
         window = request.window
         return (self.sample, *self.match.samples) == (request.sample, window.first, window.last)
 
 
 def answer(request: MatchRequest, settings: TwinSettings) -> MatchReport:
-    """The match asked for; a window that cannot be matched at all is refused in its words."""
+    """Carry out a request; if the window cannot be matched at all, the match is refused with the error."""
     try:
         with one_thread():
             found = match(
@@ -58,6 +58,6 @@ def answer(request: MatchRequest, settings: TwinSettings) -> MatchReport:
                 min_step=settings.least_movement,
             )
     except TwinmatchError as error:
-        status, words = Status.DID_NOT_CONVERGE, f"the window could not be matched: {error}"
-        found = without_fit(request.window, settings.free, request.start, status, words)
+        status, reason = Status.DID_NOT_CONVERGE, f"the window could not be matched: {error}"
+        found = without_fit(request.window, settings.free, request.start, status, reason)
     return MatchReport(request.sample, request.operating_point, found)

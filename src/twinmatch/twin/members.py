@@ -1,4 +1,4 @@
-"""The judged family: every candidate with the models of its twin and their scores."""
+"""The members of the family: every candidate with the models of its twin and their scores."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ __all__ = ["Judged", "Members"]
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """A candidate with the models of its twin and their scores, found once when it is admitted."""
+    """A candidate with the models of its twin and their scores, computed once on admission."""
 
     candidate: Candidate
     window: Window
@@ -51,7 +51,7 @@ class _Member:
 
 
 class Judged(NamedTuple):
-    """What the family comes to; the fields are those of a verdict."""
+    """The judgement of the family; the fields are those of a verdict."""
 
     candidates: tuple[CandidateScore, ...]
     nominal: str | None
@@ -63,10 +63,10 @@ class Judged(NamedTuple):
 
 
 class Members:
-    """Takes candidates in, lets them leave, and scores those that stand."""
+    """Admits candidates, removes them, and scores the current ones."""
 
     def __init__(self, settings: TwinSettings) -> None:
-        """Begin with nobody."""
+        """Begin without candidates."""
         self._settings = settings
         self._family = Family(settings.most_candidates, settings.regime_width)
         self._members: dict[str, _Member] = {}
@@ -85,7 +85,7 @@ class Members:
         return self._members[name].candidate
 
     def standing_at(self, operating_point: float) -> Candidate | None:
-        """The candidate whose regime holds this set-point, if there is one."""
+        """The candidate whose regime contains this set-point, if any."""
         return self._family.standing_at(operating_point)
 
     @property
@@ -95,12 +95,12 @@ class Members:
 
     @property
     def order(self) -> str:
-        """The order most members chose, at which all of them are compared."""
+        """The order chosen by most members, in which all of them are compared."""
         return common_order([self._members[c.name].chosen for c in self._family.candidates])
 
     def model(self, window: Window) -> SimoModel:
-        """The measured window's model of the members' order, climbed to from the lower ones as every other
-        was.
+        """Model of the members' order for a measured window, reached through the lower orders like all
+        others.
 
         Raises:
             IdentificationError: set-point or input does not move, or there are too few samples.
@@ -108,7 +108,7 @@ class Members:
         return identify(window, ORDERS[: ORDERS.index(self.order) + 1], scale=self._settings.model_scale)[-1]
 
     def admit(self, candidate: Candidate, window: Window) -> str:
-        """Identify the candidate's twin on a window and take it in; return a sentence saying so.
+        """Identify the candidate's twin on a window and admit it; return a sentence about it.
 
         Raises:
             TwinmatchError: its twin cannot be run or identified there.
@@ -128,7 +128,7 @@ class Members:
         return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
 
     def expel(self, first: int, last: int) -> tuple[str, ...]:
-        """Let everyone go who was matched on samples that touch `first` to `last`; return their names."""
+        """Remove candidates matched on samples that overlap `first` to `last`; return their names."""
         gone = tuple(
             name
             for name, member in self._members.items()
@@ -144,26 +144,26 @@ class Members:
     def judge(
         self, newest: Window, plant: SimoModel, now: Parameters | None, structures: Sequence[Candidate] = ()
     ) -> Judged:
-        """Score everyone against a measured window, and choose.
+        """Score all candidates on a measured window, and choose the nominal one.
 
         Args:
             newest: the window.
             plant: the model identified on it.
-            now: the plant as the newest samples show it, if they do.
-            structures: candidates of other structures; they are compared with the family, which is the
-                paper's, and have no Box–Jenkins models.
+            now: the plant fitted to the newest samples, if that was possible.
+            structures: candidates of other structures, to be compared with the family (the paper's); they
+                have no Box–Jenkins models.
         """
         family = [self._members[c.name] for c in self._family.candidates]
         models = [j.models[plant.order] for j in family]
         identified = nu_gap_matrix([m.symbol for m in models])
-        everyone = [*self._family.candidates, *structures]
-        twins = [Uncertain(c.parameters, c.free, c.covariance) for c in everyone]
+        all_candidates = [*self._family.candidates, *structures]
+        twins = [Uncertain(c.parameters, c.free, c.covariance) for c in all_candidates]
         points, terms, count = self._points(newest), self._held, len(family)
         gaps = plant_gaps([t.parameters for t in twins], points, terms)
         to_now = [None if now is None else plant_gap(t.parameters, now, points, terms) for t in twins]
         distances = gaps.matrix[:, :count].sum(axis=1)
         decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
-        bare = [_bare_score(*of) for of in zip(everyone, distances.tolist(), to_now, strict=True)]
+        bare = [_bare_score(*of) for of in zip(all_candidates, distances.tolist(), to_now, strict=True)]
         scores = tuple(
             replace(
                 bare[k],
@@ -178,27 +178,27 @@ class Members:
             for k, (member, model) in enumerate(zip(family, models, strict=True))
         )
         nominal = nominal_of(scores)
-        known = judge_uncertainty(
+        certainty = judge_uncertainty(
             scores, twins[:count], gaps.of(count), nominal, terms, plant=now, seed=self._settings.seed
         )
         others = tuple(bare[count:])
         if nominal is not None:
-            centre = next(c for c in known.candidates if c.name == nominal)
+            centre = next(c for c in certainty.candidates if c.name == nominal)
             others = with_margins((centre, *others), 0, self._settings.gains)[1:]
         return Judged(
-            candidates=(*known.candidates, *others),
+            candidates=(*certainty.candidates, *others),
             nominal=nominal,
             order=plant.order,
             nu_gap=_rows(gaps.matrix),
             nu_gap_points=gaps.points,
             identified_gap=_rows(identified),
-            certainty=known.certainty,
+            certainty=certainty.certainty,
         )
 
     def _points(self, newest: Window) -> tuple[float, ...]:
-        """Where plants are compared: at the family's operating points, and at the lowest and the highest
-        set-point of all windows that were judged; where the loop is not known, at the lowest and the highest
-        output that a window ended with."""
+        """Operating points at which plants are compared: the family's, and the lowest and the highest
+        set-point of all judged windows; where the loop is not known, the lowest and the highest output at
+        the end of a window."""
         levels = newest.reference
         if self._settings.gains is None:
             levels = np.array([newest.output[-self._settings.schedule.min_span :].mean()])
@@ -208,7 +208,7 @@ class Members:
 
 
 def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> CandidateScore:
-    """What can be said of a candidate of any structure, without models of its twin."""
+    """The scores of a candidate of any structure that need no models of its twin."""
     window = candidate.window
     return CandidateScore(
         name=candidate.name,

@@ -15,26 +15,26 @@ from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["Mirror", "MirrorState"]
 
-_LOOK_BACK: Final = 300.0
-"""Newest stretch on which states of a new structure are found, s."""
+_ESTIMATED_OVER: Final = 300.0
+"""Newest stretch over which the states of a new structure are estimated, s."""
 
 
 @dataclass(frozen=True)
 class MirrorState:
     """Both twins at one tick, before the tick's input acts on them.
 
-    Where the loop is not known there is only the driven twin: all that is said of the other is NaN.
+    Where the loop is not known there is only the driven twin; the values of the other are NaN.
     """
 
     sample: Sample
     closed_output: float
-    """Output of the twin that is given the set-point and has a controller of its own."""
+    """Output of the closed-loop twin, which follows the set-point with its own controller."""
     closed_input: float
-    """Input that this controller gives it."""
+    """Input from this controller."""
     closed_states: Mapping[str, float]
     """States of that twin by name, each in its unit."""
     driven_output: float
-    """Output of the twin that is given the plant's input."""
+    """Output of the driven twin, which gets the plant's input."""
     driven_states: Mapping[str, float]
     closed_residual_y: float
     """Measured minus closed-loop output."""
@@ -49,12 +49,12 @@ class MirrorState:
 
 
 class Mirror:
-    """Mirrors what is measured live: the set-point into one twin, the input into another.
+    """Runs two twins beside the plant: one gets the measured set-point, the other the measured input.
 
-    New parameters take over without a jump: states that both structures have, and the controller, stay as
-    they are. A state that only the new structure has is where an observer with the new parameters finds it
-    after the newest samples: a heat sink may be far from where it began. A gap in the samples starts both
-    twins again from the measured output.
+    New parameters take over without a jump: states that both structures have, and the controller's state, are
+    kept. A state that only the new structure has is estimated by an observer with the new parameters from the
+    newest samples: a heat sink may be far from its initial temperature. A gap in the samples restarts both
+    twins from the measured output.
     """
 
     _closed: FloatArray
@@ -68,35 +68,34 @@ class Mirror:
 
         Args:
             parameters: of both twins.
-            gains: of the running controller, None for a loop that is not known; if not given, what the plant
-                file says.
+            gains: those of the running controller, None if the loop is not known; default: the plant file's.
             recent: samples over which residuals are averaged.
-            period: sample time, s; a controller that is given has its own.
+            period: sample time, s; ignored with a controller, which has its own.
         """
         self._parameters = parameters
         self._gains = gains_for(parameters.model.plant, period, gains)
         self._period = period if self._gains is None else self._gains.period
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
-        self._samples: deque[Sample] = deque(maxlen=max(round(_LOOK_BACK / self._period), 1))
+        self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER / self._period), 1))
         self._previous: Sample | None = None
         self._started = 0
 
     @property
     def parameters(self) -> Parameters:
-        """Of both twins."""
+        """Parameters of both twins."""
         return self._parameters
 
     @parameters.setter
     def parameters(self, new: Parameters) -> None:
         if self._previous is not None and new.model is not self._parameters.model:
-            found = self._found(new)
-            self._driven = self._moved(self._driven, new, found)
+            found = self._estimated(new)
+            self._driven = self._transferred(self._driven, new, found)
             absent = np.full(found.size, np.nan)
-            self._closed = absent if self._pid is None else self._moved(self._closed, new, found)
+            self._closed = absent if self._pid is None else self._transferred(self._closed, new, found)
         self._parameters = new
 
     def push(self, sample: Sample) -> MirrorState:
-        """Take one sample; return where the twins are at its tick."""
+        """Take one sample; return the state of the twins at its tick."""
         if self._previous is None or sample.index != self._previous.index + 1:
             self._restart(sample)
         row = _disturbances(sample)
@@ -111,7 +110,7 @@ class Mirror:
         return self._observe(sample, float("nan"), float("nan"), row)
 
     def _looped(self, sample: Sample, pid: Pid, row: FloatArray | None) -> MirrorState:
-        """Both twins; the closed-loop one goes on to the next tick."""
+        """Both twins; advances the closed-loop one to the next tick."""
         closed = read(self._parameters, self._closed, row)
         if self._started < 2:
             # The controller's state follows from two recorded samples; until then it is the plant's.
@@ -132,14 +131,14 @@ class Mirror:
         self._samples.clear()
         self._started = 0
 
-    def _moved(self, states: FloatArray, new: Parameters, found: FloatArray) -> FloatArray:
-        """States of another structure: those of this one as far as they go, the rest as they were found."""
+    def _transferred(self, states: FloatArray, new: Parameters, found: FloatArray) -> FloatArray:
+        """States of another structure: those of the present one where it has them, the rest from `found`."""
         held = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
         here = zip(new.model.states, found.tolist(), strict=True)
         return np.array([held.get(name, there) for name, there in here])
 
-    def _found(self, new: Parameters) -> FloatArray:
-        """Where the states are at the next tick, as the newest samples show."""
+    def _estimated(self, new: Parameters) -> FloatArray:
+        """The states at the next tick, estimated from the newest samples."""
         follower = Follower(new, self._period)
         for sample in self._samples:
             follower.push(sample)

@@ -1,4 +1,4 @@
-"""The plant as it is now: the richest structure that is watched, fitted to the newest samples."""
+"""The plant as it is now: the richest watched structure, fitted to the newest samples."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ __all__ = ["Present"]
 
 
 class Present:
-    """What the candidates are compared with, fitted anew for every window that moved.
+    """The plant that candidates are compared with, refitted for every window with excitation.
 
-    Each fit begins where the one before ended, so that what the newest samples leave open stays as it was.
+    Each fit starts from the previous one, so that undetermined parameters keep their values.
     """
 
     def __init__(self, models: Sequence[Model], noise: Noise, gains: PidGains | None) -> None:
-        """Of these structures of a plant, simpler ones first, the richest is fitted: the last with the most
-        parameters. One from elsewhere may fail, so it measures the others only if there is no other."""
+        """`models`: structures of the plant, simple ones first; the last of those with the most parameters is
+        fitted. Structures that run elsewhere may fail, so they are used only if there are no others."""
         own = [model for model in models if not model.is_elsewhere] or models
         self._model = max(reversed(own), key=lambda model: model.structure.n_parameters())
         self._noise, self._gains = noise, gains
         self._fit: StructureFit | None = None
 
     def forget(self) -> None:
-        """Begin anew: samples that were fitted turned out to show a fault."""
+        """Start over: some of the fitted samples turned out to show a fault."""
         self._fit = None
 
-    def look(self, history: Window | None) -> Parameters | None:
-        """The plant as the newest samples show it; None where they are too few."""
+    def fitted(self, history: Window | None) -> Parameters | None:
+        """Fit the plant to the newest samples; None if they are too few."""
         try:
             windows = [] if history is None else [history]
             self._fit = fit_structure(

@@ -1,4 +1,4 @@
-"""Whether what came lay in the bands, since when it does not, and between which levels it did."""
+"""Whether the samples lie in the forecast bands, since when they do not, and at which levels they did."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from twinmatch.signals import FloatArray
 __all__ = ["Promise", "Promises", "promise_of", "trust_level"]
 
 _NEIGHBOURS: Final = 10.0
-"""Spans of output closer than this, in units of its noise, hang together: a sample of a fast step is that far
+"""Spans of output closer than this, in units of its noise, are merged: samples of a fast step are that far
 apart."""
 
 
 class Promise(NamedTuple):
-    """How readings lie in the band that was given before them."""
+    """How readings lie in the band forecast for them."""
 
     miss_y: float
-    """RMS of what came minus what was foretold, output, in half widths of its band: 0.6 is usual."""
+    """RMS of measured minus forecast output, in half widths of its band: 0.6 is usual."""
     inside_y: float
-    """Share of the readings within the band; 0.9 is promised."""
+    """Share of the readings within the band; 0.9 is expected."""
     miss_u: float
-    """The same of the input; NaN where it was given."""
+    """The same for the input; NaN where the input is given."""
     inside_u: float
 
     @property
     def miss(self) -> float:
-        """The greater of both, or what there is; NaN without any."""
+        """The greater of the two; NaN without any."""
         return self.miss_y if np.isnan(self.miss_u) else max(self.miss_y, self.miss_u)
 
 
 def promise_of(forecast: Forecast, output: FloatArray, input: FloatArray | None) -> Promise:
-    """How the last N samples of a forecast came true, shape (N,) each; no input where it was given."""
+    """Compare the last N samples with a forecast, shape (N,) each; `input` is None where it was given."""
     figures: list[float] = []
     foretold = [(output, forecast.output)]
     if input is not None:
@@ -43,7 +43,7 @@ def promise_of(forecast: Forecast, output: FloatArray, input: FloatArray | None)
     for values, band in foretold:
         mean, low, high = (part[-values.size :] for part in (band.mean, band.low, band.high))
         half = np.where(values > mean, high - mean, mean - low)
-        # On a limit of the controller a band has one side only.
+        # At a limit of the controller a band has one side only.
         half = np.maximum(half, 0.5 * (high - low))
         figures.append(float(np.sqrt(np.mean(np.square((values - mean) / half)))))
         figures.append(float(np.mean((low <= values) & (values <= high))))
@@ -51,22 +51,22 @@ def promise_of(forecast: Forecast, output: FloatArray, input: FloatArray | None)
 
 
 class Promises:
-    """Keeps what was held and what was broken; all depends on what it is given alone."""
+    """Tracks which levels kept their bands and since when bands are missed; depends only on its input."""
 
     def __init__(self, limit: float, noise: float) -> None:
-        """Begin with nothing.
+        """Begin without readings.
 
         Args:
-            limit: RMS miss, in half widths, from which a promise counts as broken.
-            noise: of the output.
+            limit: RMS miss, in half widths, from which a band counts as missed.
+            noise: noise of the output.
         """
         self._limit, self._near = limit, _NEIGHBOURS * noise
         self._spans: list[tuple[float, float]] = []
         self.since: int | None = None
-        """First sample of the stretch in which promises are broken; None while they are kept."""
+        """First sample of the current stretch outside the bands; None while inside."""
 
     def push(self, promise: Promise, first: int, output: FloatArray) -> None:
-        """Take how samples from index `first` on, with this output, lay in their band."""
+        """Add the result for samples from index `first` on, with this output."""
         if promise.miss >= self._limit:
             self.since = first if self.since is None else self.since
             return
@@ -76,9 +76,9 @@ class Promises:
 
     @property
     def held(self) -> tuple[float, float] | None:
-        """Between which outputs promises were kept: what hangs together with where they were last.
+        """Range of outputs, contiguous with the newest, in which the bands held.
 
-        None if they never were. It says where there is evidence, not where the physics ends.
+        None if they never did. It shows where there is evidence, not where the physics ends.
         """
         return next((s for s in self._spans if s[0] <= self._newest <= s[1]), None)
 
@@ -94,8 +94,7 @@ def _merged(spans: list[tuple[float, float]], near: float) -> list[tuple[float, 
 
 
 def trust_level(promise: Promise, doubtful: float) -> TrustLevel:
-    """How far the leader is to be trusted whose promise was kept so; `doubtful` is the miss from which it is
-    not."""
+    """Trust level of a leader with this result; from a miss of `doubtful` on, it is not trusted."""
     if np.isnan(promise.miss):
         return TrustLevel.UNKNOWN
     return TrustLevel.DOUBTFUL if promise.miss >= doubtful else TrustLevel.TRUSTED

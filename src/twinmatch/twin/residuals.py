@@ -1,4 +1,4 @@
-"""What a twin leaves unexplained of a window."""
+"""Residuals of a twin on a window."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Residuals(NamedTuple):
     """RMS of measured minus twin over a window."""
 
     y: float
-    """Output against the driven twin, which is given the measured input."""
+    """Output residual of the driven twin, which gets the measured input."""
     u: float
-    """Input against the closed-loop twin, which is given the set-point; NaN where the loop is not known."""
+    """Input residual of the closed-loop twin, which gets the set-point; NaN if the loop is not known."""
 
 
 def residuals(parameters: Parameters, window: Window, gains: PidGains | None) -> Residuals:
@@ -40,7 +40,7 @@ def residuals(parameters: Parameters, window: Window, gains: PidGains | None) ->
 def window_fit(parameters: Parameters, window: Window, gains: PidGains | None) -> tuple[float, float]:
     """NRMSE fit of output and input of the closed-loop twin over a window; 1 is perfect.
 
-    Without gains it is that of the driven twin's output, and NaN.
+    Without gains: that of the driven twin's output, and NaN.
     """
     twin = simulate_window(parameters, window, gains=gains)
     of_output = nrmse(window.output[SKIPPED:], twin.output)

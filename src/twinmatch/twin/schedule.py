@@ -1,16 +1,15 @@
-"""When to look: samples in, triggers out.
+"""The schedule: takes samples, returns triggers for judging a window.
 
 A trigger depends on the samples alone, never on the time of day or on how fast they arrive, so a
 replayed session triggers exactly where the live one did. There are two kinds:
 
 * **excited**: a set-point regime (the stretch after a set-point step) has lasted long enough, or
   has just ended. The window reaches back over the regime before it, so that it holds two levels and
-  the way between them: what a match needs.
-* **quiet**: nothing moved for `stride` samples. The window holds just those; no parameters can be
-  found in it, but the twin's residual can be.
+  the transition between them, which a match needs.
+* **quiet**: nothing moved for `stride` samples. The window holds just those; it does not determine
+  parameters, but shows the twin's residual.
 
-Where the loop is not known the set-point says nothing, and the input says when there is something to see
-(`InputSchedule`).
+Where the loop is not known, steps of the input take the place of the set-point's (`InputSchedule`).
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ __all__ = ["Schedule", "ScheduleError", "ScheduleSettings", "Trigger"]
 
 
 class ScheduleError(TwinmatchError):
-    """Settings that no schedule can follow."""
+    """Settings that do not make a schedule."""
 
 
 @dataclass(frozen=True)
 class ScheduleSettings:
-    """How many samples make a window; everything is counted in samples."""
+    """When windows are judged and how long they are; times are in samples."""
 
     stride: int = 60
     """Samples between two quiet triggers."""
     min_step: float = 2.0
     """Smallest change of the set-point that starts a new regime, in the output's unit."""
     min_input_step: float = 127.5
-    """The same of the input, in its unit, where the loop is not known."""
+    """The same for the input, in its unit, where the loop is not known."""
     min_span: int = 60
-    """A regime shorter than this is not judged on its own; the next step is taken to belong to it."""
+    """A regime shorter than this is not judged on its own; the next step counts as part of it."""
     span: int = 240
     """A regime is judged this many samples after its step, if it has not ended before."""
     lead: int = 20
@@ -59,20 +58,20 @@ class ScheduleSettings:
                 raise ScheduleError(msg)
         if not self.min_span <= self.span < self.capacity:
             msg = (
-                f"schedule: min_span {self.min_span}, span {self.span} and capacity {self.capacity} samples "
-                "must grow in this order"
+                f"schedule: min_span {self.min_span}, span {self.span} and capacity {self.capacity} samples; "
+                "give them in increasing order"
             )
             raise ScheduleError(msg)
 
 
 class Trigger(NamedTuple):
-    """A moment at which there is something to judge."""
+    """A window that is due to be judged."""
 
     sample: int
-    """Index of the sample that set it off."""
+    """Index of the sample that triggered it."""
     window: Window
     excited: bool
-    """True when the window holds a step, so that parameters can be matched on it."""
+    """Whether the window holds a step, so that parameters can be matched on it."""
     operating_point: float
     """Set-point at the window's end, or the output where the loop is not known; in the output's unit."""
     reason: str = ""
@@ -80,19 +79,19 @@ class Trigger(NamedTuple):
 
 
 class Schedule:
-    """Keeps the newest samples and says when they are worth a look."""
+    """Keeps the newest samples and triggers when a window is due."""
 
     def __init__(self, settings: ScheduleSettings | None = None, period: float = 1.0) -> None:
-        """Begin with no samples; `period` is the sample time in s."""
+        """Begin without samples; `period` is the sample time in s."""
         self.settings = settings or ScheduleSettings()
         self.period = period
         self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)
 
     def push(self, sample: Sample) -> Trigger | None:
-        """Take one sample; return the trigger it sets off, if any.
+        """Take one sample; return its trigger, if any.
 
-        A sample that does not follow the one before it (a gap, a clock set back) starts the record
-        anew: no window reaches across it.
+        A sample that does not follow the one before it (a gap, a clock set back) restarts the record: no
+        window reaches across it.
         """
         if self._samples and sample.index != self._samples[-1].index + 1:
             self._samples.clear()
@@ -108,7 +107,7 @@ class Schedule:
         self._step: int | None = None  # index of the regime's first sample; None before the first step
         self._previous_step = sample.index
         self._judged = False
-        self._looked = sample.index - 1  # last sample of the newest trigger's window
+        self._judged_to = sample.index - 1  # last sample of the newest trigger's window
 
     def _moving(self, sample: Sample) -> float:
         """The signal whose steps begin regimes."""
@@ -134,9 +133,9 @@ class Schedule:
         if self._step is not None and not self._judged and sample.index - self._step >= self.settings.span:
             self._judged = True
             return self._excited(sample.index, sample.index)
-        if sample.index - self._looked >= self.settings.stride:
-            window = self._window(self._looked + 1, sample.index)
-            self._looked = sample.index
+        if sample.index - self._judged_to >= self.settings.stride:
+            window = self._window(self._judged_to + 1, sample.index)
+            self._judged_to = sample.index
             return Trigger(sample.index, window, False, self._point(window), self._quiet())
         return None
 
@@ -149,12 +148,12 @@ class Schedule:
         return float(window.reference[-1])
 
     def _begin(self, oldest: int) -> int:
-        """Where an excited window begins that reaches no further back than `oldest`."""
+        """First sample of an excited window that may reach back to `oldest`."""
         return max(self._previous_step - self.settings.lead, oldest)
 
     def _excited(self, index: int, last: int) -> Trigger:
         window = self._window(self._begin(last - self.settings.capacity + 1), last)
-        self._looked = last
+        self._judged_to = last
         return Trigger(index, window, True, self._point(window))
 
     def _window(self, first: int, last: int) -> Window:

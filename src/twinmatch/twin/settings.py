@@ -1,4 +1,4 @@
-"""Every number a user may turn, in one place; nodes and command line fill it from their parameters."""
+"""All settings of the twin in one place; nodes and command line fill them from their parameters."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _REGIME: Final = 100.0
 
 
 class TwinError(TwinmatchError):
-    """The twin was set up or fed in a way it cannot work with."""
+    """Settings or data that the twin cannot work with."""
 
 
 @dataclass(frozen=True)
 class TrustLimits:
-    """Where the leader becomes doubtful.
+    """The limit beyond which the leader is doubtful.
 
-    A promise kept leaves 0.6 half widths. Errors last for about half a minute, so that a minute holds two
-    independent ones; that they come to twice the half width, 3.3 standard deviations, has a chance of less
-    than one in ten thousand.
+    Errors that fit the band have an RMS of 0.6 half widths. They last for about half a minute, so that a
+    minute holds two independent ones; the probability that they reach twice the half width, 3.3 standard
+    deviations, is less than one in ten thousand.
     """
 
     doubtful: float = 2.0
-    """RMS of what came minus what was foretold, in half widths of the band, over the newest samples."""
+    """RMS of measured minus forecast over the newest samples, in half widths of the band."""
 
     def __post_init__(self) -> None:
         if not self.doubtful > 0:
@@ -51,24 +51,24 @@ def _gains() -> PidGains:
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """How the twin is matched and judged; without arguments for the Peltier rig, `of` gives any plant's."""
+    """How the twin is matched and judged; the defaults are for the Peltier rig, `of` is for any plant."""
 
     plant: type[Plant] = Peltier
-    """What is judged."""
+    """The plant that is judged."""
     period: float = 1.0
     """Sample time, s."""
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     free: tuple[str, ...] = next(iter(Peltier.structures.values())).free
-    """Names of the parameters a match may change."""
+    """Names of the parameters that a match may change."""
     start: Parameters = field(default_factory=_start)
-    """Start values, and the values of all that is not free; the structure that is matched is theirs."""
+    """Start values, and values of the parameters not free; their structure is the one that is matched."""
     noise: Noise = Noise.of(Peltier)  # noqa: RUF009 (immutable)
     gains: PidGains | None = field(default_factory=_gains)
-    """Of the running controller; None: the loop is not known, and twins are driven by the recorded input."""
+    """Gains of the running controller; None if the loop is not known: twins then get the recorded input."""
     sensor: Sensor = Peltier.sensor
-    """The twin is seen through it when its models are identified."""
+    """Sensor model applied to the twin's response before its models are identified."""
     seed: int = 2022
-    """Of its noise; the window's first sample is added, so that windows differ and replays do not."""
+    """Seed of the sensor's noise, plus the window's first sample: windows differ, replays agree."""
     decimals: int = 2
     """Decimal places of the information gain's tables."""
     most_candidates: int = 8
@@ -76,9 +76,9 @@ class TwinSettings:
     """Operating points closer than half of this, in the output's unit, are one regime."""
     limits: TrustLimits = field(default_factory=TrustLimits)
     health: HealthSettings = field(default_factory=HealthSettings)
-    """Of the monitor of the plant's health; its period is `period`."""
+    """Settings of the health monitor; their period is replaced by `period`."""
     forecasts: ForecastSettings = field(default_factory=ForecastSettings)
-    """How the candidates are held to what they foretell."""
+    """Horizons and intervals of the forecasts by which candidates are scored."""
 
     @classmethod
     def of(
@@ -88,10 +88,9 @@ class TwinSettings:
         period: float = 1.0,
         gains: Closing = FILED,
     ) -> TwinSettings:
-        """Those for a plant in one of its structures (the first, if none is named).
+        """Settings for a plant in one of its structures (the first, if none is named).
 
-        Its controller is what the plant file says, unless `gains` says another, or None: that it is not
-        known.
+        The controller is the plant file's unless `gains` gives another; None: the loop is not known.
 
         Raises:
             PlantError: there is no such structure.
@@ -117,20 +116,20 @@ class TwinSettings:
 
     @property
     def least_movement(self) -> float:
-        """Of what excites the plant: the set-point, or the input where the loop is not known; in its unit."""
+        """Least step that excites the plant: of the set-point, or of the input if the loop is not known."""
         schedule = self.schedule
         return schedule.min_input_step if self.gains is None else schedule.min_step
 
     @property
     def model_scale(self) -> float | None:
-        """In which units `identify` has to compare models from input to output; None: the loop is known, and
-        models start from its set-point."""
+        """`scale` for `identify` if models are from input to output; None if the loop is known and models are
+        from its set-point."""
         return None if self.gains is not None else spans_of(self.plant).ratio
 
     def __post_init__(self) -> None:
         for name, of in (("start", self.start), ("health.reference", self.health.reference)):
             if of.model.plant is not self.plant:
-                msg = f"twin: {name} has parameters of {of.model.plant.title}; it takes {self.plant.title}'s"
+                msg = f"twin: {name} has parameters of {of.model.plant.title}; give {self.plant.title}'s"
                 raise TwinError(msg)
         if self.most_candidates < 1:
             msg = f"twin: most_candidates is {self.most_candidates}; a family needs at least one"

@@ -1,4 +1,4 @@
-"""What all candidates know at one sample."""
+"""Outlooks of all candidates at one sample, as a value that can be shared."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ __all__ = ["Snapshot", "candidate_called"]
 
 
 class Snapshot(NamedTuple):
-    """Outlooks of all candidates at one sample; it does not change and may be asked from any thread."""
+    """Outlooks of all candidates at one sample; immutable, so it can be used from any thread."""
 
     leader: str | None = None
-    """Whose forecasts have saved most; None without candidates."""
+    """The candidate whose forecasts have saved the most characters; None without candidates."""
     outlooks: Mapping[str, Outlook] = MappingProxyType({})
-    """By name."""
+    """Outlooks by name of the candidate."""
 
     def outlook(self, name: str | None = None) -> Outlook:
-        """That of a candidate, or of the leader.
+        """The outlook of a candidate, by default the leader.
 
         Raises:
             ForecastError: there is no candidate yet, or none of that name.
@@ -29,7 +29,7 @@ class Snapshot(NamedTuple):
 
 
 def candidate_called(name: str | None, candidates: Mapping[str, object]) -> str:
-    """The name of one of the candidates.
+    """Check that there is a candidate of this name, and return the name.
 
     Raises:
         ForecastError: there is no candidate yet, or none of that name.

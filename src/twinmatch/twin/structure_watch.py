@@ -1,4 +1,4 @@
-"""Which structure the plant has, asked again and again while samples come in."""
+"""Repeated choice of the plant's structure while samples arrive."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["StructureSettings", "StructureWatch", "watched"]
 
 @dataclass(frozen=True)
 class StructureSettings:
-    """What to look for, when to look, and at how much.
+    """The structures to choose from, when to choose, and from how many samples.
 
     Raises:
-        TwinmatchError: the counts do not go together.
+        TwinmatchError: the counts contradict each other.
     """
 
     models: tuple[Model, ...]
     """The plant in each structure that is tried."""
     least: int = 900
-    """Samples wanted before the first look."""
+    """Samples needed before the first choice."""
     every: int = 1200
-    """Samples between two looks."""
+    """Samples between two choices."""
     longest: int = 1200
-    """Newest samples that are looked at."""
+    """Number of newest samples that are fitted."""
     noise: Noise | None = None
     gains: Closing = FILED
     decimals: int = 2
@@ -37,31 +37,31 @@ class StructureSettings:
     def __post_init__(self) -> None:
         if not (100 <= self.least <= self.longest and self.every >= 1 and self.models):
             msg = (
-                f"structure watch: least {self.least} samples must be 100 or more and not above longest "
-                f"{self.longest}, every {self.every} positive, and there must be a structure to try"
+                f"structure watch: least {self.least}, longest {self.longest}, every {self.every} samples, "
+                f"{len(self.models)} structures; give 100 <= least <= longest, every >= 1 and a structure"
             )
             raise TwinmatchError(msg)
 
 
 def watched(plant: type[Plant]) -> tuple[Model, ...]:
-    """The plant in those structures that its file wants watched beside a running plant."""
+    """The plant in the structures that its file marks to be watched on a running plant."""
     return tuple(plant.model(name) for name, structure in plant.structures.items() if structure.watched)
 
 
 class StructureWatch:
-    """Keeps the newest samples and chooses a structure every so many of them.
+    """Keeps the newest samples and chooses a structure at regular intervals.
 
-    Give it every window of the schedule that shows no fault, in order. Windows may overlap or follow one
-    another; after a gap the record begins anew. Looks at samples that do not overlap add their evidence, so
-    that a stretch which tells little does not turn the choice over. All depends on the samples alone, so a
+    Push every window of the schedule without a fault, in order. Windows may overlap or follow one another;
+    after a gap the record starts over. Choices on samples that do not overlap add their evidence, so that a
+    stretch with little information does not change the choice. Everything depends on the samples alone, so a
     replay chooses as the live twin did.
     """
 
     def __init__(self, settings: StructureSettings) -> None:
-        """Begin with no samples."""
+        """Begin without samples."""
         self.settings = settings
         self._history = History(settings.longest)
-        self._looked: int | None = None
+        self._chosen_at: int | None = None
         self._choice: StructureChoice | None = None
 
     @property
@@ -71,20 +71,20 @@ class StructureWatch:
 
     @property
     def history(self) -> Window | None:
-        """The newest samples without a fault, as many as are looked at; None before the first window."""
+        """The newest samples without a fault, at most `longest`; None before the first window."""
         return self._history.window
 
     def push(self, window: Window) -> StructureChoice | None:
-        """Take one window; return the choice it brought about, if any."""
+        """Take one window; return the new choice, if any."""
         settings, before = self.settings, self._history.window
         history = self._history.push(window)
         if before is None or history.first > before.last or history.last < before.last:
-            self._looked = None
+            self._chosen_at = None
         if len(history) < settings.least:
             return None
-        if self._looked is not None and history.last - self._looked < settings.every:
+        if self._chosen_at is not None and history.last - self._chosen_at < settings.every:
             return None
-        self._looked = history.last
+        self._chosen_at = history.last
         self._choice = choose_structure(
             history,
             settings.models,

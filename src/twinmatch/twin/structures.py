@@ -1,15 +1,15 @@
-"""Which structure of the plant the data pay for.
+"""Choice of the plant structure that the data support.
 
 Every structure is fitted to the same windows and judged by the criteria that also choose the order of the
 Box–Jenkins models: information gain, nAIC, BIC and MDL, for output and input and in total.
 
-What a twin leaves unexplained is far from white: noise of the sensor goes round the loop, and a slow error of
-the twin stays for minutes. Counted as if each sample were news, a thousand samples would buy any structure.
-So a noise model of fixed order, the same for all, is put behind the twin, as C/D stands behind B/F in a
-Box–Jenkins model, and the loss is that of its prediction errors: only what the past did not foretell counts.
-Errors of more than three robust standard deviations are cut off there, since the pauses
-of a sensor are larger than everything that tells structures apart. The information gain is that of the bare
-simulation, as for the models, less the characters that the parameters cost.
+A twin's residuals are far from white: sensor noise circulates in the loop, and a slow error of the twin
+persists for minutes. If each sample counted as independent, a thousand samples would justify any structure.
+So a noise model of fixed order, the same for all, is added to the twin, as C/D is to B/F in a Box–Jenkins
+model, and the loss is that of its one-step prediction errors: only what the past does not predict counts.
+Errors beyond three robust standard deviations are clipped, because the pauses of a sensor cause larger errors
+than any difference between structures. The information gain is that of the simulation without noise model, as
+for the models, less the characters that the parameters cost.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from twinmatch.signals import FloatArray, Window
 __all__ = ["StructureChoice", "StructureScore", "choose_structure", "prediction_errors", "score_structure"]
 
 NOISE_ORDER: Final = 12
-"""Order of the noise model: past the loop's own time constants, and few beside the samples of a window."""
+"""Order of the noise model: longer than the loop's time constants, small compared with a window."""
 CUT: Final = 3.0
-"""Robust standard deviations beyond which a prediction error counts no more."""
+"""Robust standard deviations at which prediction errors are clipped."""
 _ROUNDS: Final = 3
 """How often the noise model is fitted again with new weights."""
 _TINY: Final = float(np.finfo(np.float64).tiny)
@@ -50,21 +50,21 @@ class StructureScore:
 
     fitted: StructureFit
     signals: tuple[Criteria, ...]
-    """Of the output and, in closed loop, of the input."""
+    """Criteria of the output and, in closed loop, of the input."""
     total: Criteria
     evidence: Criteria
-    """`total`, and that of all choices before on samples that came before."""
+    """`total` plus that of all previous choices on earlier samples."""
     loss: tuple[float, ...]
     """Mean square of the prediction errors of output and input, in their units squared."""
 
     @property
     def name(self) -> str:
-        """Of the structure."""
+        """Name of the structure."""
         return self.fitted.model.structure_name
 
     @property
     def parameters(self) -> Parameters:
-        """The plant as this structure has it."""
+        """Parameters fitted in this structure."""
         return self.fitted.parameters
 
     @property
@@ -75,23 +75,23 @@ class StructureScore:
 
 @dataclass(frozen=True, eq=False)
 class StructureChoice:
-    """Structures side by side and the one that the criteria prefer."""
+    """The scores of all structures, and the one that the criteria prefer."""
 
     scores: tuple[StructureScore, ...]
     chosen: str
     votes: Mapping[str, str]
-    """The structure each criterion prefers by the evidence."""
+    """The structure that each criterion prefers by the evidence."""
     samples: tuple[int, int]
     """Session indices of the first and last sample of the windows."""
 
     @property
     def score(self) -> StructureScore:
-        """Of the chosen structure."""
+        """Score of the chosen structure."""
         return self.of(self.chosen)
 
     @property
     def parameters(self) -> Parameters:
-        """The plant as the chosen structure has it."""
+        """Parameters fitted in the chosen structure."""
         return self.score.parameters
 
     def of(self, name: str) -> StructureScore:
@@ -107,7 +107,7 @@ class StructureChoice:
 
     @property
     def sentence(self) -> str:
-        """Who was chosen and by what, in plain words."""
+        """A sentence on which structure was chosen and how clearly."""
         count = sum(name == self.chosen for name in self.votes.values())
         best = self.score
         text = f"{count} of {len(self.votes)} criteria choose: {self.chosen}"
@@ -135,19 +135,18 @@ def choose_structure(
 ) -> StructureChoice:
     """Fit every structure to the windows and choose the one that most criteria prefer.
 
-    Of equals the one with fewer parameters is chosen, then the one named first. A structure from elsewhere
-    that cannot be fitted is passed over.
+    Of equals the one with fewer parameters is chosen, then the one named first. A structure that runs
+    elsewhere and cannot be fitted is skipped.
 
     Args:
-        windows: what was recorded of one plant, one window or several.
+        windows: one or several windows recorded on one plant.
         models: the plant in each structure to be tried.
-        previous: a choice before, from whose parameters the searches begin. If it was made on samples before
-            these, its evidence counts too: the plant is then taken to have had one structure all along,
-            whatever its parameters did.
-        noise: what the residuals of the fits are measured in; the plant's if not given.
-        gains: of the running controller, None for a loop that is not known; what the plant file says if not
-            given.
-        decimals: places the tables of the information gain are written with.
+        previous: an earlier choice; the searches start from its parameters. If it was made on samples before
+            these, its evidence is added: the plant is assumed to have kept its structure, though not its
+            parameters.
+        noise: unit of the residuals of the fits; default: the plant's.
+        gains: those of the running controller, None if the loop is not known; default: the plant file's.
+        decimals: decimal places of the tables of the information gain.
         thorough: as in `fit_structure`.
 
     Raises:
@@ -178,7 +177,7 @@ def choose_structure(
     ):
         scores = [replace(s, evidence=previous.of(s.name).evidence + s.total) for s in scores]
     if not scores:
-        raise MatchingError("structures: there is none to choose from; name one at least")
+        raise MatchingError("structures: there is none to choose from; give at least one")
     votes = _votes(scores)
     count = Counter(votes.values())
     chosen = min(scores, key=lambda s: (-count[s.name], s.fitted.n_parameters))
@@ -186,7 +185,7 @@ def choose_structure(
 
 
 def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
-    """Judge a fit on the windows it was made on."""
+    """Score a fit on the windows on which it was made."""
     scores, losses = [], []
     offsets = (fitted.model.plant.output.absolute, 0.0)
     for row in range(len(fitted.measured[0])):
@@ -194,7 +193,7 @@ def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
         measured = [window[row] for window in fitted.measured]
         simulated = [window[row] for window in fitted.simulated]
         errors = prediction_errors([m - s for m, s in zip(measured, simulated, strict=True)])
-        # An exact twin leaves nothing to predict; the smallest number keeps its logarithm finite.
+        # An exact twin leaves no errors; the smallest number keeps the logarithm finite.
         loss = max(float(np.mean(np.square(errors))), _TINY)
         gain = information_gain(
             np.concatenate(measured) + offset, np.concatenate(simulated) + offset, decimals=decimals
@@ -218,14 +217,14 @@ def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
 
 
 def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER) -> FloatArray:
-    """What an autoregression of the residuals leaves of them, large errors cut off; one common model.
+    """One-step prediction errors of an autoregression of the residuals, clipped; one common model.
 
-    The autoregression is found by least squares in which samples count less the more they lie outside, or
-    the larger what they are foretold from is (iteratively reweighted), so that a few kicks do not shape it.
+    The autoregression is fitted by iteratively reweighted least squares: samples with large errors or large
+    regressors get smaller weights, so that a few outliers do not determine it.
 
     Args:
         residuals: one array per window.
-        order: of the autoregression; windows of no more samples than this add nothing.
+        order: order of the autoregression; windows of no more samples than this are ignored.
     """
     past, now = [], []
     for window in residuals:
@@ -234,18 +233,18 @@ def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER)
             now.append(window[order:])
     rows, target = np.concatenate(past), np.concatenate(now)
     reach = 2.0 * CUT * _NORMAL * float(np.median(np.abs(target)))
-    calm = _calmed(reach, np.max(np.abs(rows), axis=1))
+    downweighted = _downweighted(reach, np.max(np.abs(rows), axis=1))
     weights = np.ones(target.size)
     for _ in range(_ROUNDS + 1):
         weighed = rows * weights[:, None]
         errors = target - rows @ np.linalg.lstsq(weighed.T @ rows, weighed.T @ target, rcond=None)[0]
         limit = CUT * _NORMAL * float(np.median(np.abs(errors)))
-        weights = calm * _calmed(limit, np.abs(errors))
+        weights = downweighted * _downweighted(limit, np.abs(errors))
     return np.clip(errors, -limit, limit)
 
 
-def _calmed(reach: float, sizes: FloatArray) -> FloatArray:
-    """Weights that bring what is larger than the reach down to it."""
+def _downweighted(reach: float, sizes: FloatArray) -> FloatArray:
+    """Weights that scale sizes above the reach down to it."""
     return np.asarray(reach / np.maximum(sizes, max(reach, _TINY)))
 
 

@@ -1,7 +1,7 @@
-"""One thread for linear algebra, so that sums have one order.
+"""One thread for linear algebra, so that the order of summation is fixed.
 
-A BLAS that shares a product among threads adds its parts in another order than one thread does, and the
-last bits differ. Verdicts are compared bit for bit, and the matrices here gain nothing from threads.
+A BLAS that splits a product among threads sums in a different order than one thread does, and the last bits
+differ. Verdicts are compared bit for bit, and the matrices here are too small to gain from threads.
 """
 
 from __future__ import annotations
@@ -20,6 +20,6 @@ def _controller() -> ThreadpoolController:
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """Within this context the BLAS of the process uses one thread."""
+    """Context within which the BLAS of the process uses one thread."""
     limits: AbstractContextManager[object] = _controller().limit(limits=1, user_api="blas")
     return limits
