@@ -264,9 +264,9 @@ def test_what_cannot_be_forecast_is_refused() -> None:
         ({"reference": None}, "takes set-points ahead or inputs ahead; give one"),
         ({"inputs": np.zeros(5)}, "takes set-points ahead or inputs ahead; give one"),
         ({"unsure": ["mass"]}, "no parameter 'mass'; there are"),
-        ({"unsure": ["ambient"]}, "covariance of shape (2, 2) given; it takes finite values of shape (3, 3)"),
+        ({"unsure": ["ambient"]}, "covariance of shape (2, 2) given; give finite values of shape (3, 3)"),
         ({"reference": [40.0, math.nan]}, "set-points with a value that is not finite given"),
-        ({"states": np.zeros(1)}, "states of shape (1,) given; it takes finite values of shape (2,)"),
+        ({"states": np.zeros(1)}, "states of shape (1,) given; give finite values of shape (2,)"),
         ({"drift": [0.1]}, "drift of shape (1,) given"),
         ({"input": math.inf}, "newest input and noise with a value that is not finite given"),
     ):

@@ -267,9 +267,7 @@ def test_states_that_are_lost_are_said() -> None:
     observer = Observer(Tank.model().parameters(), 0.1, period=1.0, drift=[0.1], start=[5.0])
     observer.correct(-3.0)
     observer.predict(0.0)
-    with pytest.raises(
-        PlantError, match="Tank, open: its equations give nothing at the states that the obser"
-    ):
+    with pytest.raises(PlantError, match="Tank, open: its equations have no finite value at the obser"):
         observer.correct(0.1)
 
 
@@ -281,14 +279,14 @@ def test_what_an_observer_cannot_use_is_refused() -> None:
         return Observer(rig, **{**arguments, **changes})
 
     for changes, message in (
-        ({"drift": [0.1]}, "drift [0.1] given; it takes 2 finite standard deviations"),
+        ({"drift": [0.1]}, "drift [0.1] given; give 2 finite standard deviations"),
         ({"start": [0.1, -1.0]}, "none negative (plate, sink)"),
         ({"start": None}, "give an observer's start (standard deviations) or its covariance"),
         ({"covariance": np.eye(2)}, "or its covariance, not both"),
-        ({"start": None, "covariance": np.eye(3)}, "shape (3, 3) given; it takes finite (2, 2)"),
-        ({"output": None}, "begins at an output or at states; give one"),
-        ({"states": [300.0]}, "states [300.0] given; it takes finite values of plate, sink"),
-        ({"wandering": {"mass": Wander(1.0, 1.0)}}, "'mass' cannot wander; there are"),
+        ({"start": None, "covariance": np.eye(3)}, "shape (3, 3) given; give finite values, (2, 2)"),
+        ({"output": None}, "starts from an output or from states; give one"),
+        ({"states": [300.0]}, "states [300.0] given; give finite values of plate, sink"),
+        ({"wandering": {"mass": Wander(1.0, 1.0)}}, "'mass' cannot wander; choose from"),
         ({"limit": 0.0}, "the observer's limit is 0.0; it must be positive"),
         ({"period": -1.0}, "the period is -1.0 s"),
     ):

@@ -150,5 +150,5 @@ def test_what_is_not_a_number_is_refused_and_changes_nothing() -> None:
         dataclasses.replace(RIG, integral=math.nan)
     with pytest.raises(PlantError, match=r"period 0.0 s must be positive"):
         dataclasses.replace(RIG, period=0.0)
-    with pytest.raises(PlantError, match="the window holds 1 sample; two are needed"):
+    with pytest.raises(PlantError, match="the window holds 1 sample; give at least two"):
         controller_state(Window(np.zeros(1), np.zeros(1), np.zeros(1)), RIG)

@@ -104,13 +104,16 @@ def plant_of(rates: str = "{p.x: p.u - p.a * p.x}", output: str = "p.x", start: 
     ("change", "message"),
     [
         ({"rates": "{}"}, "no state has a rate"),
-        ({"rates": "{p.a: 1}"}, "no state has a rate|a rate of a, which is not declared as a state"),
+        ({"rates": "{p.a: 1}"}, "no state has a rate|`rates` has a, which is not declared as a state"),
         ({"rates": "{p.x: p.z}"}, "its rates use 'z', which is not declared"),
         ({"rates": "{p.x: sympy.Symbol('w')}"}, "its rates use 'w', which is not declared"),
         ({"start": "{}"}, "state x has no start value"),
         ({"output": "p.x + p.u"}, "the output depends on the drive at the same instant"),
         ({"output": "sympy.Abs(p.x, evaluate=False)"}, "the output has a kink"),
-        ({"rates": "{p.x: sympy.Piecewise((p.u, sympy.Eq(p.x, 1)), (0, True))}"}, "no single inequality"),
+        (
+            {"rates": "{p.x: sympy.Piecewise((p.u, sympy.Eq(p.x, 1)), (0, True))}"},
+            "is not a single inequality",
+        ),
     ],
 )
 def test_faulty_equations_are_refused_in_words(change: dict[str, str], message: str) -> None:
@@ -119,12 +122,12 @@ def test_faulty_equations_are_refused_in_words(change: dict[str, str], message: 
 
 
 def test_faulty_declarations_are_refused_in_words() -> None:
-    with pytest.raises(PlantError, match=r"is \(2.0, 1.0\); give two finite numbers that grow"):
+    with pytest.raises(PlantError, match=r"is \(2.0, 1.0\); give two finite numbers, the smaller first"):
         Parameter(default=1.0, bounds=(2.0, 1.0))
     for body, message in (
-        ({}, "declares 0 of Drive; it needs one"),
-        ({"u": _Parts.u}, "declares 0 of Output; it needs one"),
-        ({"u": _Parts.u, "y": _Parts.y}, "has no structure; name at least one"),
+        ({}, "declares 0 of Drive; declare exactly one"),
+        ({"u": _Parts.u}, "declares 0 of Output; declare exactly one"),
+        ({"u": _Parts.u, "y": _Parts.y}, "has no structure; declare at least one"),
         (
             {"u": _Parts.u, "y": _Parts.y, "structures": {"s": Structure(free=("k",))}},
             "structure 's': no parameter 'k'; the plant has none",

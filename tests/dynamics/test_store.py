@@ -114,5 +114,5 @@ def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> No
     assert done.stdout == ""
     lines = [line for line in done.stderr.splitlines() if "preparing" not in line]
     assert len(lines) == 1
-    assert lines[0].startswith(f"twinmatch: {blocked / 'cache'}: the prepared equations cannot be kept there")
+    assert lines[0].startswith(f"twinmatch: {blocked / 'cache'}: cannot keep the prepared equations there")
     assert "TWINMATCH_CACHE" in lines[0]

@@ -173,7 +173,7 @@ def test_a_broken_description_is_one_line(
         ({"patience": "long"}, "takes a finite number"),
         ({"surprise": 1}, "it names 'surprise'"),
         ({"variables": {"temperature": "celsius"}}, "variables says nothing of pwm"),
-        ({"parameters": {"k": {"default": 1, "bounds": [2, 1]}}}, "numbers that grow"),
+        ({"parameters": {"k": {"default": 1, "bounds": [2, 1]}}}, "two finite numbers, the smaller first"),
     ],
 )
 def test_a_wrong_map_is_reported(exchange_fmu: Path, tmp_path: Path, changes, words: str) -> None:

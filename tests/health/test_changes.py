@@ -103,5 +103,5 @@ def test_roles_and_the_structure_to_be_followed_are_checked() -> None:
     with pytest.raises(PlantError, match="role 'lid' of a parameter"):
         Parameter(default=1.0, bounds=(0.5, 2.0), role="lid")
     assert Peltier.followed in Peltier.structures
-    with pytest.raises(PlantError, match="no structure 'none' to follow it in"):
+    with pytest.raises(PlantError, match="`followed` is 'none'; name one of its structures"):
         type("Other", (Motor,), {"followed": "none"})

@@ -167,7 +167,7 @@ def test_every_structure_has_its_own_start_values(structure: str, tmp_path: Path
         ("pid.limit: 200.0", "pid.limit is now called pid.low and pid.high; rename it"),
         ("limits.fault_y: 12.0", "limits.fault_y is no longer used"),
         ("pid.high: 256.0", "parameter pid.high is 256.0; allowed is PWM, -255 to 255"),
-        ("pid.high: -255.0", "the limits -255.0 and -255.0 must grow"),
+        ("pid.high: -255.0", "the limits -255.0 and -255.0 in increasing order"),
         ("pid.proportional: -3.0", "parameter pid.proportional is -3.0; allowed is PWM/°C, 0 to 10000"),
         ("sensor.pause_period: 0.5", "a pause every 0.5 s leaves no time between pauses of 0.9 s"),
     ],

@@ -90,7 +90,7 @@ class Other(Plant):
         ("span=(0.0, 110.0)", "span=110.0", r"span of a state is 110\.0; give two finite numbers"),
         ('free=("gain", "capacity")', 'free=("gain")', r"free of a structure is the text 'gain'; "
             r"write \('gain',\)"),
-        ("gain = Parameter(", "sensor = Parameter(", r"'sensor' is a word of every plant"),
+        ("gain = Parameter(", "sensor = Parameter(", r"'sensor' is an attribute of every plant"),
         ("class Heated(Plant, ", "class Heated(object, ", r"TypeError: "),
         ("class Heated", f"{OTHER}class Heated", r"has 2 plants, Heated, Other; give each"),
     ],
@@ -174,7 +174,7 @@ def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch
         ),
         ("output=self.block", "output=self.heater", "the output depends on the drive at the same instant"),
         ("start={self.block: self.temperature}", "start={}", "state block has no start value"),
-        ("rates={self.block: ", "rates={self.gain: ", "a rate of gain, which is not declared as a state"),
+        ("rates={self.block: ", "rates={self.gain: ", "`rates` has gain, which is not declared as a state"),
         (
             "rates={self.block: (self.gain * self.heater - lost) / self.capacity}",
             "rates={}",

@@ -102,7 +102,9 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
 
 def test_the_fate_of_a_match_is_the_verdicts_word() -> None:
     """Whatever the gate said: the discriminator may refuse what the gate accepted."""
-    told = replace(verdict(200, TrustLevel.TRUSTED), match=REFUSED, reason="no models of candidate 50 °C")
+    told = replace(
+        verdict(200, TrustLevel.TRUSTED), match=REFUSED, reason="no models identified for candidate 50 °C"
+    )
     assert match_word(report(200, Status.ACCEPTED), [told]) == "refused"
     assert match_word(report(200, Status.BOUNDS_HIT), [told]) == "refused: a parameter ran into its bound"
     assert match_word(report(200, Status.ACCEPTED), []) == ""

@@ -1,13 +1,12 @@
-"""From a plant's equations to everything that is computed from them; knows no plant.
+"""From a plant's equations to everything that is computed from them, for any plant.
 
-A `Plant` declares its quantities and writes its equations in SymPy, and its `Structure`s say which parts
-there are and what is unknown. `Plant.model` gives a `Model`, whose compiled code is made from the equations
-once and kept on disk. `Parameters` are values for one; everything else takes them: `begin`, `advance`
-and `read` step a plant, `simulate_closed_loop`, `simulate_driven` and `simulate_window` run it, `Experiment`
-is a recorded window as a function of what is unknown, with exact tangents, `linearised` says how the plant
-answers small movements, `Observer` follows the states that no sensor shows, and `foretell` says what the
-loop will do from there and how surely. `Pid` is the controller that holds it, `Sensor` what lies between its
-output and a reading.
+A `Plant` declares its quantities and its equations in SymPy; its `Structure`s say which parts are included
+and which parameters are unknown. `Plant.model` gives a `Model`, whose compiled code is generated from the
+equations once and kept on disk. `Parameters` are the values for a model, and all functions take them:
+`begin`, `advance` and `read` step a plant; `simulate_closed_loop`, `simulate_driven` and `simulate_window`
+run it; `Experiment` is a recorded window as a function of the unknowns, with exact tangents; `linearised`
+gives the response to small deviations; `Observer` estimates unmeasured states; `foretell` forecasts the loop
+from there, with variances. `Pid` is the controller, `Sensor` the model from output to reading.
 """
 
 from twinmatch.dynamics.ahead import Foretold, foretell

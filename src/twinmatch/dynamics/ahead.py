@@ -1,4 +1,4 @@
-"""What a plant will do: the loop run ahead of the newest sample, and how far it may be from that."""
+"""Forecasts: the loop simulated beyond the newest sample, with the variances of output and input."""
 
 # ruff: noqa: PLR0917 (a kernel takes arrays in a row)
 
@@ -24,16 +24,16 @@ __all__ = ["Foretold", "foretell"]
 
 
 class Foretold(NamedTuple):
-    """The N samples after the newest one, shape (N,) each."""
+    """Forecast of the N samples after the newest one, shape (N,) each."""
 
     output: FloatArray
-    """y of the run from the mean states and parameters, without noise."""
+    """y simulated from the mean states and parameters, without noise."""
     input: FloatArray
     """u of the same run."""
     output_variance: FloatArray
-    """Of what the sensor will read; its own noise counts."""
+    """Variance of the sensor's reading, including its noise."""
     input_variance: FloatArray
-    """Of what the controller will command upon such readings; zero if the inputs are given."""
+    """Variance of the command that the controller computes from such readings; zero if inputs are given."""
 
 
 def foretell(
@@ -52,33 +52,36 @@ def foretell(
     disturbances: ArrayLike | None = None,
     noise: float | None = None,
 ) -> Foretold:
-    """Run the closed loop, or a plant under inputs that are known, ahead of the newest sample.
+    """Simulate the closed loop, or a plant under known inputs, beyond the newest sample.
 
-    The mean is what `advance` and `simulate_closed_loop` (or `simulate_driven`) give. The variances are those
-    of small movements about it, exact around the loop; where u is on a limit, nothing moves it. They hold
-    what is not known of states and parameters, the states' drift, and the sensor's noise on its way round.
+    The mean is that of `advance` and `simulate_closed_loop` (or `simulate_driven`). The variances are those
+    of small deviations from it, exact around the loop; where u is on a limit, its variance is zero. They
+    include the uncertainty of states and parameters, the drift of the states, and the sensor's noise as it
+    circulates in the loop.
 
     Args:
         parameters: the plant.
-        states: at the newest sample, corrected by its reading, shape (n,).
-        covariance: of states and the m parameters `unsure`, shape (n + m, n + m); symmetric.
+        states: states at the newest sample, corrected by its reading, shape (n,).
+        covariance: covariance of states and the m parameters `unsure`, shape (n + m, n + m); symmetric.
         input: u of the newest sample, which acts until the next.
-        drift: standard deviation by which each state strays from the equations in a second, shape (n,).
-        unsure: names of the parameters that the covariance speaks of.
+        drift: standard deviation of the drift of each state from the equations per second, shape (n,).
+        unsure: names of the parameters in the covariance.
         reference: set-points from the next sample on, shape (N,): the closed loop.
-        controller: what the PID remembers after the newest sample.
-        gains: of the controller; the plant file's, at 1 s, if not given.
+        controller: state of the PID after the newest sample.
+        gains: gains of the controller; default: the plant file's, at 1 s.
         inputs: u from the next sample on, shape (N,), instead of a reference: the driven plant.
-        period: sample time of a driven plant, s; the loop has its controller's.
-        disturbances: held, shape (d,), or from the newest sample on, shape (N + 1, d).
-        noise: standard deviation of a reading; the plant file's if not given.
+        period: sample time of a driven plant, s; for the loop the controller's is used.
+        disturbances: constant, shape (d,), or from the newest sample on, shape (N + 1, d).
+        noise: standard deviation of a reading; default: the plant file's.
 
     Raises:
-        PlantError: a signal or a name is unfit, the controller is not known, or the plant is too fast.
+        PlantError: a signal or a name is invalid, the controller is not known, or the plant is too fast.
     """
     model = parameters.model
     if (reference is None) == (inputs is None):
-        raise PlantError(f"{model.title}: foretelling takes set-points ahead or inputs ahead; give one")
+        raise PlantError(
+            f"{model.title}: a forecast takes set-points ahead or inputs ahead; give one of the two"
+        )
     unknown = [name for name in unsure if name not in model.names]
     if unknown:
         raise PlantError(f"{model.title}: no parameter {unknown[0]!r}; there are {', '.join(model.names)}")
@@ -105,8 +108,8 @@ def foretell(
     ahead = (float(memory.integral), float(memory.previous), period, steps)
     loop, size = (closed, held.constants, signal, signal, rows[1:]), signal.size
     still = (np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0)
-    # The mean is run as every simulation is: derivatives share subexpressions with the rates and round them
-    # another way.
+    # The mean is simulated without derivatives, like every simulation: derivatives share subexpressions with
+    # the rates, which then round differently.
     output, commanded, _ = kernels.run(vector, begun, *loop, *still, *ahead)
     columns, compared = np.eye(n, m + n, m), np.zeros((2, size))
     _, _, by, by_state, by_drive, free, seen, _ = kernels.run_with_tangents(
@@ -119,13 +122,13 @@ def foretell(
 
 
 def _fit(title: str, name: str, values: ArrayLike | None, shape: tuple[int, ...] | None) -> FloatArray:
-    """An array of its own that the compiled code can use."""
+    """Copy values into an array for the compiled code, and check shape and values."""
     array = np.array(values, dtype=np.float64)
     wanted = (array.size,) if shape is None else shape
     if array.shape != wanted or not np.isfinite(array).all():
         what = "one finite value per sample" if shape is None else f"finite values of shape {wanted}"
         bad = f"of shape {array.shape}" if array.shape != wanted else "with a value that is not finite"
-        raise PlantError(f"{title}: {name} {bad} given; it takes {what}")
+        raise PlantError(f"{title}: {name} {bad} given; give {what}")
     return array
 
 
@@ -137,8 +140,8 @@ def _variances(
     """Variances of output and input, shape (N,) each.
 
     `by`, shape (2, N, m + n), holds their derivatives by parameters and states at the first sample, `joint`
-    the covariance of states and parameters there, and `noise` is a variance. What comes in later goes round
-    in the covariance of the loop's own memory: states, integral, error.
+    the covariance of states and parameters there, and `noise` is a variance. Later noise and drift enter the
+    covariance of the loop's own state: plant states, integral, error.
     """
     size, nx = seen.shape
     both, m = joint.shape[0], nx + 2
@@ -174,7 +177,7 @@ def _variances(
 
 @compiled(innermost=True)
 def _form(of: FloatArray, b: FloatArray) -> float:
-    """bᵀ·of·b of a symmetric matrix."""
+    """bᵀ·of·b for a symmetric matrix `of`."""
     total = 0.0
     for i in range(b.size):
         side = 0.0

@@ -1,4 +1,4 @@
-"""Whether a twin is closed into its loop, and with which controller."""
+"""Whether a twin runs in closed loop, and with which controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["FILED", "Closing", "Filed", "gains_for", "gains_of"]
 
 
 class Filed(Enum):
-    """Stands for what the plant file says of the controller, which may be that it is not known."""
+    """Placeholder for the plant file's controller, which may be unknown."""
 
     LOOP = "plant file"
 
@@ -22,11 +22,11 @@ class Filed(Enum):
 FILED: Final = Filed.LOOP
 
 Closing = PidGains | Filed | None
-"""A controller; `FILED`; or None: the loop is not known, and the twin is driven by the recorded input."""
+"""A controller; `FILED`; or None if the loop is not known and the twin is driven by the recorded input."""
 
 
 def gains_for(plant: type[Plant], period: float, closing: Closing = FILED) -> PidGains | None:
-    """The controller a twin is closed into its loop with, at a sample time, s; None: the twin is driven."""
+    """The controller of a closed-loop twin at a sample time, s; None for a driven twin."""
     if not isinstance(closing, Filed):
         return closing
     held = plant.loop
@@ -37,10 +37,10 @@ def gains_of(plant: type[Plant], period: float) -> PidGains:
     """The plant's controller at a sample time, s.
 
     Raises:
-        PlantError: its controller is not known.
+        PlantError: the plant's controller is not known.
     """
     gains = gains_for(plant, period)
     if gains is None:
-        msg = f"plant {plant.name}: its controller is not known, so only the driven twin can be run"
+        msg = f"plant {plant.name}: its controller is not known; use the driven twin"
         raise PlantError(msg)
     return gains

@@ -1,7 +1,7 @@
-"""Derived equations as Python source, in the form of `derived.py`.
+"""Writes derived equations as Python source, in the form of `derived.py`.
 
-What depends on the parameters alone is computed once a run and kept in an array of constants; what is
-common to several expressions is computed once a call.
+Expressions of the parameters alone are computed once per run and kept in an array of constants; common
+subexpressions are computed once per call.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Expression = Any
 
 
 def derived_source(derived: Derived) -> str:
-    """The text that stands for `derived.py` in the kernels of this plant."""
+    """The source text that replaces `derived.py` in the kernels of this plant."""
     return _Writer(derived).text()
 
 
@@ -48,7 +48,7 @@ class _Writer:
         self._places[name] = place
 
     def text(self) -> str:
-        """All functions; `prepare` is written last, when it is known what it has to keep."""
+        """All functions; `prepare` is written last, when its constants are known."""
         d = self._derived
         rates = list(d.rates)
         by_state = [e.diff(s) for e in d.rates for s in d.states]
@@ -97,9 +97,9 @@ class _Writer:
         return f"@compiled(innermost=True)\ndef row(disturbances, k):\n    return {row}"
 
     def _switches(self) -> str:
-        """One after the other: the condition of a switch may use the switches before it."""
+        """The function that sets the switches in order: a condition may use earlier switches."""
         lines = ["@compiled(innermost=True)", "def switches(x, u, d, p, c):"]
-        conditions = [self._kept(e.xreplace(self._names)) for e in self._derived.conditions]
+        conditions = [self._with_constants(e.xreplace(self._names)) for e in self._derived.conditions]
         used = set().union(*(e.free_symbols for e in conditions)) if conditions else set()
         lines += self._loads(s for s in used if not str(s).startswith("b"))
         for i, condition in enumerate(conditions):
@@ -108,9 +108,9 @@ class _Writer:
         return "\n".join(lines)
 
     def _tangents(self, by_state: Sequence[Expression], by_drive: Sequence[Expression]) -> str:
-        """The Runge–Kutta step of every column of derivatives, with nothing in it that is always zero."""
+        """The Runge–Kutta step of every column of derivatives, without terms that are always zero."""
         n = self._derived.n_states
-        moved = [any(e.diff(s) != 0 for s in self._derived.unknown) for e in self._derived.rates]
+        depends = [any(e.diff(s) != 0 for s in self._derived.unknown) for e in self._derived.rates]
         text = [
             "@compiled(innermost=True)",
             "def tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4):",
@@ -131,7 +131,7 @@ class _Writer:
                             terms.append(f"fx{stage}[{i * n + m}] * {at}")
                     if by_drive[i] != 0:
                         terms.append(f"fu{stage}[{i}] * g")
-                    if with_parameter and moved[i]:
+                    if with_parameter and depends[i]:
                         terms.append(f"fp[{stage - 1}, {i}, q]")
                     text.append(f"        r{i}_{stage} = {' + '.join(terms) or '0.0'}")
                 if stage < 4:
@@ -151,7 +151,7 @@ class _Writer:
         *,
         keep: bool = True,
     ) -> str:
-        """A function that assigns to its targets, except what is always zero, and returns expressions.
+        """A function that assigns to its targets, except those always zero, and returns expressions.
 
         `returned` is one expression, or a list of lists, each of which becomes a tuple.
         """
@@ -160,7 +160,7 @@ class _Writer:
         places = [t for t, e in targets.items() if e != 0]
         expressions = [targets[t] for t in places] + [self._sympy.sympify(e) for e in results]
         if keep:
-            expressions = [self._kept(e.xreplace(self._names)) for e in expressions]
+            expressions = [self._with_constants(e.xreplace(self._names)) for e in expressions]
         common, reduced = self._sympy.cse(
             expressions, symbols=self._sympy.numbered_symbols("t"), order="none"
         )
@@ -191,8 +191,8 @@ class _Writer:
                 lines.append(f"    {name} = {place}")
         return lines
 
-    def _kept(self, expression: Expression) -> Expression:
-        """The expression with every part that depends on parameters alone taken from the constants."""
+    def _with_constants(self, expression: Expression) -> Expression:
+        """The expression with every part that depends on parameters alone replaced by a constant."""
         free = expression.free_symbols
         if not free or expression.is_Symbol:
             return expression
@@ -204,11 +204,11 @@ class _Writer:
             return self._constants[expression]
         if expression.is_Add or expression.is_Mul:
             fixed = [a for a in expression.args if all(str(s).startswith("p") for s in a.free_symbols)]
-            moving = [self._kept(a) for a in expression.args if a not in fixed]
+            varying = [self._with_constants(a) for a in expression.args if a not in fixed]
             if fixed:
-                moving.append(self._kept(expression.func(*fixed)))
-            return expression.func(*moving)
-        return expression.func(*(self._kept(a) for a in expression.args))
+                varying.append(self._with_constants(expression.func(*fixed)))
+            return expression.func(*varying)
+        return expression.func(*(self._with_constants(a) for a in expression.args))
 
 
 def _tuple(entries: Iterable[str]) -> str:
@@ -217,7 +217,7 @@ def _tuple(entries: Iterable[str]) -> str:
 
 
 def _tuple_functions(n: int, switches: int, parameters: int) -> str:
-    """What is done with tuples of states; numba unrolls no loop over them by itself."""
+    """The functions on tuples of states, written out because numba does not unroll loops over tuples."""
     packed = _tuple(f"array[{i}]" for i in range(n))
     shifted = _tuple(f"x[{i}] + h * k[{i}]" for i in range(n))
     weighed = "k1[{0}] + 2.0 * k2[{0}] + 2.0 * k3[{0}] + k4[{0}]"

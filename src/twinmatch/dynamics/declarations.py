@@ -1,4 +1,4 @@
-"""What a plant file declares: states, the drive, the output, disturbances, parameters, structures.
+"""Declarations of a plant file: states, drive, output, disturbances, parameters, structures.
 
 A declaration is written as a class attribute of a `Plant` and takes its name from there. Asked of the class
 it is itself; asked of an instance, which is what the plant's equations do, it is its SymPy symbol. SymPy is
@@ -23,10 +23,10 @@ __all__ = ["Declaration", "Disturbance", "Drive", "Output", "Parameter", "State"
 _Self = TypeVar("_Self", bound="Declaration")
 
 _STEP = 20.0
-"""Movement that excites a plant, in units of the noise."""
+"""Step that excites a plant, in units of the noise."""
 
 ROLES = ("", "losses", "room")
-"""What a parameter can mean to the health of a plant."""
+"""Roles that a parameter can have for the health of a plant."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +35,9 @@ class Declaration:
 
     unit: str = ""
     text: str = ""
-    """What it is, in a few words."""
+    """Short description."""
     symbol: str = ""
-    """How the field writes it; the name if empty."""
+    """The usual symbol; the name if empty."""
     name: str = field(default="", init=False)
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -50,21 +50,21 @@ class Declaration:
     def __get__(self, plant: object | None, owner: type) -> Any:
         if plant is None:
             return self
-        import sympy  # noqa: PLC0415 (only those who derive equations pay for it)
+        import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
 
         return sympy.Symbol(self.name, real=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class State(Declaration):
-    """A quantity that the plant carries from sample to sample."""
+    """A state variable of the plant."""
 
     span: tuple[float, float]
-    """Where it lives, in its unit; the fastest rate of the plant is looked for there."""
+    """Its range, in its unit; the fastest rate of the plant is searched there."""
     scale: float = 10.0
-    """A typical difference of its start."""
+    """Typical uncertainty of its initial value."""
     start_bounds: tuple[float, float] | None = None
-    """Where an unknown start is looked for; `span` if not given."""
+    """Bounds of the search for an unknown initial value; default: `span`."""
 
     def __post_init__(self) -> None:
         require_range("span of a state", self.span)
@@ -72,7 +72,7 @@ class State(Declaration):
 
 
 def _decimals(noise: float) -> int:
-    """Of a reading with this noise: down to the noise's first digit."""
+    """Decimal places of a value with this noise: down to the noise's first digit."""
     return next(k for k in range(9) if noise >= 10.0**-k or k == 8)
 
 
@@ -82,7 +82,7 @@ class Drive(Declaration):
 
     limits: tuple[float, float]
     noise: float
-    """Standard deviation of u in steady closed loop on a healthy plant; weighs what is left of u in a
+    """Standard deviation of u in steady closed loop on a healthy plant; unit of the residuals of u in a
     match."""
     rest: float = 0.0
     """Command at which the drive does nothing."""
@@ -93,8 +93,8 @@ class Drive(Declaration):
 
     @property
     def least_step(self) -> float:
-        """Movement that excites the plant: far above the noise, yet no more than a quarter of what the drive
-        can do, so that switching it on counts however noisy it is said to be."""
+        """Step that excites the plant: far above the noise, but at most a quarter of the drive's range, so
+        that switching the drive on counts whatever its noise."""
         low, high = self.limits
         return min(_STEP * self.noise, (high - low) / 4)
 
@@ -106,20 +106,20 @@ class Drive(Declaration):
 
 @dataclass(frozen=True, kw_only=True)
 class Output(Declaration):
-    """The output y: what the sensor says and the controller holds at the set-point."""
+    """The output y: measured by the sensor and controlled to the set-point."""
 
     noise: float
-    """Standard deviation of a reading; weighs what is left of y in a match."""
+    """Standard deviation of a reading; unit of the residuals of y in a match."""
     span: tuple[float, float]
     """Readings that a working sensor can give."""
     set_points: tuple[float, float] | None = None
-    """Where set-points make sense, which is where a suggested step may lead; `span` if not given."""
+    """Range of useful set-points, within which steps are suggested; default: `span`."""
     safe: tuple[float, float] = (-math.inf, math.inf)
-    """Set-points that do the plant no harm; a controller takes no others."""
+    """Set-points that are safe for the plant; a controller refuses all others."""
     absolute: float = 0.0
-    """What to add to a reading to count it from where its quantity is zero: 273.15 for °C."""
+    """Offset from a reading to the absolute quantity: 273.15 for °C."""
     sensor: str = "sensor"
-    """What gives the readings, in a word: where to look if they are wrong."""
+    """Name of the sensor: what to check if readings are wrong."""
 
     def __post_init__(self) -> None:
         require_range("span of the output", self.span)
@@ -127,7 +127,7 @@ class Output(Declaration):
 
     @property
     def least_step(self) -> float:
-        """Movement of the set-point that excites the plant: far above the noise of a reading."""
+        """Step of the set-point that excites the plant: far above the noise of a reading."""
         return _STEP * self.noise
 
     @property
@@ -138,10 +138,10 @@ class Output(Declaration):
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbance(Declaration):
-    """A measured quantity that acts on the plant without being commanded."""
+    """A measured quantity that acts on the plant but is not commanded."""
 
     default: float
-    """Its value where nobody measures it."""
+    """Its value where it is not measured."""
 
     def __post_init__(self) -> None:
         require_number("default of a disturbance", self.default)
@@ -149,27 +149,27 @@ class Disturbance(Declaration):
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Declaration):
-    """A number that tells one plant from another of its kind.
+    """A physical parameter, which differs between plants of one kind.
 
     Raises:
-        PlantError: default, bounds and limits contradict one another.
+        PlantError: default, bounds and limits contradict each other.
     """
 
     default: float
     bounds: tuple[float, float]
-    """Where a match looks for it."""
+    """Bounds of the search in a match."""
     scale: float = 0.0
-    """A typical size (of a difference where zero means nothing); |default| if not given."""
+    """Typical size (of a difference where zero is arbitrary); default: |default|."""
     least: float = -math.inf
-    """Smallest value it can have at all."""
+    """Smallest possible value."""
     positive: bool = False
-    """Whether it has to be above zero."""
+    """Whether it must be above zero."""
     most: float = math.inf
     role: str = ""
-    """What it means if it changes: "losses" (how the plant gives away heat or the like), "room" (to what);
-    empty: nothing that has a name."""
+    """Meaning of a change: "losses" (how easily the plant loses heat or the like), "room" (to what it loses
+    it); empty: no named meaning."""
     relative: bool = True
-    """Whether its error is judged relative to its value; False where its zero means nothing."""
+    """Whether its error is judged relative to its value; False where its zero is arbitrary."""
 
     def __post_init__(self) -> None:
         require_number("default of a parameter", self.default)
@@ -178,7 +178,9 @@ class Parameter(Declaration):
             object.__setattr__(self, "scale", abs(self.default) or 1.0)
         low, high = self.bounds
         if not low < high or not self.possible(low) or not self.possible(high):
-            msg = f"plant: bounds {self.bounds} of a parameter ({self.text}) must grow and be possible values"
+            msg = (
+                f"plant: bounds {self.bounds} of a parameter ({self.text}); give possible values, lower first"
+            )
             raise PlantError(msg)
         if self.role not in ROLES:
             msg = f"plant: role {self.role!r} of a parameter ({self.text}) must be one of {ROLES}"
@@ -190,7 +192,7 @@ class Parameter(Declaration):
 
     @property
     def requirement(self) -> str:
-        """What a value has to be, in words."""
+        """The conditions on a value, as text."""
         words = ["finite"]
         if self.positive:
             words.append("positive")
@@ -203,23 +205,23 @@ class Parameter(Declaration):
 
 @dataclass(frozen=True)
 class Structure:
-    """Which parts a plant is taken to have, and what of it is unknown."""
+    """Which parts of a plant are modelled, and which parameters are unknown."""
 
     free: tuple[str, ...]
-    """Parameters that a match looks for."""
+    """Parameters that a match fits."""
     parts: frozenset[str] = frozenset()
-    """Of the plant's `parts`, those that are there."""
+    """Those of the plant's `parts` that are modelled."""
     fixed: Mapping[str, float] = field(default_factory=dict)
-    """Values of other parameters, or where the search begins, if not the defaults."""
+    """Values of other parameters, or start values of the search, if not the defaults."""
     free_starts: tuple[str, ...] = ()
-    """States whose value at a window's begin is unknown too."""
+    """States whose value at a window's start is unknown, too."""
     starts: tuple[Mapping[str, float], ...] = ()
-    """More points to begin a search at, as changes of the first."""
+    """Further start points of the search, as changes of the first."""
     watched: bool = True
-    """Whether it is tried beside the running plant; the others only where somebody asks for all."""
+    """Whether it is fitted beside the running plant; otherwise only when all structures are requested."""
     text: str = ""
     elsewhere: Elsewhere | None = None
-    """Where its equations are, if not in the plant's file."""
+    """Source of its equations, if they are not in the plant's file."""
 
     def __post_init__(self) -> None:
         for name in ("free", "parts", "free_starts"):
@@ -232,5 +234,5 @@ class Structure:
         return hash((self.free, self.parts, tuple(self.fixed.items()), self.free_starts))
 
     def n_parameters(self, windows: int = 1) -> int:
-        """How many numbers a fit to so many windows is free to choose."""
+        """Number of values that a fit to so many windows estimates."""
         return len(self.free) + windows * len(self.free_starts)

@@ -1,11 +1,11 @@
-"""What is made of a plant's equations, written by hand for the smallest plant: a first-order lag.
+"""The functions generated from a plant's equations, written by hand for a first-order lag.
 
     dx/dt = (gain·u − x)/lag,  y = x
 
-The kernels are written against this module. For any other plant `code.py` writes the same functions with that
-plant's equations, and they take this module's place. States x, disturbances d and switches b (1 or 0) are
-tuples, so that they stay in registers; so are the parameters p and what `prepare` computed of them, c. Arrays
-are filled; entries that are always zero are left to whoever made the array.
+The kernels are written against this module. For any other plant `code.py` generates the same functions from
+that plant's equations, and they replace this module. States x, disturbances d and switches b (1 or 0) are
+tuples, so that they stay in registers; so are the parameters p and the constants c that `prepare` computes
+from them. Arrays are filled in place; the caller sets the entries that are always zero.
 """
 
 # ruff: noqa: ARG001, D103, PLR0917 (the form of the code that is written)

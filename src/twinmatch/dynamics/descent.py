@@ -1,14 +1,14 @@
 """Damped least squares inside bounds, for few parameters and many residuals.
 
 Levenberg–Marquardt on the normal equations. A step is the minimum of the damped quadratic model inside
-the box, found by fixing one parameter after another on the bound it would cross and letting go those that
-pull inwards; so a parameter lands on its bound exactly, and leaves it again when the residuals ask for
-it. The search ends where an undamped step promises nothing more, which a step cut short by damping cannot
-pretend.
+the box, found by fixing one parameter after another on the bound that it would cross and releasing those
+whose gradient points inwards; so a parameter reaches its bound exactly, and leaves it again if that reduces
+the residuals. The search ends when an undamped step predicts no further decrease; a damped step would be too
+short to show that.
 
-A search asks and is told: `told` takes the sum of squares at the point that was asked for and writes down the
-next one. So the same search runs in Python, on whatever can be evaluated (`descend`), and
-within a plant's compiled code.
+The search has an ask-and-tell interface: `update_search` takes the sum of squares at the requested point and
+sets the next one. So the same search runs in Python, on any function (`descend`), and within a plant's
+compiled code.
 """
 
 # ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
@@ -23,26 +23,35 @@ import numpy as np
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = ["LEAST_DAMPING", "Descended", "Search", "begun", "box_step", "descend", "ended", "told"]
+__all__ = [
+    "LEAST_DAMPING",
+    "Descended",
+    "Search",
+    "box_step",
+    "descend",
+    "new_search",
+    "search_result",
+    "update_search",
+]
 
 _TOLERANCE = 1e-9
-"""Promised decrease, in units of the sum of squares, below which the search ends."""
+"""Predicted decrease, in units of the sum of squares, below which the search ends."""
 _NOTHING = 1e-10
-"""The same in units of the noise variance: exact data leave no sum to compare with."""
+"""The same in units of the noise variance: with exact data the sum of squares is zero."""
 _SMALL = 1e-10
 """Step, in units of the scales, below which a search between kinks ends."""
 _FIRST_DAMPING = 1e-3
 _NEAR, _ALIKE = 0.5, 0.5
 """Largest rise above a minimum found before, and largest error of its quadratic model, within its valley."""
 LEAST_DAMPING: Final = 1e-12
-_RESTED, _MOST_DAMPING = 1e-9, 1e9
-"""Damping that is tried next where the least finds no step, and that at which every parameter goes alone."""
+_SETTLING, _MOST_DAMPING = 1e-9, 1e9
+"""Damping tried next if the least finds no step, and damping at which parameters are nearly independent."""
 
 _DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MOST, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(9)
 
 
 class Descended(NamedTuple):
-    """Where a search ended."""
+    """Result of a search."""
 
     values: FloatArray
     cost: float
@@ -50,18 +59,18 @@ class Descended(NamedTuple):
     converged: bool
     evaluations: int
     hessian: FloatArray
-    """JᵀJ there, shape (n, n)."""
+    """JᵀJ at `values`, shape (n, n)."""
 
 
 class Search(NamedTuple):
-    """A search on its way, for compiled code; every array is filled in place."""
+    """State of a search, for compiled code; every array is changed in place."""
 
-    tried: FloatArray
-    """The point asked for, shape (n,)."""
+    point: FloatArray
+    """The point to evaluate next, shape (n,)."""
     values: FloatArray
     """The best point so far."""
     best: FloatArray
-    """The sum there, shape (1,)."""
+    """The sum of squares there, shape (1,)."""
     gradient: FloatArray
     hessian: FloatArray
     lower: FloatArray
@@ -71,11 +80,11 @@ class Search(NamedTuple):
     """A minimum found before, shape (n,), and its JᵀJ."""
     known_hessian: FloatArray
     figures: FloatArray
-    """Damping, its growth, decrease expected, evaluations so far and at most, whether it converged, sum
-    at the known minimum (NaN without one), whether the search came into its valley."""
+    """Damping, its growth, expected decrease, evaluations so far and at most, whether it converged, sum at
+    the known minimum (NaN without one), whether the search entered its valley."""
 
 
-def begun(
+def new_search(
     start: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
@@ -83,14 +92,14 @@ def begun(
     most_evaluations: int,
     found: Descended | None = None,
 ) -> Search:
-    """A search that asks for its start, shape (n,), inside the bounds."""
+    """A new search, which first requests its start, shape (n,), inside the bounds."""
     n = start.size
     figures = np.zeros(_N)
     figures[_DAMPING], figures[_GROWTH], figures[_MOST] = _FIRST_DAMPING, 2.0, most_evaluations
     known = found is not None and found.converged
     figures[_KNOWN] = found.cost if known and found else np.nan
     return Search(
-        tried=start.copy(),
+        point=start.copy(),
         values=start.copy(),
         best=np.full(1, np.inf),
         gradient=np.empty(n),
@@ -104,8 +113,8 @@ def begun(
     )
 
 
-def ended(search: Search, found: Descended | None) -> Descended:
-    """What a search has come to; `found` itself if it came into that minimum's valley."""
+def search_result(search: Search, found: Descended | None) -> Descended:
+    """The result of a search; `found` itself if the search entered that minimum's valley."""
     figures = search.figures
     if found is not None and figures[_CAME_BACK]:
         return found
@@ -129,32 +138,32 @@ def descend(
 ) -> Descended:
     """Minimise the sum of squared residuals from one start (shape (n,), inside the bounds).
 
-    `normal` gives the sum, the gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n). Where the search comes into
-    the valley of a minimum found before, it ends with that one.
+    `normal` gives the sum, the gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n). If the search enters the
+    valley of the minimum `found` before, it ends with that one.
     """
-    search = begun(start, lower, upper, scales, most_evaluations, found)
-    while told(search, *normal(search.tried.copy())):
+    search = new_search(start, lower, upper, scales, most_evaluations, found)
+    while update_search(search, *normal(search.point.copy())):
         pass
-    return ended(search, found)
+    return search_result(search, found)
 
 
 @compiled
-def told(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray) -> bool:
-    """Take sum, gradient and JᵀJ at the point asked for; say whether another is asked for now."""
+def update_search(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray) -> bool:
+    """Take sum, gradient and JᵀJ at the requested point; return whether another point is requested."""
     values, figures = search.values, search.figures
     lower, upper = search.lower, search.upper
     first = figures[_EVALUATIONS] == 0.0
     figures[_EVALUATIONS] += 1.0
     if first or cost < search.best[0]:
         if not first:
-            # How far the quadratic model was right decides how far the next one is followed.
+            # The accuracy of the quadratic model sets the damping of the next step.
             fell, expected = search.best[0] - cost, figures[_EXPECTED]
             trusted = fell / expected if expected > 0.0 else 0.0
             less = max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3)
             figures[_DAMPING] = max(figures[_DAMPING] * less, LEAST_DAMPING)
             figures[_GROWTH] = 2.0
         search.best[0] = cost
-        values[:], search.gradient[:], search.hessian[:, :] = search.tried, gradient, hessian
+        values[:], search.gradient[:], search.hessian[:, :] = search.point, gradient, hessian
         if _in_valley(search, cost):
             figures[_CAME_BACK] = figures[_CONVERGED] = 1.0
             return False
@@ -172,10 +181,10 @@ def told(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray)
     moved = False
     for i in range(values.size):
         moved = moved or abs(step[i]) > _SMALL * search.scales[i]
-        # What lies beyond a bound, or short of it by no more than rounding, is put on it.
+        # A point beyond a bound, or within rounding of it, is set on it.
         there, near = values[i] + step[i], 1e-12 * (upper[i] - lower[i])
         there = lower[i] if there < lower[i] + near else there
-        search.tried[i] = upper[i] if there > upper[i] - near else there
+        search.point[i] = upper[i] if there > upper[i] - near else there
     if not moved:
         figures[_CONVERGED] = 1.0 if np.isfinite(search.best[0]) else 0.0
     return moved
@@ -183,7 +192,7 @@ def told(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray)
 
 @compiled
 def _in_valley(search: Search, cost: float) -> bool:
-    """Whether the quadratic model around a minimum found before accounts for the sum at these values."""
+    """Whether the quadratic model around a minimum found before explains the sum at these values."""
     least = search.figures[_KNOWN]
     if np.isnan(least):
         return False
@@ -204,16 +213,16 @@ def box_step(
     upper: FloatArray,
     damping: float,
 ) -> tuple[FloatArray, float]:
-    """Step to the minimum of gᵀd + ½dᵀ(H + damping·diag H)d with values + d in the box.
+    """Step d to the minimum of gᵀd + ½dᵀ(H + damping·diag H)d with values + d in the box.
 
-    Where parameters that trade off against each other send one another from bound to bound without end, there
-    is more damping until they come to rest.
+    If parameters that trade off against each other cycle between bounds, the damping is increased until they
+    settle.
 
-    Returns the step, shape (n,), and by how much 2gᵀd + dᵀHd, the change of the sum, is negative.
+    Returns the step, shape (n,), and the predicted decrease −(2gᵀd + dᵀHd) of the sum.
     """
     step, settled = _held_step(hessian, gradient, values, lower, upper, damping)
     while not settled and damping < _MOST_DAMPING:
-        damping = max(100.0 * damping, _RESTED)
+        damping = max(100.0 * damping, _SETTLING)
         step, settled = _held_step(hessian, gradient, values, lower, upper, damping)
     promised = 0.0
     for i in range(values.size):
@@ -232,8 +241,8 @@ def _held_step(
     upper: FloatArray,
     damping: float,
 ) -> tuple[FloatArray, bool]:
-    """That step, by holding one parameter after another on the bound it would cross and letting others go;
-    and whether no other was left to be held or let go."""
+    """That step, found by fixing parameters one after another on the bounds they would cross and releasing
+    others; and whether this has settled."""
     n = values.size
     step = np.zeros(n)
     settled = False
@@ -242,7 +251,7 @@ def _held_step(
         outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
         held[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
     for _ in range(4 * n):
-        # Cholesky on what is free, in units in which the diagonal is one.
+        # Cholesky on the free parameters, in units in which the diagonal is one.
         free = np.flatnonzero(~held)
         m = free.size
         factor, right = np.zeros((m, m)), np.zeros(m)
@@ -278,7 +287,7 @@ def _held_step(
             if abs(step[p]) > abs(room) and abs(room) / abs(step[p]) < reach:
                 first, reach = p, abs(room) / abs(step[p])
         if first < 0:
-            # A parameter that would rather leave its bound again is let go, one at a time.
+            # Parameters whose gradient points inwards are released, one at a time.
             pull = 0.0
             for i in range(n):
                 if held[i] and lower[i] < upper[i] and hessian[i, i] > 0.0:

@@ -1,4 +1,4 @@
-"""Where a structure comes from whose equations are not in the plant's file."""
+"""Interface of structures whose equations are not in the plant's file."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ __all__ = ["Elsewhere"]
 
 
 class Elsewhere(Protocol):
-    """What stands behind a structure whose equations somebody else wrote, in another language perhaps.
+    """Source of a structure whose equations are external, possibly in another language.
 
-    The plant's output, drive and disturbances are those of its file. States and parameters may be the plant's
+    Output, drive and disturbances are those of the plant's file. States and parameters may be the plant's,
     too, or be declared here.
     """
 
@@ -27,11 +27,11 @@ class Elsewhere(Protocol):
 
     @property
     def kernels(self) -> Any:
-        """The functions and names that a module of compiled kernels has, but for those that track changes.
+        """The functions and names of a module of compiled kernels, except those that track changes.
 
-        They raise `StructureLostError` once there is nothing behind them any more.
+        They raise `StructureLostError` once the external equations are gone.
         """
 
     @property
     def lost(self) -> str:
-        """Why it cannot be run any more, in a sentence; empty while it can."""
+        """Why it can no longer be run, in a sentence; empty while it can."""

@@ -1,10 +1,10 @@
-"""From a plant's equations to everything that is computed from them, in SymPy.
+"""Derivation of a plant's equations in SymPy: kinks resolved, symbols ordered, mistakes reported.
 
-Kinks (`Min`, `Max`, `Abs`, `Piecewise` with inequalities) are taken apart first. Each becomes a *switch*, a
-symbol that is 1 or 0, and a *condition*, the expression whose sign it follows; both sides of the kink then
-stand in the equations, weighed by the switch and one minus it. With its switches held, a plant is smooth: it
-differentiates to the side it is on, and an integrator can step right up to the moment a condition changes
-sign. The equations themselves have to be continuous there, as those of a limiter are.
+Kinks (`Min`, `Max`, `Abs`, `Piecewise` with inequalities) are resolved first. Each becomes a *switch*, a
+symbol that is 1 or 0, and a *condition*, the expression whose sign it follows; both branches then appear in
+the equations, weighted by the switch and one minus it. With constant switches a plant is smooth: its
+derivatives are those of the active branch, and an integrator can step exactly to the moment a condition
+changes sign. The equations must be continuous there, like those of a limiter.
 """
 
 from __future__ import annotations
@@ -28,34 +28,34 @@ Expression = Any
 
 @dataclass(frozen=True)
 class Equations:
-    """What a plant's `equations` returns."""
+    """The return value of a plant's `equations`."""
 
     rates: Mapping[Expression, Expression]
     """Time derivative of each state that the structure has, in its unit per second."""
     output: Expression
-    """What the sensor reads; a smooth function of states and parameters."""
+    """The quantity that the sensor measures; a smooth function of states and parameters."""
     start: Mapping[Expression, Expression]
-    """Each state at the begin of a window, from the output (its symbol), disturbances and parameters."""
+    """Initial value of each state, from the output (its symbol), disturbances and parameters."""
     quantities: Mapping[str, Expression] = field(default_factory=dict)
-    """Other quantities worth a look, by name: currents, heat flows."""
+    """Other quantities of interest, by name: currents, heat flows."""
 
 
 @dataclass(frozen=True)
 class Derived:
-    """Symbols in their order, and the expressions in terms of them."""
+    """The symbols in order, and the expressions in terms of them."""
 
     states: tuple[Expression, ...]
     drive: Expression
     disturbances: tuple[Expression, ...]
     parameters: tuple[Expression, ...]
-    """Those that the equations depend on, in the order of their declaration."""
+    """The parameters that the equations depend on, in the order of declaration."""
     unknown: tuple[Expression, ...]
-    """Of these, the ones by which tangents are wanted."""
+    """Those of them that tangents are computed for."""
     measured: Expression
     """Symbol of the output, as `start` uses it."""
     switches: tuple[Expression, ...]
     conditions: tuple[Expression, ...]
-    """Of each switch: it is 1 where this is positive. May use the switches before it."""
+    """Condition of each switch, which is 1 where this is positive; may use earlier switches."""
     rates: tuple[Expression, ...]
     output: Expression
     start: tuple[Expression, ...]
@@ -63,14 +63,14 @@ class Derived:
 
     @property
     def n_states(self) -> int:
-        """How many there are."""
+        """Number of states."""
         return len(self.states)
 
 
 def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Derived:
-    """The equations of a plant with some of its parts, ready to be written as code.
+    """Derive the equations of a plant with some of its parts, ready to be written as code.
 
-    Tangents are wanted by the parameters `unknown`, as far as the equations depend on them.
+    Tangents are computed for the parameters `unknown`, if the equations depend on them.
 
     Raises:
         PlantError: a state without rate or start, an unknown symbol, or an output with a kink.
@@ -86,11 +86,11 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     disturbances = tuple(declared[name] for name in plant.disturbances)
 
     kinks = _Kinks()
-    rates = tuple(kinks.taken_apart(sympy.sympify(written.rates[s])) for s in states)
-    quantities = {name: kinks.taken_apart(sympy.sympify(e)) for name, e in written.quantities.items()}
+    rates = tuple(kinks.resolved(sympy.sympify(written.rates[s])) for s in states)
+    quantities = {name: kinks.resolved(sympy.sympify(e)) for name, e in written.quantities.items()}
     output = sympy.sympify(written.output)
     start = tuple(sympy.sympify(written.start[s]) for s in states)
-    if _Kinks().taken_apart(output) != output:
+    if _Kinks().resolved(output) != output:
         raise PlantError(f"{title}: the output has a kink; put it into the sensor or into a state")
 
     used = set().union(*(e.free_symbols for e in (*rates, output, *start, *kinks.conditions)))
@@ -102,9 +102,9 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
         ("start", start, {measured}),
         ("quantities", tuple(quantities.values()), set()),
     ):
-        strangers = sorted(str(s) for e in expressions for s in e.free_symbols - known - more)
-        if strangers:
-            msg = f"{title}: its {what} use {strangers[0]!r}, which is not declared (or has no rate)"
+        undeclared = sorted(str(s) for e in expressions for s in e.free_symbols - known - more)
+        if undeclared:
+            msg = f"{title}: its {what} use {undeclared[0]!r}, which is not declared (or has no rate)"
             raise PlantError(msg)
     if output.free_symbols & {drive, *kinks.switches}:
         raise PlantError(f"{title}: the output depends on the drive at the same instant; add a state between")
@@ -115,7 +115,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
 
 
 def written_equations(plant: Plant, parts: frozenset[str]) -> Equations:
-    """What the plant's method returns; a mistake in it is told with its file and line."""
+    """Call the plant's `equations`; a mistake in it is reported with file and line."""
     try:
         written = plant.equations(parts)
     except PlantError:
@@ -139,7 +139,7 @@ def _mistake(plant: Plant, error: Exception) -> str:
         hint = f"did you mean {near[0]}?" if near else "declare it as a State, Parameter or Disturbance"
         return f"self.{error.name} is not declared; {hint}"
     if isinstance(error, TypeError) and "truth value" in str(error):
-        return "a condition on a value is not seen by the equations; use limited, minimum or maximum instead"
+        return "equations cannot branch on a value; use limited, minimum or maximum instead"
     return f"{type(error).__name__}: {error}"
 
 
@@ -150,28 +150,28 @@ def _require_states(
         raise PlantError(f"{title}: no state has a rate; a plant without memory needs no twin")
     for symbol in written.rates:
         if symbol not in declared:
-            raise PlantError(f"{title}: there is a rate of {symbol}, which is not declared as a state")
+            raise PlantError(f"{title}: `rates` has {symbol}, which is not declared as a state; declare it")
     for state in states:
         if state not in written.start:
-            raise PlantError(f"{title}: state {state} has no start value; say in `start` where it begins")
+            raise PlantError(f"{title}: state {state} has no start value; give one in `start`")
 
 
 class _Kinks:
-    """Replaces kinks by switches, innermost first, and keeps their conditions."""
+    """Replaces kinks by switches, innermost first, and collects their conditions."""
 
     def __init__(self) -> None:
         self.switches: list[Expression] = []
         self.conditions: list[Expression] = []
 
-    def taken_apart(self, expression: Expression) -> Expression:
-        """The expression without kinks."""
+    def resolved(self, expression: Expression) -> Expression:
+        """The expression with kinks replaced by switches."""
         import sympy  # noqa: PLC0415
 
         if not expression.args:
             return expression
         if isinstance(expression, sympy.Piecewise):
             return self._pieces(expression)
-        args = [self.taken_apart(a) for a in expression.args]
+        args = [self.resolved(a) for a in expression.args]
         if isinstance(expression, sympy.Abs):
             switch = self._switch(args[0])
             return args[0] * (2 * switch - 1)
@@ -188,15 +188,15 @@ class _Kinks:
         import sympy  # noqa: PLC0415
 
         pieces = list(expression.args)
-        result = self.taken_apart(pieces[-1][0])
+        result = self.resolved(pieces[-1][0])
         for value, condition in reversed(pieces[:-1]):
             if not isinstance(condition, sympy.StrictGreaterThan | sympy.GreaterThan):
                 if not isinstance(condition, sympy.StrictLessThan | sympy.LessThan):
-                    msg = f"plant: the condition {condition} of a Piecewise is no single inequality"
+                    msg = f"plant: the condition {condition} of a Piecewise is not a single inequality"
                     raise PlantError(msg)
                 condition = condition.reversed  # noqa: PLW2901
-            switch = self._switch(self.taken_apart(condition.lhs - condition.rhs))
-            result = switch * self.taken_apart(value) + (1 - switch) * result
+            switch = self._switch(self.resolved(condition.lhs - condition.rhs))
+            result = switch * self.resolved(value) + (1 - switch) * result
         return result
 
     def _switch(self, condition: Expression) -> Expression:

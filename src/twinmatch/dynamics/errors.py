@@ -1,4 +1,4 @@
-"""What can be wrong with a plant's equations, its numbers, or the signals it is run on."""
+"""Errors in a plant's equations, its numbers, or the signals on which it is run."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ __all__ = ["PlantError", "StructureLostError"]
 
 
 class PlantError(TwinmatchError):
-    """Equations that cannot be used, numbers no plant can have, or signals it cannot be run on."""
+    """Equations that cannot be used, impossible values, or signals on which the plant cannot be run."""
 
 
 class StructureLostError(PlantError):
-    """A structure from elsewhere that ran before cannot be run any more, and never will be again."""
+    """An external structure was lost: it ran before, but can never be run again."""

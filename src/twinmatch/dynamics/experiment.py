@@ -1,4 +1,4 @@
-"""A recorded window as a function of what is unknown of the plant, with exact tangents."""
+"""A recorded window as a function of the plant's unknowns, with exact tangents."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.dynamics.closing import FILED, Closing, gains_for
-from twinmatch.dynamics.descent import Descended, begun, ended
+from twinmatch.dynamics.descent import Descended, new_search, search_result
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.parameters import Parameters
 from twinmatch.dynamics.pid import PidState, controller_state
@@ -26,12 +26,12 @@ _COARSE = 0.5
 
 
 class Known(NamedTuple):
-    """What is known of a parameter before anything was recorded."""
+    """Prior knowledge of a parameter."""
 
     expected: float
-    """In its unit."""
+    """Expected value, in the parameter's unit."""
     pull: float
-    """What its square distance from that adds to the cost, in 1/unit²."""
+    """Weight of its squared distance from that in the cost, in 1/unit²."""
 
 
 class Tangents(NamedTuple):
@@ -44,9 +44,9 @@ class Tangents(NamedTuple):
     by: FloatArray
     """Derivatives of output and input by the unknowns, shape (2, N, n)."""
     by_state: FloatArray
-    """Of the states one period later by the states, shape (N, nx, nx)."""
+    """Derivatives of the states one period later by the states, shape (N, nx, nx)."""
     by_drive: FloatArray
-    """Of the states one period later by u, shape (N, nx)."""
+    """Derivatives of the states one period later by u, shape (N, nx)."""
     free: FloatArray
     """1 where the controller was not limited, else 0, shape (N,)."""
     seen: FloatArray
@@ -54,11 +54,11 @@ class Tangents(NamedTuple):
 
 
 class Experiment:
-    """The twin on one window: closed into its loop if the controller is known, else driven by the recorded u.
+    """The twin on one window: in closed loop if the controller is known, otherwise driven by the recorded u.
 
-    The closed-loop twin gets the window's reference from the third sample on, where the first two have told
-    the controller's memory; the driven twin starts there too. The unknowns are parameters and, after them,
-    states at the start; every other state starts where the plant file says.
+    The closed-loop twin gets the window's reference from the third sample on, because the first two determine
+    the controller's state; the driven twin starts there, too. The unknowns are parameters and, after them,
+    initial states; all other states start at the plant file's values.
     """
 
     def __init__(
@@ -75,21 +75,21 @@ class Experiment:
         coarse: bool = False,
         beforehand: Mapping[str, Known] | None = None,
     ) -> None:
-        """Set up.
+        """Set up the experiment.
 
         Args:
-            base: values of all that is not unknown.
-            free: names of the unknown parameters, of those the structure has.
+            base: values of all other parameters.
+            free: names of the unknown parameters of the structure.
             window: recorded samples.
-            free_starts: names of the states whose start is unknown.
-            gains: of the running controller, None for the driven twin; if not given, what the plant file
-                says, at the window's period.
-            weights: of a residual of output and of input in the normal equations.
-            robust: let large residuals count by their size and not by its square.
-            settle: samples after the start that count nothing.
-            coarse: take steps as long as half the fastest time constant, which costs a hundredth of a per
-                cent of what that one contributes: for structures with something fast in them.
-            beforehand: what is known of free parameters, by name.
+            free_starts: names of the states whose initial value is unknown.
+            gains: gains of the running controller, None for the driven twin; default: the plant file's, at
+                the window's period.
+            weights: weights of the residuals of output and input in the normal equations.
+            robust: let large residuals count linearly instead of quadratically.
+            settle: number of samples after the start that are ignored.
+            coarse: use steps as long as half the fastest time constant, for structures with fast parts; the
+                error is a hundredth of a per cent of the fast part's contribution.
+            beforehand: prior knowledge of free parameters, by name.
 
         Raises:
             PlantError: an unknown name, fewer than three samples, or a controller of another period.
@@ -148,7 +148,7 @@ class Experiment:
 
     @property
     def pull(self) -> FloatArray:
-        """What the square distance of each free parameter from what is known adds to the cost, shape (n,)."""
+        """Weight of the prior of each free parameter in the cost, shape (n,)."""
         return self._posed.pull[: len(self.free)].copy()
 
     @property
@@ -161,14 +161,14 @@ class Experiment:
         return self.base.replace(**dict(zip(self.free, values.tolist(), strict=False)))
 
     def starts_at(self, values: FloatArray) -> dict[str, float]:
-        """States at the start that are unknown, by name."""
+        """The unknown initial states, by name."""
         return dict(zip(self.free_starts, values[len(self.free) :].tolist(), strict=True))
 
     def values_of(self, parameters: Parameters) -> FloatArray:
-        """The unknowns at some parameters; unknown starts as the plant file has them, shape (n,)."""
-        begun, _, _ = self._begun(parameters.vector)
+        """The unknowns for given parameters; initial states are the plant file's, shape (n,)."""
+        initial, _, _ = self._initial(parameters.vector)
         named = [parameters[name] for name in self.free]
-        return np.array([*named, *begun[self._posed.started]], dtype=np.float64)
+        return np.array([*named, *initial[self._posed.started]], dtype=np.float64)
 
     def simulate(self, values: FloatArray) -> Response:
         """Run without derivatives; output and input have shape (N − 2,)."""
@@ -195,7 +195,7 @@ class Experiment:
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
 
-        The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, when rows weigh by 1/√(1 + r²);
+        The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, with rows weighted by 1/√(1 + r²);
         infinite where the plant is too fast for the period.
         """
         found: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(self._posed, values, np.inf)
@@ -210,10 +210,10 @@ class Experiment:
         most_evaluations: int,
         found: Descended | None = None,
     ) -> Descended:
-        """Minimise the cost from one start inside the bounds, as `twinmatch.dynamics.descend` does."""
-        search = begun(start, lower, upper, scales, most_evaluations, found)
+        """Minimise the cost from one start inside the bounds, like `twinmatch.dynamics.descend`."""
+        search = new_search(start, lower, upper, scales, most_evaluations, found)
         self._kernels.search(self._posed, search)
-        return ended(search, found)
+        return search_result(search, found)
 
     def tangents(self, values: FloatArray) -> Tangents:
         """Run with all derivatives."""
@@ -243,22 +243,22 @@ class Experiment:
 
     @cached_property
     def start_slope(self) -> FloatArray:
-        """Derivatives of the start by the output measured there, shape (nx,); zero for unknown starts."""
-        slope = self._begun(self.base.vector)[1]
+        """Derivatives of the initial states by the first output, shape (nx,); zero for unknown ones."""
+        slope = self._initial(self.base.vector)[1]
         slope[self._posed.started] = 0.0
         return np.asarray(slope, dtype=np.float64)
 
-    def _begun(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        begun: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
+    def _initial(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        initial: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
             vector, self._posed.first, self._posed.disturbances[0]
         )
-        return begun
+        return initial
 
     def _start(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
         """Parameters, states, their derivatives by the unknowns, and steps per sample."""
         vector, states, columns, steps = self._kernels.start_at(self._posed, values)
         if steps > self._kernels.MOST_STEPS:
-            self.model.steps(vector, self.window.period)  # says so
+            self.model.steps(vector, self.window.period)  # raises the error
         return vector, states, columns, steps
 
 

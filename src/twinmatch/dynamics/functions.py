@@ -1,5 +1,4 @@
-"""Functions with kinks for a plant's equations; for smooth ones (exp, sqrt) import them from `sympy`
-there."""
+"""Functions with kinks for a plant's equations; import smooth ones (exp, sqrt) from `sympy`."""
 
 from __future__ import annotations
 
@@ -30,5 +29,5 @@ def magnitude(value: Any) -> Any:
 
 
 def limited(value: Any, low: Any, high: Any) -> Any:
-    """An expression kept between two others."""
+    """An expression limited to the range between two others."""
     return maximum(low, minimum(high, value))

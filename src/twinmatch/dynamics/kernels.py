@@ -1,12 +1,12 @@
 """The compiled arithmetic of every plant: steps, loops and their exact tangents.
 
-Written against `derived`, whose functions are those of one plant; the store puts the functions made of
-another plant's equations in their place and keeps the whole, with `runs`, as a module of its own.
+Written against `derived`, whose functions are those of one plant; the store replaces them by the functions
+generated for another plant and keeps the result, with `runs`, as a separate module.
 
-A sample is `steps` Runge–Kutta steps of order 4, none of which crosses a kink: where a condition changes sign
-within a step, its moment is bisected and the step ends just behind it. Tangents are carried through the same
-stages. They need nothing at a kink, because the rates are continuous there and its moment has no part in
-them.
+A sample takes `steps` Runge–Kutta steps of order 4, none of which crosses a kink: if a condition changes sign
+within a step, the moment is found by bisection and the step ends just after it. Tangents pass through the
+same stages. They need no correction at a kink: the rates are continuous there, so its moment has no
+first-order effect.
 """
 
 # ruff: noqa: PLR0917 (kernels are long and take arrays in a row)
@@ -57,26 +57,26 @@ __all__ = [
 ]
 
 RATE_LIMIT = 0.06
-"""Runge–Kutta step in units of the fastest time constant: its error is below 1e-7 of its movement."""
+"""Runge–Kutta step in units of the fastest time constant: its error is below 1e-7 of the step."""
 MOST_STEPS = 2000
 MOST_EVENTS = 24
-"""Kinks crossed in one step before it is taken as it is."""
+"""Kinks located within one step; further ones are stepped over."""
 BISECTIONS = 48
 MOST_SWITCHES = 6
-"""Kinks of which all combinations are looked at."""
+"""Kinks whose combinations are all checked for the fastest rate."""
 
 
 @compiled(innermost=True)
 def _crossed(a: Any, u: float, d: Any, p: Any, c: Any, b: Any) -> bool:
-    """Whether some states lie beyond a kink."""
+    """Whether states lie beyond a kink."""
     return N_SWITCHES > 0 and switches(a, u, d, p, c) != b
 
 
 @compiled(innermost=True)
 def _runge_kutta(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> Any:
-    """States after one step with the switches held, and whether a kink lies on the way.
+    """States after one step with constant switches, and whether it crosses a kink.
 
-    The stages are asked too: beyond a kink the equations of this side may mean nothing.
+    The stages are checked, too: beyond a kink the equations of this branch may be invalid.
     """
     k1 = rates(x, u, d, p, c, b)
     x2 = shifted(x, k1, 0.5 * h)
@@ -92,7 +92,7 @@ def _runge_kutta(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> 
 
 @compiled(inside=True)
 def _reach(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> float:
-    """Length of the step that ends just beyond the first kink on the way of a step by h."""
+    """Length of the step that ends just beyond the first kink within a step of h."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -110,13 +110,13 @@ def tick(x: Any, u: float, d: Any, p: Any, c: Any, period: float, steps: int) ->
         left = period / steps
         for event in range(MOST_EVENTS):
             b = switches(x, u, d, p, c)
-            went = left
+            taken = left
             there, crossed = _runge_kutta(x, u, d, p, c, b, left)
             if crossed and event < MOST_EVENTS - 1:
-                went = _reach(x, u, d, p, c, b, left)
-                there, _ = _runge_kutta(x, u, d, p, c, b, went)
+                taken = _reach(x, u, d, p, c, b, left)
+                there, _ = _runge_kutta(x, u, d, p, c, b, taken)
             x = there
-            left -= went
+            left -= taken
             if not left > 0.0:
                 break
     return x
@@ -129,7 +129,7 @@ def tick_with_tangents(
 ) -> Any:  # fmt: skip
     """States one period later, in the same steps as `tick`.
 
-    Their derivatives `columns`, shape (N_STATES, m), move in place.
+    Their derivatives `columns`, shape (N_STATES, m), are updated in place.
     """
     for _ in range(steps):
         left = period / steps
@@ -166,7 +166,7 @@ def tick_with_tangents(
 def advance(
     vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
 ) -> FloatArray:
-    """The states one period later, the drive and the disturbances held, shape (N_STATES,)."""
+    """The states one period later under constant drive and disturbances, shape (N_STATES,)."""
     after = np.zeros(N_STATES)
     p = held(vector)
     c = prepare(p)
@@ -176,7 +176,7 @@ def advance(
 
 @compiled
 def begin(vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """States where a window begins, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
+    """Initial states, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
     x = np.zeros(N_STATES)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
     p = held(vector)
@@ -209,11 +209,11 @@ def parts(
     period: float,
     steps: int,
 ) -> tuple[float, float, FloatArray]:
-    """How far the drive moves a measured output in one period, how far all else does, and the states then.
+    """Movement of a measured output in one period due to the drive and to all else, and the states after it.
 
-    States that the output does not show begin where they are `before`, unless that is NaN. Those that the
-    plant file lets begin with the output, as a heater that begins as warm as what it heats, go along with
-    what the output is off by: their distance from it is carried, and no error of the plant adds up in them.
+    States that the output does not show start from `before`, unless that is NaN. Those whose initial value
+    depends on the output, such as a heater that starts at the temperature of what it heats, are shifted by
+    the output's error: their distance from the output is kept, so that errors of the plant do not accumulate.
     """
     x, after = np.zeros(N_STATES), np.zeros(N_STATES)
     shown, shown_by = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
@@ -258,9 +258,9 @@ def step_count(
     """Runge–Kutta steps per sample, none longer than `limit` times the fastest time constant; more than
     MOST_STEPS where the plant is too fast.
 
-    The fastest rate decides: over some states, shape (m, N_STATES), and drives, on every side of
-    the kinks, the least of three norms of df/dx (rows, columns, Frobenius); no eigenvalue is above any of
-    them.
+    The fastest rate decides: the largest over the states `corners`, shape (m, N_STATES), the drives, and all
+    branches of the kinks, of the least of three norms of df/dx (rows, columns, Frobenius), each of which
+    bounds the eigenvalues.
     """
     fp = np.zeros((1, N_STATES, N_UNKNOWN))
     p = held(vector)

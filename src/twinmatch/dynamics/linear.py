@@ -1,4 +1,4 @@
-"""A plant around an operating point: where it rests, and how it answers small movements there."""
+"""Equilibrium of a plant at an operating point, and its linearisation there."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ __all__ = ["Linear", "Rest", "linearised", "linearised_at", "rest_at"]
 
 MOST_STEPS = 60
 STEADY = 1e-9
-"""Newton's step, in units of the states' spans and the drive's range, at which the plant counts as at
-rest."""
+"""Newton step, in units of the states' spans and the drive's range, below which the equilibrium is found."""
 
 
 class Rest(NamedTuple):
-    """Where nothing moves."""
+    """An equilibrium."""
 
     states: FloatArray
-    """Shape (n,)."""
+    """States, shape (n,)."""
     input: float
 
 
 class Linear(NamedTuple):
-    """x[k+1] = A·x[k] + B·u[k], y[k] = C·x[k], as deviations from `rest`: exact for small movements."""
+    """x[k+1] = A·x[k] + B·u[k], y[k] = C·x[k], as deviations from `rest`: exact for small deviations."""
 
     A: FloatArray
     """Shape (n, n)."""
@@ -37,13 +36,13 @@ class Linear(NamedTuple):
     C: FloatArray
     """Shape (1, n)."""
     period: float
-    """s"""
+    """Sample time, s."""
     rest: Rest
-    """Where it rests, or, of `linearised_at`, passes through."""
+    """The point of linearisation: an equilibrium or, for `linearised_at`, a point that is passed through."""
 
 
 def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | None = None) -> Rest:
-    """The states and the input at which the plant rests with this output.
+    """The states and the input of the equilibrium with this output.
 
     Raises:
         PlantError: no input within the drive's limits holds it there.
@@ -65,7 +64,7 @@ def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | Non
         if np.linalg.matrix_rank(slopes) < scales.size:
             break
         step = np.linalg.solve(slopes, -np.append(f, off) / size) * scales
-        # Beyond the plant's range its equations may mean nothing: go there by half the way at most.
+        # Outside the plant's range its equations may be invalid: move by at most half the range per step.
         states = np.clip(states + step[:-1], states - 0.5 * scales[:-1], states + 0.5 * scales[:-1])
         u = float(np.clip(u + step[-1], drive.limits[0] - scales[-1], drive.limits[1] + scales[-1]))
         if np.max(np.abs(step) / scales) <= STEADY:
@@ -75,7 +74,7 @@ def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | Non
     unit, name = model.plant.output.unit, drive.unit or drive.name
     msg = (
         f"{model.title}: no {name} between {drive.limits[0]:g} and {drive.limits[1]:g} holds it at "
-        f"{output:g} {unit}; give an operating point it can be held at"
+        f"{output:g} {unit}; give an operating point at which it can be held"
     )
     raise PlantError(msg)
 
@@ -83,7 +82,7 @@ def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | Non
 def linearised(
     parameters: Parameters, output: float, period: float, disturbances: ArrayLike | None = None
 ) -> Linear:
-    """The plant sampled with a period (s), around the point at which it rests with this output.
+    """The plant sampled with a period (s), linearised at the equilibrium with this output.
 
     Raises:
         PlantError: as `rest_at`, or the plant is too fast for the period.
@@ -99,7 +98,7 @@ def linearised_at(
     period: float,
     disturbances: ArrayLike | None = None,
 ) -> Linear:
-    """The plant sampled with a period (s), around states, shape (n,), and an input that it passes through.
+    """The plant sampled with a period (s), linearised at given states, shape (n,), and input.
 
     Raises:
         PlantError: the plant is too fast for the period.

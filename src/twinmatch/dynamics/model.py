@@ -1,4 +1,4 @@
-"""A plant in one structure, ready to be run."""
+"""A plant in one structure, ready to run."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ __all__ = ["Model"]
 
 
 class Model:
-    """Everything that is asked of a plant's physics goes through here. One object per plant and structure."""
+    """Access to a plant's equations in one structure; there is one object per plant and structure."""
 
     def __init__(self, plant: type[Plant], structure_name: str) -> None:
-        """Use `Plant.model`, which keeps them."""
+        """Use `Plant.model`, which caches the objects."""
         self.plant = plant
         self.structure_name = structure_name
         self.structure: Structure = plant.structures[structure_name]
@@ -42,7 +42,7 @@ class Model:
 
     @cached_property
     def kernels(self) -> Any:
-        """Its functions; compiled ones have tangents by all that structures with its parts leave free."""
+        """Its functions; compiled ones have tangents for all parameters free in structures with its parts."""
         if self.structure.elsewhere is not None:
             return self.structure.elsewhere.kernels
         parts = self.structure.parts
@@ -51,14 +51,14 @@ class Model:
         return kernels_of(self.plant, parts, frozenset().union(*free))
 
     def kernels_by(self, names: Iterable[str]) -> Any:
-        """Functions that have tangents by these parameters."""
+        """Functions with tangents for these parameters."""
         if self.structure.elsewhere is not None or set(names) <= set(self.kernels.UNKNOWN):
             return self.kernels
         return kernels_of(self.plant, self.structure.parts, frozenset(self.names))
 
     @cached_property
     def states(self) -> tuple[str, ...]:
-        """Names of the states this structure has, in the order of every array of states."""
+        """Names of this structure's states, in the order of every array of states."""
         return tuple(self.kernels.STATES)
 
     @cached_property
@@ -77,27 +77,27 @@ class Model:
 
     @property
     def is_elsewhere(self) -> bool:
-        """Whether its equations are not in the plant's file, so that they may fail in ways of their own."""
+        """Whether its equations are not in the plant's file, so that they may fail in other ways."""
         return self.structure.elsewhere is not None
 
     @property
     def lost(self) -> str:
-        """Why a structure from elsewhere cannot be run any more, in a sentence; empty while it can."""
+        """Why an external structure can no longer be run, in a sentence; empty while it can."""
         return "" if self.structure.elsewhere is None else self.structure.elsewhere.lost
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return tuple(self.declared)
 
     @cached_property
     def defaults(self) -> Mapping[str, float]:
-        """Values of the parameters where nothing else is said."""
+        """Default values of the parameters."""
         fixed = self.structure.fixed
         return {name: fixed.get(name, declared.default) for name, declared in self.declared.items()}
 
     def parameters(self, **values: float) -> Parameters:
-        """Values of the parameters; those not named have the structure's.
+        """Parameters with these values; those not named have the structure's defaults.
 
         Raises:
             PlantError: as `Parameters`.
@@ -105,17 +105,17 @@ class Model:
         return Parameters(self, values)
 
     def typical(self) -> Parameters:
-        """What the plant file calls typical, as far as this structure has it."""
+        """The typical values of the plant file, for the parameters of this structure."""
         known = {n: v for n, v in self.plant.typical.items() if n in self.declared}
         return Parameters(self, known)
 
     @cached_property
     def disturbances(self) -> FloatArray:
-        """Their defaults, shape (m,)."""
+        """Defaults of the disturbances, shape (m,)."""
         return np.array([d.default for d in self.plant.disturbances.values()], dtype=np.float64)
 
     def disturbance_row(self, values: ArrayLike | None) -> FloatArray:
-        """One value per disturbance, shape (m,): those given, or the defaults.
+        """One value per disturbance, shape (m,): the given ones, or the defaults.
 
         Raises:
             PlantError: the plant has another number of them, or one is not finite.
@@ -125,14 +125,14 @@ class Model:
         row = np.array(values, dtype=np.float64)
         if row.shape != self.disturbances.shape or not np.isfinite(row).all():
             msg = (
-                f"{self.title}: disturbances {row.tolist()} given; it takes {self.disturbances.size} finite "
+                f"{self.title}: disturbances {row.tolist()} given; give {self.disturbances.size} finite "
                 f"values ({', '.join(self.plant.disturbances) or 'none'})"
             )
             raise PlantError(msg)
         return row
 
     def disturbance_rows(self, values: ArrayLike | None, size: int) -> FloatArray:
-        """One row per sample, shape (size, m): those given, or the defaults.
+        """One row per sample, shape (size, m): the given ones, or the defaults.
 
         Raises:
             PlantError: as `disturbance_row`.
@@ -142,15 +142,14 @@ class Model:
         rows = np.array(values, dtype=np.float64)
         if rows.shape != (size, self.disturbances.size) or not np.isfinite(rows).all():
             msg = (
-                f"{self.title}: disturbances of shape {rows.shape} given; it takes {self.disturbances.size} "
+                f"{self.title}: disturbances of shape {rows.shape} given; give {self.disturbances.size} "
                 f"finite values ({', '.join(self.plant.disturbances) or 'none'}) at each of {size} samples"
             )
             raise PlantError(msg)
         return rows
 
     def steps(self, vector: FloatArray, period: float) -> int:
-        """Runge–Kutta steps per sample at these parameters: the fastest rate anywhere in the plant's range
-        decides.
+        """Runge–Kutta steps per sample for these parameters: the fastest rate in the plant's range decides.
 
         Raises:
             PlantError: the plant is too fast for samples of this period.
@@ -171,13 +170,13 @@ class Model:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """Of the range of the states, shape (m, n)."""
+        """Corners and centre of the range of the states, shape (m, n)."""
         spans = [state.span for state in self.declared_states]
         corners = np.array(list(itertools.product(*spans)), dtype=np.float64)
         return np.vstack([corners, corners.mean(axis=0)])
 
     @cached_property
     def drives(self) -> FloatArray:
-        """Ends of the drive's range, and where it rests, shape (3,)."""
+        """Limits and rest value of the drive, shape (3,)."""
         drive = self.plant.drive
         return np.array([*drive.limits, drive.rest], dtype=np.float64)

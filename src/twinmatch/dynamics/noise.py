@@ -1,4 +1,4 @@
-"""What the sensor's noise does to a loop: it goes round through the controller and the plant."""
+"""Effect of the sensor's noise on a loop, through controller and plant."""
 
 # ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
 
@@ -17,18 +17,18 @@ __all__ = ["around_loop", "noise_scores"]
 def noise_scores(
     experiment: Experiment, tangents: Tangents, weighed: FloatArray, weights: tuple[float, float]
 ) -> tuple[FloatArray, float]:
-    """What white noise of the readings does to the sums Σ_j weighed_j·residual_j.
+    """Effect of white noise in the readings on the sums Σ_j weighed_j·residual_j.
 
     Args:
-        experiment: what was run.
-        tangents: the run.
+        experiment: the experiment.
+        tangents: its run.
         weighed: rows of the weighed residuals' Jacobian, shape (2, N, n).
-        weights: of a residual of output and of input for noise of 1 in the readings.
+        weights: weights of the residuals of output and input, for noise of 1 in the readings.
 
     Returns:
-        The sums that noise of size 1 at each sample alone would leave, shape (N, n), and the mean
-        squared residual left by all of them. Noise of the first reading also misplaces the twin's start.
-        A driven twin meets noise only in the readings it is compared with, and in its start.
+        The sums caused by noise of size 1 at each sample alone, shape (N, n), and the mean squared
+        residual caused by all of them. Noise of the first reading also shifts the twin's start. For a
+        driven twin, noise enters only through the readings it is compared with, and its start.
     """
     return _noise_scores(
         np.ascontiguousarray(tangents.by_state),
@@ -59,8 +59,8 @@ def _noise_scores(
 ) -> tuple[FloatArray, float]:
     """Backwards through the linearised loop, whose state is z = (states, integral, previous).
 
-    `ahead` holds the gradients of the sums by that state one sample on, `power` the quadratic form
-    whose value is the sum of the squared residuals that a disturbed state leaves from there on.
+    `ahead` holds the gradients of the sums by the state one sample later, `power` the quadratic form
+    of a disturbed state that gives the sum of the squared residuals from then on.
     """
     size, n, nx = weighed.shape[1], weighed.shape[2], by_state.shape[1]
     m = nx + 2
@@ -71,8 +71,8 @@ def _noise_scores(
         noise_u = around_loop(gains, closed, free[k], seen[k], by_state[k], by_drive[k], a, b, of_u)
         out_y, out_u = weight_y, weight_u * noise_u
         if k == 0:
-            # The first reading is where the twin starts, so its noise moves both, and only the plant's own
-            # way from there on differs.
+            # The twin starts at the first reading, so its noise shifts both, and only the plant's own
+            # movement afterwards differs.
             out_y, out_u = 0.0, 0.0
             for i in range(m):
                 b[i] = 0.0
@@ -110,7 +110,7 @@ def around_loop(
     gains: Gains, closed: bool, free: float, seen: FloatArray, by_state: FloatArray, by_drive: FloatArray,
     a: FloatArray, b: FloatArray, of_u: FloatArray,
 ) -> float:  # fmt: skip
-    """One sample of a loop for small movements: z, the plant's states, the controller's integral and error.
+    """One sample of the linear loop; its state z holds the plant's states, the integral and the error.
 
     With v, the noise of the reading: u = of_u·z + noise_u·v, next z = a·z + b·v; returns noise_u. `seen`
     holds the derivatives of the output by the plant's states.

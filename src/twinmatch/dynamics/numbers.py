@@ -1,4 +1,4 @@
-"""Numbers that somebody wrote into a plant file."""
+"""Checks of the numbers in a plant file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["require_number", "require_range"]
 
 
 def require_number(what: str, value: Any, *, above: float = -math.inf) -> None:
-    """Refuse what is no finite number above `above`.
+    """Check that a value is a finite number above `above`.
 
     Raises:
         PlantError: it is none.
@@ -23,7 +23,7 @@ def require_number(what: str, value: Any, *, above: float = -math.inf) -> None:
 
 
 def require_range(what: str, ends: Any) -> None:
-    """Refuse what is no pair of finite numbers, the smaller one first.
+    """Check that a value is a pair of finite numbers, the smaller one first.
 
     Raises:
         PlantError: it is none.
@@ -31,5 +31,5 @@ def require_range(what: str, ends: Any) -> None:
     numbers = isinstance(ends, tuple | list) and len(ends) == 2
     if numbers and all(isinstance(e, int | float) and math.isfinite(e) for e in ends) and ends[0] < ends[1]:
         return
-    msg = f"plant: {what} is {ends!r}; give two finite numbers that grow, such as (0.0, 100.0)"
+    msg = f"plant: {what} is {ends!r}; give two finite numbers, the smaller first, such as (0.0, 100.0)"
     raise PlantError(msg)

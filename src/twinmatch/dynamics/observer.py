@@ -1,5 +1,5 @@
-"""States that no sensor shows, followed through the output: an extended Kalman filter on the plant's own
-tick, which can carry slowly changing parameters along."""
+"""Observer for unmeasured states: an extended Kalman filter on the plant's own tick, which can also estimate
+slowly changing parameters."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from twinmatch.signals import FloatArray
 
 __all__ = ["Observer", "Wander"]
 
-_STEPS_ANEW = 60
-"""Samples after which wandering parameters are asked anew for their Runge–Kutta steps."""
+_STEPS_EVERY = 60
+"""Samples after which the Runge–Kutta steps are computed again for the wandering parameters."""
 
 
 class Wander(NamedTuple):
-    """How a parameter changes that is carried along with the states."""
+    """Random walk of a parameter that is estimated with the states."""
 
     drift: float
-    """Standard deviation by which it changes in a second, in its unit; grows with the root of time."""
+    """Standard deviation of its change per second, in its unit; grows with the root of time."""
     start: float
-    """Standard deviation at the start."""
+    """Initial standard deviation."""
 
 
 class Observer:
-    """States and their covariance, sample by sample; first `correct`, then `predict`, and so on."""
+    """States and their covariance, sample by sample: call `correct`, then `predict`, alternately."""
 
     def __init__(
         self,
@@ -47,32 +47,34 @@ class Observer:
         wandering: Mapping[str, Wander] | None = None,
         limit: float = math.inf,
     ) -> None:
-        """Begin with the plant file's start at this output, or anywhere in a session with given states.
+        """Start from the plant file's initial states at this output, or anywhere from given states.
 
         Args:
             parameters: the plant.
             output: first reading; not needed if the states are given.
             period: sample time, s.
-            drift: standard deviation by which each state strays from the equations in a second, shape (n,).
-            start: standard deviation of each state at the start, shape (n,); or give the covariance.
-            disturbances: at the first sample.
-            states: shape (n,), instead of those that the plant file makes of the output.
-            covariance: of the states, shape (n, n), or of states and wandering parameters, (n + m, n + m).
-            wandering: m parameters that change slowly and are followed like states, inside their bounds.
-            limit: surprise, in its standard deviations, beyond which a larger one moves no further: for
-                sensors with single wrong readings, such as a camera that corrects its flat field.
+            drift: standard deviation of the drift of each state from the equations per second, shape (n,).
+            start: initial standard deviation of each state, shape (n,); or give the covariance.
+            disturbances: those at the first sample.
+            states: initial states, shape (n,), instead of those computed from the output.
+            covariance: that of the states, shape (n, n), or of states and wandering parameters,
+                (n + m, n + m).
+            wandering: m parameters that change slowly and are estimated like states, inside their bounds.
+            limit: innovation, in standard deviations, to which larger ones are clipped: for sensors with
+                single wrong readings, such as a camera that corrects its flat field.
 
         Raises:
-            PlantError: a value is unfit, a name is no parameter, or the plant is too fast for the period.
+            PlantError: a value is invalid, a name is not a parameter, or the plant is too fast for the
+            period.
         """
         model = parameters.model
         self._title, self._model = model.title, model
         wandering = wandering or {}
         self.wandering = tuple(wandering)
-        """Names of the parameters that are carried along, in the order of the joint covariance."""
+        """Names of the estimated parameters, in the order of the joint covariance."""
         unknown = [name for name in wandering if name not in model.names]
         if unknown:
-            msg = f"{model.title}: {unknown[0]!r} cannot wander; there are {', '.join(model.names)}"
+            msg = f"{model.title}: {unknown[0]!r} cannot wander; choose from {', '.join(model.names)}"
             raise PlantError(msg)
         self._kernels = model.kernels_by(self.wandering)
         n, m = len(model.states), len(wandering)
@@ -89,7 +91,7 @@ class Observer:
         self._row = model.disturbance_row(disturbances)
         if states is None:
             if output is None:
-                raise PlantError(f"{model.title}: an observer begins at an output or at states; give one")
+                raise PlantError(f"{model.title}: an observer starts from an output or from states; give one")
             states = begin(parameters, output, disturbances=self._row)
         self.states = states
         self._joint = self._first_covariance(start, covariance, [w.start for w in wandering.values()])
@@ -98,12 +100,12 @@ class Observer:
 
     @property
     def parameters(self) -> Parameters:
-        """The plant; of parameters that wander, their values now.
+        """Parameters of the plant, with the current estimates of those that wander.
 
-        Others of the same model may be given at any sample: the states and all covariance stay.
+        Others of the same model may be set at any sample: states and covariance are kept.
 
         Raises:
-            PlantError: they are another model's, for which the states mean nothing.
+            PlantError: they belong to another model, whose states differ.
         """
         if not self.wandering:
             return self._parameters
@@ -124,7 +126,7 @@ class Observer:
 
     @property
     def states(self) -> FloatArray:
-        """Shape (n,)."""
+        """Estimated states, shape (n,)."""
         return self._states.copy()
 
     @states.setter
@@ -132,7 +134,7 @@ class Observer:
         held = np.array(states, dtype=np.float64)
         if held.shape != (len(self._model.states),) or not np.isfinite(held).all():
             msg = (
-                f"{self._title}: states {held.tolist()} given; it takes finite values of "
+                f"{self._title}: states {held.tolist()} given; give finite values of "
                 f"{', '.join(self._model.states)}"
             )
             raise PlantError(msg)
@@ -140,7 +142,7 @@ class Observer:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the states, shape (n, n)."""
+        """Covariance of the states, shape (n, n)."""
         n = self._states.size
         return self._joint[:n, :n].copy()
 
@@ -150,11 +152,11 @@ class Observer:
         return self._joint.copy()
 
     def correct(self, output: float, disturbances: ArrayLike | None = None) -> tuple[float, float]:
-        """Take a reading; return by how much it surprised, and the variance that surprise was to have.
+        """Take a reading; return the innovation and its expected variance.
 
         Raises:
-            PlantError: the reading or a disturbance is not finite, and nothing has moved; or the equations
-                mean nothing any more at the states, and a new observer has to begin.
+            PlantError: the reading or a disturbance is not finite (the observer is then unchanged); or the
+                equations have no finite value at the estimated states, and a new observer is needed.
         """
         if not math.isfinite(output):
             raise PlantError(f"{self._title}: the reading is {output}; only finite values can be used")
@@ -173,21 +175,21 @@ class Observer:
             self._bounds,
         )
         if not math.isfinite(found[0] + found[1]):
-            msg = f"{self._title}: its equations give nothing at the states that the observer has come to"
-            raise PlantError(f"{msg}; begin a new one")
+            msg = f"{self._title}: its equations have no finite value at the observer's states"
+            raise PlantError(f"{msg}; start a new observer")
         return found
 
     def predict(self, input: float) -> None:
         """Move on by one period under an input.
 
         Raises:
-            PlantError: the input is not finite; nothing has moved then.
+            PlantError: the input is not finite; the observer is then unchanged.
         """
         if not math.isfinite(input):
             raise PlantError(f"{self._title}: the input is {input}; the plant takes only finite values")
         if self.wandering:
             self._ticks += 1
-            if self._ticks % _STEPS_ANEW == 0:
+            if self._ticks % _STEPS_EVERY == 0:
                 self._steps = self._model.steps(self._vector, self._period)
         self._kernels.predict(
             self._vector,
@@ -215,7 +217,7 @@ class Observer:
             return joint
         given = np.array(covariance, dtype=np.float64)
         if given.shape not in {(n, n), (n + m, n + m)} or not np.isfinite(given).all():
-            msg = f"{self._title}: a covariance of shape {given.shape} given; it takes finite ({n}, {n})"
+            msg = f"{self._title}: a covariance of shape {given.shape} given; give finite values, ({n}, {n})"
             raise PlantError(f"{msg} or ({n + m}, {n + m})" if m else msg)
         size = given.shape[0]
         joint[:size, :size] = 0.5 * (given + given.T)
@@ -225,7 +227,7 @@ class Observer:
         held = np.array(values, dtype=np.float64)
         if held.shape != (size,) or not (np.isfinite(held) & (held >= 0)).all():
             msg = (
-                f"{self._title}: {name} {held.tolist()} given; it takes {size} finite standard deviations, "
+                f"{self._title}: {name} {held.tolist()} given; give {size} finite standard deviations, "
                 f"none negative ({', '.join((*self._model.states, *self.wandering)[:size])})"
             )
             raise PlantError(msg)

@@ -34,11 +34,10 @@ def correct(
     vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray, noise: float,
     limit: float, which: NDArray[np.int64], bounds: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
-    """By how much a reading surprises, and the variance that this was to have; all else moves in place.
+    """Correct by a reading, in place; return the innovation and its expected variance.
 
-    `which`, shape (2, m), counts the parameters that wander among those with tangents and among all;
-    `bounds`, shape (2, m), holds them. A surprise beyond `limit` standard deviations moves as far as one of
-    `limit`.
+    `which`, shape (2, m), holds the indices of the wandering parameters among those with tangents and among
+    all; `bounds`, shape (2, m), limits them. Innovations are clipped at `limit` standard deviations.
     """
     size = covariance.shape[0]
     hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
@@ -47,7 +46,7 @@ def correct(
     p = held(vector)
     c = prepare(p)
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
-    surprise = y - output(at, given, p, c)
+    innovation = y - output(at, given, p, c)
     output_slopes(at, given, p, c, hx, hp)
     for i in range(size):
         slope[i] = hx[i] if i < N_STATES else hp[which[0, i - N_STATES]]
@@ -57,15 +56,15 @@ def correct(
             reach[i] += covariance[i, j] * slope[j]
         variance += slope[i] * reach[i]
     most = limit * np.sqrt(variance)
-    # With its gain reduced the reading tells less, and Joseph's form, which holds for any gain, knows it.
-    weight = most / abs(surprise) if abs(surprise) > most else 1.0
+    # With a reduced gain the reading is less informative; Joseph's form is correct for any gain.
+    weight = most / abs(innovation) if abs(innovation) > most else 1.0
     for i in range(size):
         gain[i] = weight * reach[i] / variance
         if i < N_STATES:
-            x[i] += gain[i] * surprise
+            x[i] += gain[i] * innovation
         else:
             j = i - N_STATES
-            moved = vector[which[1, j]] + gain[i] * surprise
+            moved = vector[which[1, j]] + gain[i] * innovation
             vector[which[1, j]] = min(max(moved, bounds[0, j]), bounds[1, j])
     for i in range(size):
         for j in range(size):
@@ -81,7 +80,7 @@ def correct(
                 total += way[i, q] * kept[j, q]
             covariance[i, j] = total
             covariance[j, i] = total
-    return surprise, variance
+    return innovation, variance
 
 
 @compiled
@@ -89,10 +88,10 @@ def predict(
     vector: FloatArray, x: FloatArray, covariance: FloatArray, strayed: FloatArray, u: float, d: FloatArray,
     period: float, steps: int, which: NDArray[np.int64], columns: FloatArray,
 ) -> None:  # fmt: skip
-    """Move states and joint covariance on by one period; `strayed`, shape (n + m,), adds to its diagonal.
+    """Predict states and joint covariance one period ahead; `strayed`, shape (n + m,), adds to its diagonal.
 
-    `columns`, shape (n, m + n + 1), takes the derivatives of the states by the m parameters which[0], by the
-    states and by the drive.
+    `columns`, shape (n, m + n + 1), is filled with the derivatives of the states by the m parameters
+    which[0], by the states and by the drive.
     """
     m = which.shape[1]
     size = N_STATES + m

@@ -17,7 +17,7 @@ __all__ = ["Parameters"]
 
 
 class Parameters(Mapping[str, float]):
-    """An immutable mapping from parameter name to value, and the model whose parameters they are.
+    """An immutable mapping from parameter name to value, with the model to which the parameters belong.
 
     Raises:
         PlantError: a name that the structure does not have, or a value that is not possible.
@@ -26,7 +26,7 @@ class Parameters(Mapping[str, float]):
     __slots__ = ("_hash", "_steps", "_values", "model", "vector")
 
     def __init__(self, model: Model, values: Mapping[str, float]) -> None:
-        """Values of some parameters; the rest have those of the structure."""
+        """Give the values of some parameters; the others have the structure's defaults."""
         unknown = [name for name in values if name not in model.declared]
         if unknown:
             msg = (
@@ -73,7 +73,7 @@ class Parameters(Mapping[str, float]):
         return Parameters, (self.model, self._values)
 
     def steps(self, period: float) -> int:
-        """Runge–Kutta steps per sample of this period, s: part of what the twin is, live as in replay.
+        """Runge–Kutta steps per sample of this period, s; the same live and in replay.
 
         Raises:
             PlantError: the period is not positive, or the plant too fast for it.
@@ -84,11 +84,11 @@ class Parameters(Mapping[str, float]):
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the values, in the model's order."""
+        """Units of the values, in the model's order."""
         return tuple(declared.unit for declared in self.model.declared.values())
 
     def replace(self, **changes: float) -> Parameters:
-        """The same with some values changed.
+        """A copy with some values changed.
 
         Raises:
             PlantError: as the constructor.

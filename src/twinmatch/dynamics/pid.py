@@ -16,10 +16,10 @@ _MOST_AMPLIFICATION = 1e3
 
 @dataclass(frozen=True, slots=True)
 class PidGains:
-    """Numbers of the controller, in units of the plant's input u and output y.
+    """Gains and limits of the controller, in units of the plant's input u and output y.
 
     Raises:
-        PlantError: a value is not finite, the period is not positive, or the limits leave no room.
+        PlantError: a value is not finite, the period is not positive, or the limits are not in order.
     """
 
     proportional: float
@@ -29,7 +29,7 @@ class PidGains:
     derivative: float
     """u per y/s."""
     back_calculation: float
-    """Rate Kb at which the integral is pulled back while u is limited, 1/s."""
+    """Back-calculation gain Kb, by which the integral tracks the limited u, 1/s."""
     low: float
     """Least u."""
     high: float
@@ -37,7 +37,7 @@ class PidGains:
     period: float = 1.0
     """Sample time Ts, s."""
     on_measurement: bool = False
-    """Whether the derivative is that of −y, so that a step of the set-point does not kick it."""
+    """Whether the derivative is that of −y, which avoids derivative kick at set-point steps."""
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(value) for value in self.constants):
@@ -46,7 +46,7 @@ class PidGains:
         if self.period <= 0 or not self.low < self.high:
             msg = (
                 f"PID gains: the period {self.period} s must be positive and the limits {self.low} and "
-                f"{self.high} must grow"
+                f"{self.high} in increasing order"
             )
             raise PlantError(msg)
 
@@ -65,18 +65,18 @@ class PidGains:
         )
 
     def saturates(self, u: float) -> bool:
-        """Whether a command sits on a limit."""
+        """Whether a command is on a limit."""
         return not self.low < u < self.high
 
 
 @dataclass(frozen=True, slots=True)
 class PidState:
-    """What the controller remembers between two samples."""
+    """State of the controller between two samples."""
 
     integral: float = 0.0
     """Integral part of the next u, in its unit."""
     previous: float = 0.0
-    """The signal it differentiates, at the last sample: e = r − y, or −y."""
+    """The differentiated signal at the last sample: e = r − y, or −y."""
 
 
 class Pid:
@@ -95,7 +95,7 @@ class Pid:
         """Compute u of one sample from set-point and output.
 
         Raises:
-            PlantError: reference or output is not finite; the state is left as it was.
+            PlantError: reference or output is not finite; the state is unchanged.
         """
         _require_finite(reference=reference, output=output)
         u, integral, previous = pid_step(
@@ -109,14 +109,14 @@ class Pid:
         return u
 
     def follow(self, reference: float, output: float, u: float) -> None:
-        """Adopt the state after a sample whose u another controller of the same gains computed.
+        """Adopt the state after a sample whose u was computed by another controller with the same gains.
 
-        With Kb·Ts = 1 the sample and the one before it fix the new state. Otherwise they do so when
-        u was not limited; when it was, this controller's own integral is carried through the
-        back-calculation, which forgets by the factor 1 − Kb·Ts each sample.
+        With Kb·Ts = 1 the sample and the one before it determine the new state. Otherwise they do so if
+        u was not limited; if it was, this controller's own integral is updated by the back-calculation,
+        which forgets by the factor 1 − Kb·Ts each sample.
 
         Raises:
-            PlantError: a value is not finite; the state is left as it was.
+            PlantError: a value is not finite; the state is unchanged.
         """
         _require_finite(reference=reference, output=output, input=u)
         error = reference - output
@@ -129,16 +129,16 @@ class Pid:
 def controller_state(window: Window, gains: PidGains) -> PidState:
     """State of the controller after the window's second sample, found from the recorded signals.
 
-    With Kb·Ts = 1 it follows exactly from the first two samples. Otherwise it is exact when
-    the second sample is not limited; else it is traced back from the first sample that is not, unless
-    that would magnify rounding more than a thousandfold or there is none: then the least state that
-    explains the limited sample is taken.
+    With Kb·Ts = 1 it follows exactly from the first two samples. Otherwise it is exact if the second
+    sample is not limited; if it is, the state is computed backwards from the first sample that is not
+    limited, unless there is none or that would amplify rounding more than a thousandfold: then the
+    smallest state that explains the limited sample is used.
 
     Raises:
         PlantError: the window holds fewer than two samples.
     """
     if len(window) < 2:
-        msg = f"controller state: the window holds {len(window)} sample; two are needed"
+        msg = f"controller state: the window holds {len(window)} sample; give at least two"
         raise PlantError(msg)
     error = window.reference - window.output
     moved = -window.output if gains.on_measurement else error
@@ -159,7 +159,7 @@ def controller_state(window: Window, gains: PidGains) -> PidState:
 
 
 def _consistent_integral(gains: PidGains, error: float, change: float, u: float) -> float:
-    """The integral with which the controller, unlimited, gives just this u."""
+    """The integral with which the unlimited controller gives exactly this u."""
     return u - gains.proportional * error - gains.derivative * change / gains.period
 
 

@@ -1,4 +1,4 @@
-"""A plant is its equations: the base class of every plant file."""
+"""The base class of every plant file: a plant is defined by its equations."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ _Declared = TypeVar("_Declared", bound=Declaration)
 
 
 class PlantType(type):
-    """What plants are classes of: a type of its own, so that a plant may say how it travels to another
+    """Metaclass of plants: a separate type, so that a plant can define how it is pickled for another
     process."""
 
 
 class Plant(metaclass=PlantType):
     """One kind of plant. A subclass declares its quantities, its structures and its `equations`.
 
-    Write the class in a module of its own. Everything that is computed from a plant (step, tangents,
-    linearisation) is made from its equations and kept on disk until a line of that module changes.
+    Write the class in its own module. The compiled code of a plant (step, tangents, linearisation) is
+    generated from its equations and kept on disk until that module changes.
 
     Raises:
-        PlantError: the declarations contradict one another.
+        PlantError: the declarations contradict each other.
     """
 
     title: ClassVar[str] = ""
-    """What people call it."""
+    """Displayed name."""
     parts: ClassVar[tuple[str, ...]] = ()
-    """Names of what may or may not be there; `equations` is told which are."""
+    """Names of optional parts; `equations` gets those that are included."""
     structures: ClassVar[Mapping[str, Structure]] = {}
-    """By name, simpler ones first. The first is the one whose parameters are matched to single windows."""
+    """Structures by name, simple ones first. The first is the one matched to single windows."""
     loop: ClassVar[PidGains | None] = None
-    """The controller that runs the plant, if it is known; without one the twin is driven by u."""
+    """The controller that runs the plant, if known; without one the twin is driven by u."""
     sensor: ClassVar[Sensor | None] = None
-    """What the sensor adds, for simulated plants; without one it adds nothing."""
+    """Sensor model for simulated plants; without one, readings are exact."""
 
     typical: ClassVar[Mapping[str, float]] = {}
-    """Parameters amid those that plants of this kind had, if not the defaults; a guess before any match."""
+    """Typical parameters of plants of this kind, if not the defaults; used before the first match."""
     followed: ClassVar[str] = ""
-    """Structure in which a running plant is followed to tell what changed of it; the first if empty."""
+    """Structure in which a running plant is tracked to detect changes; the first if empty."""
     surroundings: ClassVar[str] = "what surrounds the plant"
-    """Where to look if something changes slowly."""
+    """What to check if something changes slowly."""
 
     name: ClassVar[str]
     declarations: ClassVar[Mapping[str, Declaration]]
@@ -92,7 +92,7 @@ class Plant(metaclass=PlantType):
 
     @classmethod
     def model(cls, structure: str | None = None) -> Model:
-        """The plant in one of its structures (the first, if none is named), ready to be run.
+        """The plant in one of its structures (default: the first), ready to run.
 
         Raises:
             PlantError: there is no such structure, or its equations cannot be used.
@@ -105,14 +105,14 @@ class Plant(metaclass=PlantType):
 
     @classmethod
     def adopt(cls, name: str, structure: Structure) -> Model:
-        """Take in one more structure, whose equations are elsewhere; one of the same name gives way.
+        """Add an external structure; it replaces an external one of the same name.
 
         Raises:
-            PlantError: the plant's own structure has that name, or it speaks of what is not declared.
+            PlantError: a structure of the plant's file has that name, or it uses undeclared names.
         """
         before = cls.structures.get(name)
         if structure.elsewhere is None or (before is not None and before.elsewhere is None):
-            msg = f"plant {cls.name}: structure {name!r} is its file's; give the other one another name"
+            msg = f"plant {cls.name}: its file declares a structure {name!r}; give the new one another name"
             raise PlantError(msg)
         cls._check_structure(name, structure)
         cls.structures = {**cls.structures, name: structure}
@@ -121,7 +121,7 @@ class Plant(metaclass=PlantType):
 
     @classmethod
     def disown(cls, name: str) -> None:
-        """Let a structure go that was adopted; one that is not there is no mistake."""
+        """Remove an adopted structure; an unknown name is ignored."""
         if name in cls.structures and cls.structures[name].elsewhere is not None:
             cls.structures = {n: s for n, s in cls.structures.items() if n != name}
             _MODELS.pop((cls, name), None)
@@ -134,7 +134,7 @@ class Plant(metaclass=PlantType):
     def _one(cls, kind: type[_Declared]) -> _Declared:
         held = list(cls._of(kind).values())
         if len(held) != 1:
-            msg = f"plant {cls.name}: declares {len(held)} of {kind.__name__}; it needs one"
+            msg = f"plant {cls.name}: declares {len(held)} of {kind.__name__}; declare exactly one"
             raise PlantError(msg)
         return held[0]
 
@@ -143,15 +143,15 @@ class Plant(metaclass=PlantType):
         own = {**vars(Plant), **Plant.__annotations__}
         for name in cls.declarations:
             if name in own and cls.declarations[name] not in (cls.output, cls.drive):
-                msg = f"plant {cls.name}: {name!r} is a word of every plant; call this quantity otherwise"
+                msg = f"plant {cls.name}: {name!r} is an attribute of every plant; rename this quantity"
                 raise PlantError(msg)
 
     @classmethod
     def _check_structures(cls) -> None:
         if not cls.structures:
-            raise PlantError(f"plant {cls.name}: has no structure; name at least one in `structures`")
+            raise PlantError(f"plant {cls.name}: has no structure; declare at least one in `structures`")
         if cls.followed and cls.followed not in cls.structures:
-            raise PlantError(f"plant {cls.name}: no structure {cls.followed!r} to follow it in")
+            raise PlantError(f"plant {cls.name}: `followed` is {cls.followed!r}; name one of its structures")
         for name, structure in cls.structures.items():
             cls._check_structure(name, structure)
 

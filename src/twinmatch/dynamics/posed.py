@@ -1,4 +1,4 @@
-"""A window as compiled code takes it, and one row of its least squares."""
+"""A window in the form that compiled code takes, and one row of its least squares."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ __all__ = ["Posed", "add_row"]
 
 
 class Posed(NamedTuple):
-    """What a run and its normal equations need besides the values of the unknowns."""
+    """Input of a run and its normal equations, except the values of the unknowns."""
 
     base: FloatArray
-    """Values of all parameters, shape (n,); those of the unknown ones do not matter."""
+    """Values of all parameters, shape (n,); those of the unknown ones are ignored."""
     which: NDArray[np.int64]
-    """Unknown parameters, counted among those with tangents, shape (m,)."""
+    """Indices of the unknown parameters among those with tangents, shape (m,)."""
     places: NDArray[np.int64]
-    """The same counted among all parameters."""
+    """Their indices among all parameters."""
     started: NDArray[np.int64]
-    """States whose start is unknown."""
+    """Indices of the states with unknown initial value."""
     first: float
     """Output measured at the start."""
     closed: bool
@@ -33,25 +33,25 @@ class Posed(NamedTuple):
     measured: FloatArray
     """Output and input, shape (2, N)."""
     weights: FloatArray
-    """Of their residuals, shape (2, N)."""
+    """Weights of their residuals, shape (2, N)."""
     robust: bool
     disturbances: FloatArray
     """Shape (N, number of disturbances)."""
     usual: FloatArray
-    """Their defaults."""
+    """Defaults of the disturbances."""
     corners: FloatArray
-    """Where the fastest rate is looked for: states, shape (k, number of states), and drives."""
+    """States at which the fastest rate is searched, shape (k, number of states); `drives` likewise."""
     drives: FloatArray
     integral: float
     previous: float
-    """The controller's memory."""
+    """The controller's state, with `integral`."""
     period: float
     rate_limit: float
     """Longest Runge–Kutta step in units of the fastest time constant."""
     expected: FloatArray
-    """What is known of the unknowns beforehand, shape (m + starts,)."""
+    """Prior values of the unknowns, shape (m + starts,)."""
     pull: FloatArray
-    """How much of the cost their square distance from it makes; zero where nothing is known."""
+    """Weight of their squared distance from it in the cost; zero without prior."""
 
 
 @compiled(innermost=True)

@@ -1,4 +1,4 @@
-"""Everything that is made of a plant, made before anybody has to wait for it."""
+"""Derives and compiles everything for a plant in advance."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _SAMPLES = 8
 
 
 def prepare(plant: type[Plant]) -> Iterator[Model]:
-    """Derive and compile all structures of a plant, one at a time; each is given back when it is ready.
+    """Derive and compile all structures of a plant, one at a time; each is yielded when it is ready.
 
-    What is kept already is only loaded.
+    Those already on disk are only loaded.
 
     Raises:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
@@ -46,9 +46,9 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
 
 
 def _use(parameters: Parameters) -> None:
-    """Call once every kernel that this structure has: numba compiles at the first call.
+    """Call every kernel of this structure once: numba compiles at the first call.
 
-    What linearisations call besides slopes, the observer calls too.
+    The other kernels of linearisations are called by the observer, too.
     """
     model = parameters.model
     gains, rest = model.plant.loop, model.plant.drive.rest
@@ -57,7 +57,7 @@ def _use(parameters: Parameters) -> None:
     states = begin(parameters, output)
     quantities(parameters, advance(parameters, states, rest, period), rest)
     model.kernels.slopes_at(parameters.vector, states, float(rest), model.disturbances)
-    # What the energy balance asks, sample by sample.
+    # The kernel of the energy balance.
     model.kernels.parts(
         parameters.vector,
         output,

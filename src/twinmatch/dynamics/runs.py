@@ -1,4 +1,4 @@
-"""Compiled runs of every plant: over a record, with exact tangents, and searched for least squares.
+"""Compiled runs of every plant: over a record, with exact tangents, and in a least-squares search.
 
 The store puts this file behind `kernels`, so that all is written against one plant's functions.
 """
@@ -22,7 +22,7 @@ from twinmatch.dynamics.derived import (
     prepare,
     row,
 )
-from twinmatch.dynamics.descent import Search, told
+from twinmatch.dynamics.descent import Search, update_search
 from twinmatch.dynamics.kernels import (
     MOST_STEPS,
     begin,
@@ -79,16 +79,16 @@ def run_with_tangents(
 ) -> tuple[
     FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
 ]:  # fmt: skip
-    """The run with its derivatives; either its arrays are stored, or the normal equations summed up.
+    """The run with its derivatives; either its arrays are stored, or the normal equations are summed.
 
     `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`,
-    counted among UNKNOWN, then
-    others (starts) that act only through x. `measured` holds output and input, shape (2, N), and `weights`
-    of every sample of both, shape (2, N). Returns output, input, their derivatives (2, N, n), the derivatives
-    of every tick by state (N, N_STATES, N_STATES) and drive (N, N_STATES), whether the controller was free
-    (N,), the derivatives of the output by state (N, N_STATES), and [J r]ᵀ[J r] of the weighed residuals
-    r = weights·(simulated − measured), shape (n + 1, n + 1); its last entry is the sum of r², or of
-    2(√(1 + r²) − 1) if `robust`, when rows weigh 1/√(1 + r²). A run whose sum comes above `limit` ends there.
+    indices into UNKNOWN, then others (initial states) that act only through x. `measured` holds output and
+    input, shape (2, N), and `weights` the weight of every sample of both, shape (2, N). Returns output,
+    input, their derivatives (2, N, n), the derivatives of every tick by state (N, N_STATES, N_STATES) and
+    drive (N, N_STATES), whether the controller was free (N,), the derivatives of the output by state (N,
+    N_STATES), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n +
+    1); its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, with rows weighted by 1/√(1 +
+    r²). A run ends when its sum exceeds `limit`.
     """
     size, n = disturbances.shape[0], columns.shape[1]
     kept = size if stored else 0
@@ -203,9 +203,9 @@ def normal_at(posed: Posed, values: FloatArray, limit: float) -> tuple[float, Fl
 
 
 @compiled
-def search(posed: Posed, on_its_way: Search) -> None:
-    """Let a search run to its end."""
-    cost, gradient, hessian = normal_at(posed, on_its_way.tried, np.inf)
-    while told(on_its_way, cost, gradient, hessian):
-        # A point that is no better than the best one need not be followed to the end.
-        cost, gradient, hessian = normal_at(posed, on_its_way.tried, on_its_way.best[0])
+def search(posed: Posed, state: Search) -> None:
+    """Run a search to its end."""
+    cost, gradient, hessian = normal_at(posed, state.point, np.inf)
+    while update_search(state, cost, gradient, hessian):
+        # A run whose cost exceeds the best one's can stop early.
+        cost, gradient, hessian = normal_at(posed, state.point, state.best[0])

@@ -1,4 +1,4 @@
-"""The sensor as the loop sees it: noise, quantisation, and pauses in which it repeats itself."""
+"""The sensor model: noise, quantisation, and pauses in which it repeats its reading."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Sensor", "SensorRealisation"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorRealisation:
-    """One camera over one run: everything random about it, drawn beforehand.
+    """One camera over one run, with all its random values drawn in advance.
 
     Raises:
         PlantError: the arrays differ in length or the resolution is negative or not finite.
@@ -49,15 +49,15 @@ class SensorRealisation:
         return int(self.noise.size)
 
     def reading(self, index: int, seen: float, last: float | None = None) -> float:
-        """What the sensor says at one tick of what it sees; `last` is its reading before.
+        """The reading at one tick of the value `seen`; `last` is the reading before.
 
-        Without a reading before, a frozen sensor shows what it sees.
+        Without a reading before, a frozen sensor reads the value itself.
 
         Raises:
-            PlantError: the realisation is shorter than that.
+            PlantError: the realisation has no such index.
         """
         if not 0 <= index < len(self):
-            msg = f"sensor realisation: reading {index} asked of {len(self)}; realise more samples"
+            msg = f"sensor realisation: reading {index} of {len(self)}; realise more samples"
             raise PlantError(msg)
         frozen = bool(self.frozen[index]) and last is not None
         return reading(float(seen), float(self.noise[index]), frozen, float(self.resolution), last or 0.0)
@@ -65,7 +65,7 @@ class SensorRealisation:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A sensor that may stand still for a moment now and then, as a camera that corrects its flat field does.
+    """A sensor that may freeze for a moment now and then, like a camera that corrects its flat field.
 
     Raises:
         PlantError: a value is not finite or negative, or a pause lasts as long as its period.
@@ -78,7 +78,7 @@ class Sensor:
     pause_period: float | None = None
     """Time between two pauses, s; None for a sensor that never pauses."""
     pause_duration: float = 0.9
-    """How long the reading stands still in a pause, s."""
+    """Duration of a pause, in which the reading repeats, s."""
 
     def __post_init__(self) -> None:
         for name in ("noise", "resolution", "pause_duration"):
@@ -95,7 +95,7 @@ class Sensor:
             raise PlantError(msg)
 
     def realise(self, samples: int, period: float, seed: int) -> SensorRealisation:
-        """Draw noise and pauses for `samples` ticks of `period` seconds; the same seed, the same run.
+        """Draw noise and pauses for `samples` ticks of `period` seconds; the same seed gives the same run.
 
         The first pause comes at a random moment of the first pause period.
 
@@ -103,7 +103,7 @@ class Sensor:
             PlantError: the number of samples is negative or the period not positive.
         """
         if samples < 0 or not (math.isfinite(period) and period > 0):
-            msg = f"sensor: cannot realise {samples} samples of {period} s"
+            msg = f"sensor: cannot realise {samples} samples of {period} s; give a positive period"
             raise PlantError(msg)
         random = np.random.Generator(np.random.PCG64(seed))
         noise = self.noise * random.standard_normal(samples)

@@ -11,7 +11,7 @@ __all__ = ["reading"]
 
 @compiled
 def reading(seen: float, noise: float, frozen: bool, resolution: float, last: float) -> float:
-    """What the sensor says of what it sees: noisy, quantised; the last reading while it is frozen."""
+    """The reading of a value: noisy and quantised; the last reading while the sensor is frozen."""
     if frozen:
         return last
     value = seen + noise

@@ -1,7 +1,7 @@
-"""A plant simulated: closed into its loop, driven by a given input, or one sample at a time.
+"""Simulation of a plant: in closed loop, driven by a given input, or one sample at a time.
 
-All three run the same compiled tick, so that a twin stepped live and a simulation of the whole run agree to
-the last bit.
+All three use the same compiled tick, so that a twin stepped live and a simulation of the whole run agree
+to the last bit.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ __all__ = [
 ]
 
 SKIPPED = 2
-"""A closed-loop twin starts at a window's third sample, where the controller's memory is known."""
+"""A closed-loop twin starts at a window's third sample, where the controller's state is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """What a simulation gives, sample by sample."""
+    """Result of a simulation, sample by sample."""
 
     output: FloatArray
-    """y, shape (N,); as the sensor reads it, if there is one."""
+    """y, shape (N,); the sensor's readings, if there is one."""
     input: FloatArray
     """u, shape (N,)."""
     states: FloatArray
@@ -57,10 +57,10 @@ def begin(
     disturbances: FloatArray | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> FloatArray:
-    """States, shape (n,), of a plant whose output is known and of which nothing else is but `starts`.
+    """Initial states, shape (n,), of a plant of which only the output and `starts` are known.
 
     Raises:
-        PlantError: a name in `starts` is no state, or a value is not finite.
+        PlantError: a name in `starts` is not a state, or a value is not finite.
     """
     model = parameters.model
     states, _, _ = model.kernels.begin(parameters.vector, float(output), model.disturbance_row(disturbances))
@@ -71,7 +71,7 @@ def begin(
         states[model.states.index(name)] = value
     if not np.isfinite(states).all():
         raise PlantError(
-            f"{model.title}: it would begin at {states.tolist()}; only finite values can be used"
+            f"{model.title}: its initial states are {states.tolist()}; only finite values can be used"
         )
     return np.asarray(states, dtype=np.float64)
 
@@ -83,10 +83,10 @@ def advance(
     period: float,
     disturbances: FloatArray | None = None,
 ) -> FloatArray:
-    """States, shape (n,), one period (s) later; to the last bit what the simulations do between two samples.
+    """States, shape (n,), one period (s) later, bit for bit as in the simulations.
 
     Raises:
-        PlantError: the input is not finite, the period unfit, or the plant too fast for it.
+        PlantError: the input is not finite, the period invalid, or the plant too fast for it.
     """
     model = parameters.model
     if not math.isfinite(input):
@@ -130,11 +130,11 @@ def simulate_closed_loop(
 ) -> Response:
     """Run plant, sensor and controller over a reference, shape (N,), from `states` on.
 
-    `controller` is the PID's memory before the first sample; `gains` are those of the plant file, at 1 s, if
-    not given. Disturbances have shape (N, m). Without a sensor the controller sees the output itself.
+    `controller` is the PID's state before the first sample; default `gains` are those of the plant file, at
+    1 s. Disturbances have shape (N, m). Without a sensor the controller gets the output itself.
 
     Raises:
-        PlantError: a signal is unfit, or the plant is too fast for the period.
+        PlantError: a signal is invalid, or the plant is too fast for the period.
     """
     model = parameters.model
     gains = gains or gains_of(model.plant, 1.0)
@@ -177,7 +177,7 @@ def simulate_window(
     seed: int = 0,
     starts: Mapping[str, float] | None = None,
 ) -> Response:
-    """Run a window again from its measured start: the closed loop on its reference, or, without gains, the
+    """Simulate a window from its measured start: the closed loop on its reference, or, without gains, the
     plant under its input; shape (N − 2,).
 
     It starts at the third sample: the first two give the controller's state. A sensor is realised with
@@ -214,7 +214,7 @@ def simulate_window(
 
 
 NO_GAINS = PidGains(0.0, 0.0, 0.0, 0.0, -1.0, 1.0)
-"""Stands where a compiled run asks for gains it will not use."""
+"""Placeholder where a compiled run takes gains that it will not use."""
 
 
 def _run(
@@ -228,7 +228,7 @@ def _run(
     sensor: SensorRealisation | None,
     period: float = 1.0,
 ) -> Response:
-    """The loop over a reference if there are gains, else the plant under an input."""
+    """Simulate the loop on a reference if there are gains, otherwise the plant under an input."""
     model = parameters.model
     size, controller = signal.size, controller or PidState()
     closed = gains is not None
@@ -237,7 +237,7 @@ def _run(
     if sensor is None:
         sensor = SensorRealisation(np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0)
     if len(sensor) != size:
-        msg = f"{model.title}: the sensor was realised for {len(sensor)} samples, the run has {size}"
+        msg = f"{model.title}: the sensor is realised for {len(sensor)} samples; realise it for {size}"
         raise PlantError(msg)
     steps = parameters.steps(period)
     output, input_, held = model.kernels.run(

@@ -1,10 +1,10 @@
-"""Where what is made of a plant's equations is kept: one Python module per plant and set of parts.
+"""Storage of the code generated from a plant's equations: one Python module per plant and set of parts.
 
-The module is `kernels.py`, `runs.py` and so on with the plant's derived functions in the place of
-`derived.py`. Its name carries a hash of everything it is made from: the plant's source, the generator's
-own, the versions of the programs that take part. So a change of any of them makes a new module, and an old
-one is never run by mistake. The folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder;
-numba keeps its machine code there too.
+The module consists of `kernels.py`, `runs.py` and so on, with the plant's functions in place of `derived.py`.
+Its name carries a hash of everything it is generated from: the sources of plant and generator, and the
+versions of the libraries involved. So any change gives a new module, and an outdated one is never run. The
+folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder; numba keeps its machine code there,
+too.
 """
 
 from __future__ import annotations
@@ -46,29 +46,29 @@ def cache_folder() -> Path:
 
 
 def kernels_of(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> Any:
-    """The compiled kernels of a plant with some of its parts, with tangents by the parameters `unknown`.
+    """The compiled kernels of a plant with some of its parts, with tangents for the parameters `unknown`.
 
-    They are made now if they are not there yet.
+    They are generated if they are not there yet.
 
     Raises:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
     key = (plant, parts, unknown)
     if key not in _LOADED:
-        _LOADED[key] = _made(plant, parts, unknown)
+        _LOADED[key] = _module_for(plant, parts, unknown)
     return _LOADED[key]
 
 
 _LOADED: dict[tuple[type[Plant], frozenset[str], frozenset[str]], ModuleType] = {}
 
 
-def _made(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> ModuleType:
+def _module_for(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> ModuleType:
     name = f"{plant.name}_{_fingerprint(plant, parts, unknown)}"
     path = cache_folder() / f"{name}.py"
     if not path.exists():
         what = f"{plant.title}, {', '.join(sorted(parts))}" if parts else plant.title
         print(f"twinmatch: preparing the equations of: {what} (some seconds, once)", file=sys.stderr)
-        _keep(path, _module_text(plant, parts, unknown))
+        _write_atomically(path, _module_text(plant, parts, unknown))
     return _load(f"twinmatch_plants_{name}", path)
 
 
@@ -85,7 +85,7 @@ def _module_text(plant: type[Plant], parts: frozenset[str], unknown: frozenset[s
     }
     names = "".join(f"{name} = {tuple(map(str, what))}\n" for name, what in held.items())
     head = (
-        f'"""Made from the equations of {plant.name}; made again when they change."""\n\n'
+        f'"""Generated from the equations of {plant.name}; generated again when they change."""\n\n'
         "import math\n\nfrom twinmatch.compiled import compiled\n\n"
     )
     body = "\n".join([names, derived_source(derived), *map(_template, _TEMPLATES)])
@@ -93,7 +93,7 @@ def _module_text(plant: type[Plant], parts: frozenset[str], unknown: frozenset[s
 
 
 def _template(file: str) -> str:
-    """The text of one of the files, without what it takes from files that stand in the same module."""
+    """The text of one of the files, without imports from files that become part of the same module."""
     text = (_HERE / file).read_text(encoding="utf-8")
     lines = text.splitlines()
     for node in reversed(ast.parse(text).body):
@@ -102,8 +102,8 @@ def _template(file: str) -> str:
     return "\n".join(lines)
 
 
-def _keep(path: Path, text: str) -> None:
-    """Write a file at once or not at all: several processes may come here together."""
+def _write_atomically(path: Path, text: str) -> None:
+    """Write a file atomically: several processes may write it at the same time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, draft = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
@@ -117,8 +117,8 @@ def _keep(path: Path, text: str) -> None:
             raise
     except OSError as error:
         msg = (
-            f"{path.parent}: the prepared equations cannot be kept there: {error.strerror}; "
-            "name a folder that can be written in TWINMATCH_CACHE"
+            f"{path.parent}: cannot keep the prepared equations there: {error.strerror}; "
+            "set TWINMATCH_CACHE to a writable folder"
         )
         raise PlantError(msg) from error
 
@@ -126,7 +126,7 @@ def _keep(path: Path, text: str) -> None:
 def _load(name: str, path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise PlantError(f"{path}: is no Python module; remove it")
+        raise PlantError(f"{path}: is not a Python module; remove it")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba looks its functions' module up there
     spec.loader.exec_module(module)
@@ -146,7 +146,7 @@ def _fingerprint(plant: type[Plant], parts: frozenset[str], unknown: frozenset[s
 
 
 def source_hash(plant: type[Plant]) -> str:
-    """A hash of the files that say what the plant is."""
+    """A hash of the files that define the plant."""
     digest = hashlib.sha256()
     for file in sorted(_sources(plant)):
         digest.update(file.read_bytes())
@@ -154,7 +154,7 @@ def source_hash(plant: type[Plant]) -> str:
 
 
 def _sources(plant: type[Plant]) -> set[Path]:
-    """The files of the class and its bases, and of what their modules take from files beside them."""
+    """The files of the class and its bases, and the files beside them that their modules import from."""
     waiting = [sys.modules.get(base.__module__) for base in plant.__mro__ if base is not object]
     found: set[Path] = set()
     while waiting:

@@ -1,4 +1,4 @@
-"""What stays while a plant is followed: the form in which the compiled code takes it."""
+"""The constants of a tracker, in the form that compiled code takes."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ __all__ = ["Tracked"]
 
 
 class Tracked(NamedTuple):
-    """Of m parameters that are followed, of a belief of n numbers."""
+    """Constants for m tracked parameters and a belief of n numbers."""
 
     vector: FloatArray
-    """All parameters of the plant where the following begins."""
+    """Initial values of all parameters of the plant."""
     places: Any
-    """Where the m parameters stand among them, integers, shape (m,)."""
+    """Indices of the m parameters among them, integers, shape (m,)."""
     which: Any
-    """Where their tangents stand, integers, shape (m,)."""
+    """Indices of their tangents, integers, shape (m,)."""
     logged: Any
-    """Whether a parameter is followed by the logarithm of its share of the start, shape (m,)."""
+    """Whether a parameter is tracked as the logarithm of its ratio to the initial value, shape (m,)."""
     least: FloatArray
-    """Least that is believed of it, in that form, shape (m,)."""
+    """Lower limit of each parameter, in that form, shape (m,)."""
     most: FloatArray
-    """Most that is believed of it, shape (m,)."""
+    """Upper limit, shape (m,)."""
     keeps: FloatArray
-    """What is left after a period of everything that fades, 1 of what stays, shape (n,)."""
+    """Factor per period on each number: below 1 for those that fade, 1 for the others, shape (n,)."""
     rest: float
-    """Drive at rest."""
+    """Rest value of the drive."""
     period: float
     """Sample time, s."""
     steps: int

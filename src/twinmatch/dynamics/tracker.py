@@ -1,10 +1,10 @@
-"""A running plant followed by its equations: states, parameters and what acts on it unseen, all at once.
+"""Tracking of a running plant by its equations: states, parameters and unmeasured influences together.
 
-An extended Kalman filter whose state is, in this order, the plant's states, the parameters its structure
-leaves free, and six numbers no plant file names: by what share the drive does more than it should, by what
-the reading is off for good and in passing (a camera that has just corrected itself), how much pushes the
-output for a while and for good, and how fast one of the others rises. Of those only the passing offset and
-the fading push stray by themselves; the others are opened by whoever asks whether they changed.
+An extended Kalman filter whose state is, in this order, the plant's states, the free parameters of its
+structure, and six numbers that no plant file declares: the relative excess of the drive's effect; a permanent
+and a passing offset of the reading (a camera that has just corrected itself); a fading and a permanent push
+on the output; and the rate at which one of the others rises. Of these only the passing offset and the fading
+push have process noise; the variance of the others is opened to test whether they changed.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from twinmatch.signals import FloatArray
 
 __all__ = ["Belief", "Stretch", "Traces", "Tracker", "no_traces"]
 
-_FADES: Final = 100.0
-"""Time in which a push that nobody can name is gone, s."""
-_PASSES: Final = 14.0
-"""Time in which a camera has settled after its correction, s."""
-_UNSURE: Final = 0.6
-"""Standard deviation of the logarithm of a parameter where the following begins …"""
-_PART: Final = 0.5
-"""… or of one that has none, in its scale."""
-_PLAIN: Final = np.array([0.6, 0.001, 5e-4, 0.2, 0.15])
-"""How far the equations of a real rig are off: straying of a state that the output shows, in noises, and of
-another, in scales, in the root of a sample; of a parameter, in scales, in the root of a second; a fading
+_PUSH_TIME: Final = 100.0
+"""Time constant of the fading push, s."""
+_OFFSET_TIME: Final = 14.0
+"""Time constant of the passing offset after a camera's correction, s."""
+_LOG_SPREAD: Final = 0.6
+"""Initial standard deviation of the logarithm of a parameter …"""
+_SPREAD: Final = 0.5
+"""… or of a parameter tracked without logarithm, in its scale."""
+_MODEL_ERROR: Final = np.array([0.6, 0.001, 5e-4, 0.2, 0.15])
+"""Model error of a real rig, as standard deviations: drift of a state that the output shows, in noises, and
+of another, in scales, per root of a sample; drift of a parameter, in scales, per root of a second; the fading
 push, in noises per sample; and the error of a movement, as a share of it."""
 
 
@@ -50,39 +50,39 @@ class Stretch(NamedTuple):
 
 
 class Traces(NamedTuple):
-    """What jumps at past samples would have left in the surprises since."""
+    """Traces that jumps at past samples would have left in the innovations since."""
 
     effects: FloatArray
-    """On what is believed now, shape (n, kinds, starts)."""
+    """Effects on the current belief, shape (n, kinds, starts)."""
     hits: FloatArray
-    """Sums of surprise times effect over variance, shape (kinds, starts)."""
+    """Sums of innovation times effect over variance, shape (kinds, starts)."""
     weights: FloatArray
     """Sums of squared effect over variance, shape (kinds, starts)."""
 
 
 def no_traces(size: int) -> Traces:
-    """For who asks for none."""
+    """Empty traces."""
     return Traces(np.zeros((size, 0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
 class Belief:
-    """What is believed at one sample; not to be changed."""
+    """The belief at one sample; immutable."""
 
     values: FloatArray
-    """Shape (n,)."""
+    """Means, shape (n,)."""
     covariance: FloatArray
     """Shape (n, n)."""
 
     def closed(self, index: int) -> Belief:
-        """The same with one of the numbers known to be zero."""
+        """A copy with one of the numbers known to be zero."""
         values, covariance = self.values.copy(), self.covariance.copy()
         values[index] = 0.0
         covariance[index, :] = covariance[:, index] = 0.0
         return Belief(values, covariance)
 
     def opened(self, index: int, shift: float, spread: float) -> Belief:
-        """The same had one of the numbers moved by a shift known to within a spread."""
+        """A copy with one of the numbers shifted, with a standard deviation `spread` of the shift."""
         values, covariance = self.values.copy(), self.covariance.copy()
         values[index] += shift
         covariance[index, index] += spread**2
@@ -90,10 +90,10 @@ class Belief:
 
 
 class Tracker:
-    """Follows one plant at several degrees of trust in its equations."""
+    """Tracks one plant at several levels of assumed model error."""
 
     def __init__(self, parameters: Parameters, period: float, levels: tuple[float, ...]) -> None:
-        """Begin with these parameters; `levels` multiply how far the equations may be off."""
+        """Begin with these parameters; `levels` are factors on the model error of a real rig."""
         model = parameters.model
         free, declared = model.structure.free, model.declared
         kernels = model.kernels
@@ -102,21 +102,21 @@ class Tracker:
         n, m = len(model.states), len(free)
         self.size = n + m + 6
         self.at = {name: n + j for j, name in enumerate(free)}
-        """Where the parameters stand in a belief."""
+        """Indices of the parameters in a belief."""
         self.share, self.offset, self.passing, self.fading, self.push, self.rate = range(n + m, self.size)
         values = np.array([parameters[name] for name in free])
         bounds = np.array([declared[name].bounds for name in free])
         logged = [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free]
         self.logged = np.array(logged)
         floor = np.maximum(bounds[:, 0], 0.01 * values)
-        # A belief that is cut off at a bound is no longer one: what goes with the parameter would not follow.
+        # Limits lie outside the bounds: clipping a mean breaks its correlation with the other numbers.
         width = bounds[:, 1] - bounds[:, 0]
         with np.errstate(invalid="ignore", divide="ignore"):
             least = np.where(self.logged, np.log(floor / values), bounds[:, 0] - width - values)
             most = np.where(self.logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values)
         keeps = np.ones(self.size)
-        keeps[self.fading] = math.exp(-period / _FADES)
-        keeps[self.passing] = math.exp(-period / _PASSES)
+        keeps[self.fading] = math.exp(-period / _PUSH_TIME)
+        keeps[self.passing] = math.exp(-period / _OFFSET_TIME)
         self._fixed = Tracked(
             vector=parameters.vector.copy(),
             places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
@@ -142,22 +142,22 @@ class Tracker:
         seen = np.where(self._shown, noise / np.where(self._shown, np.abs(slope), 1.0), 0.0)
         self._first = np.concatenate([
             np.where(self._shown, 3.0 * seen, 0.5 * scales),
-            np.where(self.logged, _UNSURE, _PART * self._scales),
+            np.where(self.logged, _LOG_SPREAD, _SPREAD * self._scales),
         ])  # fmt: skip
         drift = np.zeros(self.size)
-        drift[:n] = np.where(self._shown, _PLAIN[0] * seen, _PLAIN[1] * scales)
-        drift[n : n + m] = _PLAIN[2] * self._scales
-        drift[:n] /= math.sqrt(period)  # a plant that is sampled faster is a faster one
-        drift[self.fading] = _PLAIN[3] * noise / period * math.sqrt(2.0 / _FADES)
-        self._fading = _PLAIN[3] * noise / period
+        drift[:n] = np.where(self._shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * scales)
+        drift[n : n + m] = _MODEL_ERROR[2] * self._scales
+        drift[:n] /= math.sqrt(period)  # a plant sampled faster is assumed to be faster
+        drift[self.fading] = _MODEL_ERROR[3] * noise / period * math.sqrt(2.0 / _PUSH_TIME)
+        self._fading = _MODEL_ERROR[3] * noise / period
         self._drifts = [level * drift for level in levels]
-        self._swift = [level * float(_PLAIN[4]) for level in levels]
+        self._swift = [level * float(_MODEL_ERROR[4]) for level in levels]
         self._closed = np.zeros(self.size)
         self._none = no_traces(self.size)
         self._levels = levels
 
     def begin(self, output: float, disturbances: FloatArray, level: int) -> Belief:
-        """What is believed at the first reading."""
+        """The belief at the first reading."""
         values = np.zeros(self.size)
         n = len(self.parameters.model.states)
         values[:n] = begin(self.parameters, output, disturbances=disturbances)
@@ -167,7 +167,7 @@ class Tracker:
         return Belief(values, np.diag(spread**2))
 
     def again(self, belief: Belief, output: float, disturbances: FloatArray) -> Belief:
-        """The belief behind a gap: parameters are kept, states begin anew at a reading."""
+        """The belief after a gap: parameters are kept, states restart from a reading."""
         n = len(self.parameters.model.states)
         start = self.begin(output, disturbances, 0)
         values, covariance = belief.values.copy(), belief.covariance.copy()
@@ -189,16 +189,16 @@ class Tracker:
         lasting: int = 0,
         rising: int = -1,
     ) -> tuple[Belief, float]:
-        """The belief after some samples, and what their readings cost, in nats.
+        """The belief after some samples, and the code length of their readings, in nats.
 
         Args:
-            belief: before them.
+            belief: the belief before them.
             stretch: the samples.
-            level: which of the levels.
-            traces: moved along, in place.
-            opened: more straying, per √s, in the first `lasting` samples, shape (n,).
+            level: index of the level.
+            traces: updated in place.
+            opened: additional drift, per √s, in the first `lasting` samples, shape (n,).
             lasting: number of those samples.
-            rising: which of the numbers rises at the believed rate; negative: none.
+            rising: index of the number that rises at the believed rate; negative: none.
         """
         values, covariance = belief.values.copy(), belief.covariance.copy()
         cost = self._track(
@@ -208,6 +208,6 @@ class Tracker:
         return Belief(values, covariance), float(cost)
 
     def named(self, belief: Belief, name: str) -> float:
-        """The value of a parameter that is believed."""
+        """The believed value of a parameter."""
         q, start = float(belief.values[self.at[name]]), self.parameters[name]
         return start * math.exp(q) if self.logged[self.free.index(name)] else start + q

@@ -1,4 +1,4 @@
-"""The compiled arithmetic of a `Tracker`: states, parameters and what else is unknown, sample by sample.
+"""The compiled arithmetic of a `Tracker`: states, parameters and other unknowns, sample by sample.
 
 The store puts this file behind `kernels`, so that all is written against one plant's functions.
 """
@@ -30,16 +30,16 @@ from twinmatch.signals import FloatArray
 __all__ = ["track"]
 
 CLIPPED = 3.0
-"""Surprises count as no larger than so many of their standard deviations."""
-STANDING = 2.0
-"""A surprise larger than this may be the sensor's own, if its reading stood still."""
+"""Innovations are clipped at so many of their standard deviations."""
+SUSPECT = 2.0
+"""Innovation, in standard deviations, above which a repeated reading counts as the sensor's fault."""
 STALE = 1e6
-"""Variance of a reading that is not to be believed."""
+"""Variance given to a reading that is not used."""
 
 
 @compiled(inside=True)
 def _values(fixed: Tracked, at: FloatArray, vector: FloatArray) -> None:
-    """Write the parameters that a belief stands for."""
+    """Write the parameters of a belief into `vector`."""
     for j in range(fixed.places.size):
         q = at[N_STATES + j]
         start = fixed.vector[fixed.places[j]]
@@ -52,24 +52,24 @@ def track(
     y: FloatArray, u: FloatArray, disturbances: FloatArray, noise: FloatArray,
     opened: FloatArray, lasting: int, rising: int, effects: FloatArray, hits: FloatArray, weights: FloatArray,
 ) -> float:  # fmt: skip
-    """Follow some samples; belief and traces move in place. Return what the readings cost, in nats.
+    """Track some samples; belief and traces change in place. Return the readings' code length, in nats.
 
     Args:
-        fixed: what stays.
-        at: what is believed, shape (n,): states, parameters, share of the drive, offset of the reading, its
-            passing part, push that fades, push that stays, and the rate at which one of the others rises.
-        covariance: of it, shape (n, n).
-        drift: standard deviations by which it strays in a second, shape (n,).
-        swift: error of a movement of the output as a share of it.
+        fixed: the constants.
+        at: means of the belief, shape (n,): states, parameters, share of the drive, permanent and passing
+            offset of the reading, fading and permanent push, and the rate at which one of the others rises.
+        covariance: their covariance, shape (n, n).
+        drift: standard deviations of their drift per second, shape (n,).
+        swift: error of a movement of the output, as a share of it.
         y: readings, shape (N + 2,), the first two being those before.
         u: input, shape (N,).
         disturbances: shape (N, m).
         noise: standard deviation of each reading, shape (N,).
-        opened: more straying, per second, in the first `lasting` samples, shape (n,).
+        opened: additional drift, per second, in the first `lasting` samples, shape (n,).
         lasting: number of those samples.
-        rising: which of the numbers rises at the rate, by its index; negative: none.
-        effects: what jumps in the past would have done to what is believed now, shape (n, kinds, starts).
-        hits: sums of surprise times effect over variance, shape (kinds, starts).
+        rising: index of the number that rises at the rate; negative: none.
+        effects: effects of past jumps on the current belief, shape (n, kinds, starts).
+        hits: sums of innovation times effect over variance, shape (kinds, starts).
         weights: sums of squared effect over variance, shape (kinds, starts).
     """
     n, m, size = N_STATES, fixed.places.size, at.size
@@ -96,7 +96,7 @@ def track(
         slope[offset] = slope[passing] = 1.0
 
         # Correct.
-        surprise = y[k + 2] - output(x, given, p, c) - at[offset] - at[passing]
+        innovation = y[k + 2] - output(x, given, p, c) - at[offset] - at[passing]
         reading = noise[k] ** 2
         seen = 0.0
         for i in range(size):
@@ -106,20 +106,20 @@ def track(
             seen += slope[i] * reach[i]
         variance = seen + reading
         stale = False
-        if surprise**2 > STANDING**2 * variance:
+        if innovation**2 > SUSPECT**2 * variance:
             if y[k + 2] == y[k + 1]:
                 stale = True
                 variance = STALE
-            elif y[k + 1] == y[k]:  # it stood still, and comes back from elsewhere
-                covariance[passing, passing] += surprise**2
-                reach[passing] += surprise**2
-                variance += surprise**2
+            elif y[k + 1] == y[k]:  # it was frozen, and jumps as it moves again
+                covariance[passing, passing] += innovation**2
+                reach[passing] += innovation**2
+                variance += innovation**2
         if not stale:
-            variance = max(variance, (surprise / CLIPPED) ** 2)
-            cost += 0.5 * math.log(variance) + 0.5 * surprise**2 / variance
+            variance = max(variance, (innovation / CLIPPED) ** 2)
+            cost += 0.5 * math.log(variance) + 0.5 * innovation**2 / variance
         for i in range(size):
             gain[i] = reach[i] / variance
-            at[i] += gain[i] * surprise
+            at[i] += gain[i] * innovation
         for i in range(size):
             for j in range(size):
                 covariance[i, j] -= gain[i] * reach[j]
@@ -128,7 +128,7 @@ def track(
                 shown = 0.0
                 for i in range(size):
                     shown += slope[i] * effects[i, kind, start]
-                hits[kind, start] += shown * surprise / variance
+                hits[kind, start] += shown * innovation / variance
                 weights[kind, start] += shown * shown / variance
                 for i in range(size):
                     effects[i, kind, start] -= gain[i] * shown
@@ -187,7 +187,7 @@ def track(
 
 @compiled(inside=True)
 def _carry(moved: FloatArray, wide: FloatArray, covariance: FloatArray, keeps: FloatArray) -> None:
-    """The covariance one period later: `moved` are the rows of the states, the rest fades by `keeps`."""
+    """Predict the covariance: `moved` are the rows of the states; the other rows fade by `keeps`."""
     n, size = moved.shape
     for i in range(n):
         for j in range(size):
@@ -209,7 +209,7 @@ def _carry(moved: FloatArray, wide: FloatArray, covariance: FloatArray, keeps: F
 
 @compiled(inside=True)
 def _carry_effects(moved: FloatArray, there: FloatArray, effects: FloatArray, keeps: FloatArray) -> None:
-    """What jumps would have done, one period later."""
+    """Predict the effects of jumps one period ahead."""
     n, size = moved.shape
     for kind in range(effects.shape[1]):
         for start in range(effects.shape[2]):

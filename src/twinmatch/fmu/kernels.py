@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twinmatch.dynamics.descent import Search, told
+from twinmatch.dynamics.descent import Search, update_search
 from twinmatch.dynamics.pid_step import Gains
 from twinmatch.dynamics.posed import Posed
 from twinmatch.fmu.described import MODEL_EXCHANGE
@@ -190,11 +190,11 @@ class FmuKernels:
         cost = normal[n, n] + float(np.sum(posed.pull * off * off))
         return cost, normal[n, :n] + posed.pull * off, normal[:n, :n] + np.diag(posed.pull)
 
-    def search(self, posed: Posed, on_its_way: Search) -> None:
+    def search(self, posed: Posed, state: Search) -> None:
         """Let a search run to its end."""
-        found = self.normal_at(posed, on_its_way.tried.copy(), np.inf)
-        while told(on_its_way, *found):
-            found = self.normal_at(posed, on_its_way.tried.copy(), float(on_its_way.best[0]))
+        found = self.normal_at(posed, state.point.copy(), np.inf)
+        while update_search(state, *found):
+            found = self.normal_at(posed, state.point.copy(), float(state.best[0]))
 
     def correct(
         self, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray,
