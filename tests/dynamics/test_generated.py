@@ -212,7 +212,7 @@ def test_what_cannot_be_run_is_refused() -> None:
         simulate_driven(p, [4.0], states=begin(p, 0.0), period=0)
     with pytest.raises(PlantError, match="the input is inf"):
         advance(p, np.array([0.0]), math.inf, 0.05)
-    with pytest.raises(PlantError, match=r"begin at .*nan"):
+    with pytest.raises(PlantError, match=r"initial states are .*nan"):
         begin(p, math.nan)
     with pytest.raises(PlantError, match="no state 'sink'; it has omega"):
         begin(p, 0.0, starts={"sink": 1.0})

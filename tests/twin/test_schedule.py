@@ -80,8 +80,8 @@ def test_small_changes_are_not_a_step() -> None:
     [
         ({"stride": 0}, "stride is 0"),
         ({"min_step": 0.0}, "min_step is 0.0"),
-        ({"span": 720}, "must grow"),
-        ({"min_span": 500}, "must grow"),
+        ({"span": 720}, "increasing order"),
+        ({"min_span": 500}, "increasing order"),
     ],
 )
 def test_settings_that_cannot_work_are_refused(changes: dict[str, float], message: str) -> None:

@@ -80,7 +80,7 @@ def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
 
 
 def test_counts_that_do_not_go_together_are_refused() -> None:
-    with pytest.raises(TwinmatchError, match="structure watch: least 400, longest 300"):
+    with pytest.raises(TwinmatchError, match="least 400, longest 300"):
         StructureSettings(TWO, least=400, longest=300)
     with pytest.raises(TwinmatchError, match="every >= 1 and a structure"):
         StructureSettings(())
