@@ -43,7 +43,7 @@ def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     assert all(code == 0 for _, code in others), others
     assert [code for code, _ in looked] == [1, 0]
     assert re.search(
-        r"as not_explained: even the best fit leaves \d\d.* times the noise "
+        r"as not_explained: even the best fit leaves residuals of \d\d.* times the noise "
         r"variance",
         looked[0][1],
     )

@@ -257,7 +257,7 @@ def test_the_period_is_passed_on() -> None:
 
 def test_data_that_cannot_be_used() -> None:
     u, y = recorded(100, 19)
-    with pytest.raises(IdentificationError, match="input u does not vary"):
+    with pytest.raises(IdentificationError, match="input u is constant"):
         estimate(np.full(100, 3.0), y)
     with pytest.raises(IdentificationError, match="99 samples and output y 100"):
         estimate(u[1:], y)

@@ -76,5 +76,5 @@ def test_more_hops_are_never_worse_and_find_lower_minima() -> None:
 
 
 def test_hops_cannot_be_negative() -> None:
-    with pytest.raises(IdentificationError, match="-1 starts cannot be tried"):
+    with pytest.raises(IdentificationError, match="-1 starts requested; give 0 or more"):
         estimate(*two_tones(1), "22221", hops=-1)

@@ -54,7 +54,7 @@ def test_unstated_period_counts_as_one() -> None:
     ("system", "message"),
     [
         (control.tf([1.0], [1.0, 1.0]), "discretise"),
-        (control.tf([1.0, 0.0, 0.0], [1.0, 1.0], 1.0), "yet to come"),
+        (control.tf([1.0, 0.0, 0.0], [1.0, 1.0], 1.0), "needs future inputs"),
         (control.ss(np.eye(1), np.ones((1, 2)), np.eye(1), np.zeros((1, 2)), 1.0), "2 inputs"),
     ],
 )

@@ -175,7 +175,7 @@ def test_starts_cover_the_valley_of_what_is_free(record: Recorder) -> None:
     assert [s[-1] for s in starts_for(mass, WITH_SINK)] == [296.0] * 3
     posed = problem(window, ("conductance", "ambient"))
     assert [s.tolist() for s in starts_for(posed, TRUTH)] == [[0.6, 296.0], [0.6, 296.0], [0.5, 296.0]]
-    with pytest.raises(ValueError, match="no start was given"):
+    with pytest.raises(ValueError, match="no start; give at least one"):
         solve(posed, [])
 
 

@@ -49,9 +49,9 @@ def test_good_evidence_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("flaw", "status", "reason"),
     [
-        ({"chi2": 41.0}, Status.NOT_EXPLAINED, "even the best fit leaves 41 times"),
-        ({"chi2": float("nan")}, Status.NOT_EXPLAINED, "even the best fit leaves nan"),
-        ({"converged": False}, Status.DID_NOT_CONVERGE, "still moving"),
+        ({"chi2": 41.0}, Status.NOT_EXPLAINED, "even the best fit leaves residuals of 41 times"),
+        ({"chi2": float("nan")}, Status.NOT_EXPLAINED, "even the best fit leaves residuals of nan"),
+        ({"converged": False}, Status.DID_NOT_CONVERGE, "did not converge within"),
         (
             {"bounds_hit": ("seebeck",), "values": np.array([0.2, 0.6, 30.0])},
             Status.BOUNDS_HIT,
@@ -108,11 +108,11 @@ def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
         free=unknown("seebeck", "heat_capacity"),
         values=np.array([0.13, 60.0]),
         standard_errors=np.array([0.01, 3.0]),
-        kept="conductance at 0.35 (anything from 0 to 0.4 will do)",
+        kept="conductance at 0.35 (possible: 0 to 0.4)",
     )
     status, reason = judge(two, Limits())
     assert status is Status.ACCEPTED
-    assert reason.endswith("not determined and kept: conductance at 0.35 (anything from 0 to 0.4 will do)")
+    assert reason.endswith("not determined and kept: conductance at 0.35 (possible: 0 to 0.4)")
     assert judge(replace(two, bounds_hit=("seebeck",)), Limits())[0] is Status.BOUNDS_HIT
     loose = replace(two, standard_errors=np.array([0.01, 40.0]))
     assert judge(loose, Limits())[0] is Status.NOT_IDENTIFIABLE

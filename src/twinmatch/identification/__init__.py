@@ -1,9 +1,9 @@
 """Box–Jenkins models of the loop, y = B/F u + C/D e, by the prediction error method.
 
-`estimate` fits one model and `estimate_ladder` the paper's ladder of nested orders 22221 to 55551. What
-a short window of a running loop needs is a right beginning: the initial conditions of B/F and of the
-noise filter are estimated exactly along with the coefficients. A `BoxJenkins` simulates, gives its
-prediction errors on any data and turns into a transfer function.
+`estimate` fits one model, `estimate_ladder` the paper's ladder of nested orders 22221 to 55551. Short
+windows of a running loop need correct initial conditions: those of B/F and of the noise filter are estimated
+exactly, together with the coefficients. A `BoxJenkins` model simulates, computes its prediction errors on any
+data and converts to a transfer function.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Checks that every entrance of the room shares."""
+"""Input checks shared by all public functions of this package."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def checked_signal(values: ArrayLike, name: str) -> FloatArray:
     """
     signal = np.array(values, dtype=np.float64, order="C")  # a copy: kernels are compiled for writable arrays
     if signal.ndim != 1 or signal.size == 0:
-        msg = f"{name}: shape {signal.shape} is no signal; give one value per sample"
+        msg = f"{name}: has shape {signal.shape}; give one value per sample"
         raise IdentificationError(msg)
     bad = np.flatnonzero(~np.isfinite(signal))
     if bad.size:
@@ -36,6 +36,6 @@ def checked_pair(u: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """
     input_, output = checked_signal(u, "input u"), checked_signal(y, "output y")
     if input_.size != output.size:
-        msg = f"input u has {input_.size} samples and output y {output.size}; they must match"
+        msg = f"input u has {input_.size} samples and output y {output.size}; give equally many"
         raise IdentificationError(msg)
     return input_, output

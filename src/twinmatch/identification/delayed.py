@@ -1,9 +1,9 @@
-"""Least squares on matrices that have delayed copies of a few signals as columns.
+"""Least squares on matrices whose columns are delayed copies of a few signals.
 
-They are never formed: `triangularise` folds them chunk by chunk into the triangle of their QR factorisation
-(exact, slow), `correlate` gets the normal matrix from a few correlations (twenty times faster, half the
-digits), and `cholesky` turns that into the same triangle. Signals carry zeros in front, at least `SLACK`
-more than the largest delay, so that a delay needs no test.
+The matrices are never formed: `triangularise` folds them chunk by chunk into the triangle of their QR
+factorisation (exact, slow), `correlate` computes the normal matrix from a few correlations (twenty times
+faster, half the digits), and `cholesky` turns that into the same triangle. Signals are padded with leading
+zeros, at least `SLACK` more than the largest delay, so that delays need no bounds check.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ __all__ = [
 ]
 
 Spans = NDArray[np.int64]
-"""Columns of a matrix in groups, shape (g, 3): signal, first delay, count; the delays run on by one."""
+"""Columns of a matrix in groups, shape (g, 3): signal, first delay, count; delays increase by one."""
 SIGNAL, DELAY, COUNT = range(3)
-"""What stands where in a group."""
+"""Positions of the entries of a group."""
 
 SLACK = 4
-"""Delays are worked off by fours."""
+"""Delays are processed in groups of four, hence this margin."""
 CHUNK = 48
 """Rows folded into the triangle at a time: a chunk of 30 columns stays in the first-level cache."""
 DEPENDENT = 1e-13
-"""Part of a column's square that must be left after the columns before it for it to count as new."""
+"""Share of a column's square that must remain after projection on the columns before it."""
 RIDGE = 1e-9
-"""Damping of linear coefficients relative to their columns: decides ties between columns that the data
-cannot tell apart, and changes nothing otherwise."""
+"""Damping of linear coefficients relative to their columns: resolves columns that the data cannot separate,
+and has no effect otherwise."""
 
 
 @compiled(inside=True)
@@ -72,9 +72,9 @@ def corners_of(spans: Spans) -> Spans:
 def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
     """Upper triangle of the normal matrix of delayed signals.
 
-    A row of the matrix has ``signals[s, t - delay]`` for every span; t runs from `low` to the end. Moving
-    both delays by one moves a product sum by one sample, so that only the products with the first column
-    of each span are summed in full.
+    A row of the matrix has ``signals[s, t - delay]`` for every span; t runs from `low` to the end. Shifting
+    both delays by one shifts a product sum by one sample, so only the products with the first column of each
+    span are summed in full.
 
     Args:
         signals: shape (m, pad + N), zero in the first `pad` samples; pad is at least the largest delay and
@@ -83,7 +83,7 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
         spans: the columns.
 
     Returns:
-        Normal matrix, shape (p, p); what lies below the diagonal has no meaning.
+        Normal matrix, shape (p, p); entries below the diagonal are undefined.
     """
     corners = corners_of(spans)
     width, groups, high = corners[-1], spans.shape[0], signals.shape[1]
@@ -134,7 +134,7 @@ def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray
 def products(a: FloatArray, b: FloatArray, c: FloatArray, x: FloatArray, out: FloatArray) -> None:
     """Sums of a(t), b(t) and c(t) times x(t + j), j = 0 … 3, over the length of a; shape (12,).
 
-    Twelve sums side by side fill the vector unit, and every sample of x is fetched for three of them.
+    Twelve parallel sums fill the vector unit, and every sample of x is loaded for three of them.
     """
     a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = c0 = c1 = c2 = c3 = 0.0
     for t in range(a.size):
@@ -231,7 +231,7 @@ def triangularise(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
 def ridge_solve(R: FloatArray, rhs: FloatArray, damping: FloatArray) -> FloatArray:
     """The x that minimises ‖R x − rhs‖² + ‖damping ∘ x‖² for an upper triangle R.
 
-    Done by folding diag(damping) into R, so that the condition of R is not squared. An undetermined
+    diag(damping) is folded into R, so that the condition number of R is not squared. An undetermined
     component (no data, no damping) is set to zero.
     """
     size = R.shape[0]

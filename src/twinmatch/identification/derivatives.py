@@ -26,8 +26,8 @@ from twinmatch.signals import FloatArray
 
 __all__ = ["curvature", "linearise"]
 
-AS_IT_IS, THROUGH_C, THROUGH_F = range(3)
-"""What e is filtered by, backwards in time."""
+UNFILTERED, THROUGH_C, THROUGH_F = range(3)
+"""Filters applied to e, backwards in time."""
 
 
 class SecondDerivative(NamedTuple):
@@ -36,14 +36,14 @@ class SecondDerivative(NamedTuple):
     one: int
     other: int
     error: int
-    """`AS_IT_IS`, `THROUGH_C` or `THROUGH_F`: the filter that is moved from the signal onto e."""
+    """`UNFILTERED`, `THROUGH_C` or `THROUGH_F`: the filter that is moved from the signal onto e."""
     signal: int
     factor: int
 
 
 SECOND_DERIVATIVES = (
     SecondDerivative(BY_B, BY_C, THROUGH_C, BY_B, -1),
-    SecondDerivative(BY_B, BY_D, AS_IT_IS, OF_INPUT, -1),
+    SecondDerivative(BY_B, BY_D, UNFILTERED, OF_INPUT, -1),
     SecondDerivative(BY_B, BY_F, THROUGH_F, BY_B, -1),
     SecondDerivative(BY_M, BY_C, THROUGH_C, BY_M, -1),
     SecondDerivative(BY_M, BY_F, THROUGH_F, BY_M, -1),
@@ -53,14 +53,14 @@ SECOND_DERIVATIVES = (
     SecondDerivative(BY_D, BY_F, THROUGH_F, OF_PROCESS, 1),
     SecondDerivative(BY_F, BY_F, THROUGH_F, BY_F, -2),
 )
-"""Those that are not zero."""
+"""All second derivatives that are not zero."""
 
 
 @compiled
 def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
     """QR triangle of the derivatives of e by (b, m, c, d, f), with the rotated e as last column.
 
-    Fills the signals from `BY_C` to `ERROR`; the others of the derivatives are as `evaluate` left them.
+    Fills the signals from `BY_C` to `ERROR`; the others are those set by `evaluate`.
     """
     model, e, signals, pad = place.model, place.errors, place.signals, task.pad
     by_c, by_d, by_f = signals[BY_C, pad:], signals[BY_D, pad:], signals[BY_F, pad:]
@@ -86,8 +86,8 @@ def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
 def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     """Half the second derivative of Σ e² by θ = (c, d, f), with x = (b, m) following as its minimiser.
 
-    Signals are as `linearise` left them, R is the triangle. Every ∂²e is one signal through 1/C or 1/F once
-    more, delayed by both delays; the sum over e moves that filter onto e, backwards in time.
+    Signals are those set by `linearise`, R is the triangle. Every ∂²e is one signal filtered once more by 1/C
+    or 1/F and delayed by both delays; in the sum over e that filter is moved onto e, backwards in time.
     """
     model, signals, pad, spans = place.model, place.signals, task.pad, task.spans
     driven = signals[OF_INPUT, pad:]
@@ -95,7 +95,7 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     all_pole_into(model.F, driven, driven)
     fir_into(model.B, driven, signals[OF_PROCESS, pad:])
     errors = np.empty((3, place.errors.size))
-    copy_into(place.errors, errors[AS_IT_IS])
+    copy_into(place.errors, errors[UNFILTERED])
     backwards_into(model.C, place.errors, errors[THROUGH_C])
     backwards_into(model.F, place.errors, errors[THROUGH_F])
     corners = corners_of(spans)

@@ -1,10 +1,10 @@
 """Descent from one start to the minimum next to it.
 
-Gauss–Newton leaves out the second derivatives of e. Far from the minimum that makes it robust; in the
-flat valleys of closed-loop data and of orders that are too high it makes it zigzag for hundreds of
-steps. The second derivatives are exact and cheap here, so the search changes over as soon as the
-model of the cost it used was a bad prophet of the gain. Steps that leave the stable region are pulled
-back to its boundary and taken only if they still gain.
+Gauss–Newton omits the second derivatives of e. Far from the minimum this makes it robust; in the flat
+valleys of closed-loop data and of too high orders it zigzags for hundreds of steps. The second derivatives
+are exact and cheap here, so the search switches to Newton as soon as its model of the cost predicts the
+decrease badly. Steps that leave the stable region are pulled back to its boundary and taken only if they
+still reduce the cost.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from twinmatch.signals import FloatArray
 __all__ = ["Rules", "descend"]
 
 FLAT = 10.0
-"""A step that gains less than this part of what counts as settled is idle; after `PATIENCE`, stop."""
+"""A step that gains less than this factor times `Rules.settled` is idle; after `PATIENCE` of these, stop."""
 PATIENCE = 3
 NOISE_FREE = 1e-26
-"""Part of Σ y² below which errors are rounding only."""
+"""Share of Σ y² below which the errors are rounding."""
 EPSILON = 1e-14
-"""Curvature of an axis, relative to the greatest, below which it is rounding."""
+"""Curvature of an axis, relative to the largest, below which it is rounding."""
 TRIAL = 4
 FAITH = 5.0
-"""A search that after `TRIAL` steps would not reach its rival with this many times the gain that its
-undamped step promises is given up."""
+"""A search is abandoned after `TRIAL` steps if this many times the predicted gain of its undamped step would
+not reach the rival."""
 STIFF = 1e8
-"""Damping at which no step is left to take."""
+"""Damping at which the search stops."""
 
 
 class Rules(NamedTuple):
-    """How far a descent goes."""
+    """Stopping rules of a descent."""
 
     steps: int
-    """Most that are taken."""
+    """Largest number of steps."""
     settled: float
-    """Converged when an undamped step promises less than this part of the cost."""
+    """Converged when the predicted gain of an undamped step is below this share of the cost."""
     rival: float = math.inf
-    """A cost reached elsewhere; given up when after `TRIAL` steps it seems out of reach."""
+    """Cost of another search; this one is abandoned if it seems out of reach after `TRIAL` steps."""
     exact: bool = False
-    """Factorise by QR instead of by normal equations: for the last digits."""
+    """Factorise by QR instead of normal equations, for the last digits."""
 
 
 class Quadratic(NamedTuple):
@@ -87,7 +87,7 @@ def diagonalise(gradient: FloatArray, hessian: FloatArray, basis: FloatArray) ->
 
 @compiled(inside=True)
 def damped_step(quadratic: Quadratic, damping: float) -> tuple[FloatArray, float]:
-    """The damped step and the gain it promises; downhill along axes of negative curvature too."""
+    """The damped step and its predicted gain; also downhill along axes of negative curvature."""
     gradient, curvatures, basis = quadratic
     greatest, gain = 0.0, 0.0
     for j in range(gradient.size):
@@ -104,7 +104,7 @@ def damped_step(quadratic: Quadratic, damping: float) -> tuple[FloatArray, float
 
 @compiled(inlined=True)
 def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadratic:
-    """The quadratic model of the cost at a place; where θ slides along the boundary, in the axes of that."""
+    """The quadratic model of the cost at a place; at the stability boundary, in directions along it."""
     R = linearise(task, place, exact)
     count, size = place.theta.size, R.shape[0] - 1
     linear = size - count
@@ -134,7 +134,7 @@ def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadrat
 
 @compiled(inside=True)
 def slide(basis: FloatArray, normals: FloatArray, step: FloatArray) -> bool:
-    """Leave in `basis` only steps along the boundary where `step` would leave it; whether any does."""
+    """Restrict `basis` to directions along the boundary if `step` would cross it; return whether it would."""
     leaving = np.empty(normals.shape)
     found = 0
     for k in range(normals.shape[0]):
@@ -152,12 +152,12 @@ def slide(basis: FloatArray, normals: FloatArray, step: FloatArray) -> bool:
     for k in range(found):
         row = leaving[k]
         for j in range(k):
-            take_out(leaving[j], row)
+            project_out(leaving[j], row)
         size = np.sqrt(inner(row, row))
         for j in range(row.size):
             row[j] = row[j] / size if size > 1e-10 * largest else 0.0
         for i in range(step.size):
-            take_out(row, basis[i])
+            project_out(row, basis[i])
     return found > 0
 
 
@@ -171,7 +171,7 @@ def inner(a: FloatArray, b: FloatArray) -> float:
 
 
 @compiled(inside=True)
-def take_out(unit: FloatArray, row: FloatArray) -> None:
+def project_out(unit: FloatArray, row: FloatArray) -> None:
     """Project the unit vector out of the row."""
     part = inner(unit, row)
     for i in range(row.size):
@@ -180,7 +180,7 @@ def take_out(unit: FloatArray, row: FloatArray) -> None:
 
 @compiled(inlined=True)
 def outward(task: Task, place: Place) -> FloatArray:
-    """Normals that point out of the stable region where a root touches its boundary, as rows."""
+    """Outward normals of the stable region where roots touch its boundary, as rows."""
     rows = np.zeros((place.theta.size, place.theta.size))
     first = found = 0
     for k in range(3):
@@ -195,10 +195,10 @@ def outward(task: Task, place: Place) -> FloatArray:
 
 @compiled
 def descend(task: Task, theta: FloatArray, rules: Rules) -> tuple[Place, bool, int]:
-    """Descend from θ until nothing is left to gain; the cost never grows on the way.
+    """Descend from θ until converged; the cost never increases.
 
     Returns:
-        Where it ended, whether nothing was left to gain, and the steps taken.
+        The final place, whether it converged, and the number of steps.
     """
     used = np.zeros((ROWS, task.pad + task.u.size))
     spare = np.zeros((ROWS, task.pad + task.u.size))
@@ -209,13 +209,13 @@ def descend(task: Task, theta: FloatArray, rules: Rules) -> tuple[Place, bool, i
         if place.cost <= floor or theta.size == 0:
             return place, True, iteration
         quadratic = quadratic_at(task, place, newton, rules.exact)
-        hope = damped_step(quadratic, 0.0)[1]
-        if hope <= rules.settled * place.cost:
+        predicted = damped_step(quadratic, 0.0)[1]
+        if predicted <= rules.settled * place.cost:
             return place, True, iteration
-        if iteration >= TRIAL and place.cost - FAITH * hope > rules.rival:
+        if iteration >= TRIAL and place.cost - FAITH * predicted > rules.rival:
             return place, False, iteration
         while True:
-            delta, promised = damped_step(quadratic, damping)
+            delta, expected = damped_step(quadratic, damping)
             trial = evaluate(task, place.theta + delta, spare, rules.exact)
             gained = place.cost - trial.cost
             if gained > 0.0:
@@ -224,7 +224,7 @@ def descend(task: Task, theta: FloatArray, rules: Rules) -> tuple[Place, bool, i
             newton = True
             if damping > STIFF:
                 return place, True, iteration
-        ratio = gained / promised if promised > 0.0 else 0.0
+        ratio = gained / expected if expected > 0.0 else 0.0
         damping = max(damping * (0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0), 1e-12)
         newton = newton or not 0.5 < ratio < 2.0
         idle = idle + 1 if gained < FLAT * rules.settled * place.cost else 0

@@ -1,4 +1,4 @@
-"""What can be wrong with data or orders given to the identification room."""
+"""The error of this package."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["IdentificationError"]
 
 
 class IdentificationError(TwinmatchError):
-    """Data, orders or start values from which no Box–Jenkins model can be estimated or used."""
+    """Data, orders or start values with which no Box–Jenkins model can be estimated or used."""

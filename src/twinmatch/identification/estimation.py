@@ -1,4 +1,4 @@
-"""Estimating Box–Jenkins models: several starts, one search, and the ladder of nested orders."""
+"""Estimation of Box–Jenkins models: several starts, a final search, and the ladder of nested orders."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from twinmatch.signals import FloatArray
 __all__ = ["estimate", "estimate_ladder"]
 
 Outcome = tuple[Place, bool, int]
-"""Where a search ended, whether nothing was left to gain, and the steps taken."""
+"""Final place of a search, whether it converged, and the number of steps."""
 
 ROUTE = 50
-"""Steps that a start may take; the best is then searched on."""
+"""Largest number of steps from a start; the search then continues from the best."""
 COARSE, FINE = 1e-6, 1e-11
-"""What a start, and what the search in the end, counts as settled."""
+"""`Rules.settled` for the starts, and for the final search."""
 LOST = 1e-8
-"""Part of the cost by which the two factorisations may differ before the exact one has to search too."""
+"""Share of the cost by which the two factorisations may differ before the search is repeated with QR."""
 WORTH = 1e-4
-"""A start that seems to gain less than this over the best is given up."""
+"""A start that seems to gain less than this share over the best is abandoned."""
 HOPS = (36, 108)
-"""Fewest and most starts around the best minimum, shared out over the coefficients of C, D and F: low
-orders, whose searches are short, get more."""
+"""Fewest and most starts around the best minimum, divided by the number of coefficients of C, D and F: low
+orders, with short searches, get more."""
 HOPPED = 54000
-"""Between these, as many starts as windows of this many samples would allow one: long ones cost more."""
+"""Between these limits, this many samples divided by the window's: long windows cost more."""
 LAST = 100
-"""Steps that the search in the end may take."""
+"""Largest number of steps of the final search."""
 SPARE = 10
 """Samples a window must have beyond the number of unknowns."""
 
@@ -52,35 +52,34 @@ def estimate(
     hops: int | None = None,
     period: float = 1.0,
 ) -> BoxJenkins:
-    """The Box–Jenkins model with the smallest mean squared one-step prediction error.
+    """Estimate the Box–Jenkins model with the smallest mean squared one-step prediction error.
 
-    Offsets are the caller's business: subtract an operating point, or leave it in and let B/F carry it.
-    With estimated initial conditions a window may begin in the middle of a transient.
+    Offsets are left to the caller: subtract an operating point, or let B/F describe it. With estimated
+    initial conditions a window may begin in the middle of a transient.
 
     C, D and F are stable: roots of F stay below 1 − 1e-6, those of C and D below 1 − 6/N, so that the
     predictor has forgotten its initial conditions by the end of the window. Orders above the second have
-    many local minima; `estimate_ladder` climbs to them from below and is the more thorough way.
+    many local minima; `estimate_ladder` approaches them from lower orders and is more thorough.
 
     Args:
         u: input, shape (N,).
         y: output, shape (N,).
         order: nb, nc, nd, nf, nk, as a string or five integers.
-        initial: "estimate" the initial conditions of B/F and of the noise filter along with the
+        initial: "estimate": estimate the initial conditions of B/F and of the noise filter with the
             coefficients; "zero": the data begin at rest.
-        start: a model of the same or a lower order to start from, beside the usual start values; the
-            result is then never worse than it (its C must forget within this window too, see below).
-        hops: how many starts around the best minimum to try beside the usual ones, 0 or more; without a
-            number 18, 12, 9, 7 for the orders of the ladder up to 500 samples, down to a third for longer
-            windows. Each costs about as much as one of the usual starts; more of them come nearer to the
-            lowest minimum.
-        period: sample time, s; only passed on to the result.
+        start: a model of the same or a lower order as additional start; the result is then never worse
+            than it (if its C meets the bound on roots for this window).
+        hops: number of additional starts around the best minimum, 0 or more; default 18, 12, 9, 7 for the
+            orders of the ladder up to 500 samples, down to a third for longer windows. Each costs about as
+            much as one of the usual starts; more of them come nearer to the global minimum.
+        period: sample time, s; only stored in the result.
 
     Returns:
         The model; the same data give the same model to the last bit.
 
     Raises:
-        IdentificationError: wrong order, data that are no pair of signals, an input that does not vary,
-            too few samples, a start of a higher order, or a negative number of hops.
+        IdentificationError: invalid order or signals, an input that does not vary, too few samples, a
+            start of a higher order, or a negative number of hops.
     """
     u, y = checked_pair(u, y)
     parsed = parse_order(order)
@@ -89,14 +88,16 @@ def estimate(
         shared = min(max(HOPPED // u.size, HOPS[0]), HOPS[1])
         hops = shared // max(parsed.nc + parsed.nd + parsed.nf, 1)
     if hops < 0:
-        msg = f"hops: {hops} starts cannot be tried; give 0 or more"
+        msg = f"hops: {hops} starts requested; give 0 or more"
         raise IdentificationError(msg)
     thetas = list(start_values(u, y, task.counts))
     if start is not None:
         if not parsed.covers(start.order):
-            msg = f"start: a model of order {start.order} cannot start one of order {parsed}"
+            msg = (
+                f"start: a model of order {start.order} cannot start one of order {parsed}; give a lower one"
+            )
             raise IdentificationError(msg)
-        # First: the others are given up the sooner, the lower the cost that they must beat.
+        # Inserted first: the lower the cost to beat, the sooner the other starts are abandoned.
         thetas.insert(0, _padded(start, parsed))
     return _model(task, parsed, _best(task, parsed, thetas, hops), period)
 
@@ -110,12 +111,12 @@ def estimate_ladder(
     hops: int | None = None,
     period: float = 1.0,
 ) -> dict[str, BoxJenkins]:
-    """Models of several orders; one whose order contains an earlier one's never has the greater loss.
+    """Estimate several orders; a model whose order contains an earlier one's never has the larger loss.
 
-    Each starts from the best model below it too, its missing coefficients zero. Give orders from low to
-    high.
+    Each is also started from the best model of a lower order, with missing coefficients set to zero. Give
+    orders from low to high.
 
-    Arguments and errors as for `estimate`; the keys are the orders as strings, in the order given.
+    Arguments and errors as for `estimate`; the keys are the orders as strings, in the given order.
     """
     models: dict[str, BoxJenkins] = {}
     for order in orders:
@@ -129,7 +130,7 @@ def estimate_ladder(
 def _task(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Task:
     task = task_of(u, y, order, initial)
     if np.ptp(u) <= 1e-12 * np.max(np.abs(u)):
-        msg = f"input u does not vary (it is {u[0]:g} throughout); nothing can be identified from it"
+        msg = f"input u is constant ({u[0]:g}); nothing can be identified from it"
         raise IdentificationError(msg)
     if u.size < unknowns(task) + SPARE:
         msg = f"{u.size} samples are too few for order {order}; give at least {unknowns(task) + SPARE}"
@@ -147,7 +148,7 @@ def _padded(model: BoxJenkins, order: Order) -> FloatArray:
 
 
 def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outcome:
-    """The lowest minimum reached from any start, its last digits from the exact factorisation."""
+    """The lowest minimum from all starts, refined with the exact factorisation."""
     best, _, steps = descend(task, thetas[0], Rules(ROUTE, COARSE))
     around = Hops(order)
     for k in range(1, len(thetas) + (hops if around.possible else 0)):
@@ -183,7 +184,7 @@ def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenk
 
 
 def _covariance(task: Task, place: Place) -> FloatArray:
-    """σ² (JᵀJ)⁺ of the coefficients, the initial conditions counted as unknowns too."""
+    """σ² (JᵀJ)⁺ of the coefficients, with the initial conditions as further unknowns."""
     size = unknowns(task)
     R = linearise(task, place, True)[:size, :size]
     norms = np.sqrt(np.sum(R**2, axis=0))

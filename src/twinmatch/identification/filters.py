@@ -1,7 +1,7 @@
 """Difference equations of polynomials in q⁻¹, and inner products: the arithmetic of signals.
 
-It is plain arithmetic in a fixed order, without library calls whose rounding depends on the number of
-threads, so that the same data give the same model to the last bit.
+The operations have a fixed order and use no library calls whose rounding depends on the number of threads, so
+that the same data give the same model to the last bit.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from twinmatch.signals import FloatArray
 __all__ = ["all_pole", "all_pole_into", "continue_outputs", "copy_into", "dot", "fir", "fir_into"]
 
 REACH = 48
-"""Samples after which a filter is looked at: whether it has come to rest."""
+"""Interval, in samples, at which a filter is checked for being at rest."""
 VANISHED = 1e-140
-"""A filter whose memory is smaller than this is at rest: denormal numbers are a hundred times slower."""
+"""A filter with a smaller state is set to rest: denormal numbers are a hundred times slower."""
 TAPS = 6
-"""Filters of up to so many coefficients are written out."""
+"""Filters with up to so many coefficients are unrolled."""
 
 
 @compiled(inside=True)
 def copy_into(source: FloatArray, target: FloatArray) -> None:
-    """Write the source over the first samples of the target; a slice would compile messages about shapes."""
+    """Copy the source over the first samples of the target; slices would compile shape checks."""
     for t in range(source.size):
         target[t] = source[t]
 
@@ -46,7 +46,7 @@ def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
         for i in range(t + 1):
             total += c[i] * x[t - i]
         out[t] = total
-    # Written out over slices it fills the vector unit.
+    # Unrolled over slices, this fills the vector unit.
     c0, c1, c2, c3, c4, c5 = c[0], c[1], c[2], c[3], c[4], c[5]
     x0, x1, x2, x3, x4, x5 = x[5:], x[4:], x[3:], x[2:], x[1:], x
     rest = out[5:]

@@ -1,8 +1,8 @@
-"""Hops: starts beside the best minimum found so far, with a few of its roots thrown elsewhere.
+"""Hops: starts around the best minimum found so far, with a few of its roots moved at random.
 
-Orders above the second have many local minima: pairs of roots that nearly cancel, one minimum for every
-chance sinusoid they can follow. Starts drawn anew rarely fall near a good one; starts that keep most of
-the best model and move one or two of its roots often do. The draws come from a generator of fixed seed, so
+Orders above the second have many local minima: pairs of roots that nearly cancel, with one minimum for every
+chance sinusoid that they can follow. Independent random starts rarely fall near a good one; starts that keep
+most of the best model and move one or two of its roots often do. The random generator has a fixed seed, so
 that the same data give the same model.
 """
 
@@ -24,10 +24,10 @@ REAL = 1e-9
 
 
 class Hops:
-    """An endless supply of starts around a model."""
+    """An unlimited sequence of starts around a model."""
 
     def __init__(self, order: Order) -> None:
-        """Begin the sequence of draws for an order; it is the same every time."""
+        """Begin the sequence for an order; it is always the same."""
         self._degrees = (order.nc, order.nd, order.nf)
         self._movable = [k for k, degree in enumerate(self._degrees) if degree > 0]
         self._draws = np.random.Generator(np.random.PCG64(SEED))
@@ -38,7 +38,7 @@ class Hops:
         return bool(self._movable)
 
     def from_model(self, theta: FloatArray) -> FloatArray:
-        """θ = (c, d, f) with some of its roots thrown elsewhere, all inside the unit circle."""
+        """θ = (c, d, f) with some of its roots moved at random, all inside the unit circle."""
         corners = np.concatenate(([0], np.cumsum(self._degrees)))
         moved = theta.copy()
         which = self._movable[self._pick(len(self._movable))]
@@ -81,7 +81,7 @@ class Hops:
         return self._with_pair(roots, self._magnitude(-2.5, -0.7), self._angle())
 
     def _with_pair(self, roots: Roots, magnitude: float, angle: float) -> Roots:
-        """Two real roots, or a pair, replaced by another pair."""
+        """Replace two real roots, or a pair, by another pair."""
         pairs, real = roots[roots.imag > REAL], roots[np.abs(roots.imag) <= REAL]
         if pairs.size and (real.size < 2 or self._pick(2) == 1):
             pairs = np.delete(pairs, self._pick(pairs.size))
@@ -103,13 +103,13 @@ class Hops:
 
 
 def _all_roots(part: FloatArray) -> Roots:
-    """As many roots as there are coefficients, those at zero included."""
+    """All roots, as many as there are coefficients, including those at zero."""
     found = np.roots(np.append(1.0, part)).astype(np.complex128)
     return np.append(found, np.zeros(part.size - found.size, dtype=np.complex128))
 
 
 def _coefficients(roots: Roots) -> FloatArray:
-    """Of the monic polynomial, without its one."""
+    """Coefficients of the monic polynomial, without the leading one."""
     product = np.zeros(roots.size + 1, dtype=np.complex128)
     product[0] = 1.0
     for k, root in enumerate(roots):

@@ -1,4 +1,4 @@
-"""The Box–Jenkins model: what an estimate returns, and what can be done with it."""
+"""The Box–Jenkins model, the result of an estimate."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class BoxJenkins:
     variance: float
     """V, mean squared one-step prediction error of the data it was estimated on; NaN when unknown."""
     covariance: FloatArray
-    """Of the coefficients in the order B (without leading zeros), C, D, F (without their ones)."""
+    """Covariance of the coefficients in the order B (without its zeros), C, D, F (without their ones)."""
     initial_state: FloatArray
     """Initial conditions of the predictor on those data: m of C F e = D F y − D B u + Σ mⱼ δ(t−j)."""
     n_samples: int
@@ -48,9 +48,9 @@ class BoxJenkins:
     period: float = 1.0
     """Sample time, s."""
     converged: bool = True
-    """Whether the search ended because there was nothing left to gain."""
+    """Whether the search converged."""
     iterations: int = 0
-    """Steps taken by the search that won."""
+    """Steps taken by the best search."""
 
     def __post_init__(self) -> None:
         for name in ("B", "C", "D", "F", "covariance", "initial_state"):
@@ -67,7 +67,7 @@ class BoxJenkins:
         D: Sequence[float] = (1.0,),
         variance: float = math.nan,
     ) -> BoxJenkins:
-        """The model whose B/F is a discrete transfer function; white output noise unless C, D say else.
+        """The model whose B/F is a discrete transfer function, with white output noise unless C, D are given.
 
         Raises:
             IdentificationError: more than one input or output, continuous time, or not proper.
@@ -83,7 +83,7 @@ class BoxJenkins:
         numerator = np.trim_zeros(np.atleast_1d(np.asarray(system.num[0][0], dtype=np.float64)), "f")
         denominator = np.trim_zeros(np.atleast_1d(np.asarray(system.den[0][0], dtype=np.float64)), "f")
         if numerator.size > denominator.size:
-            msg = "transfer function: more zeros than poles; it would need inputs that are yet to come"
+            msg = "transfer function: more zeros than poles, so it needs future inputs; give a proper one"
             raise IdentificationError(msg)
         delay = denominator.size - max(numerator.size, 1)
         B = np.concatenate((np.zeros(delay), numerator if numerator.size else np.zeros(1))) / denominator[0]
@@ -103,7 +103,7 @@ class BoxJenkins:
 
     @property
     def polynomials(self) -> Polynomials:
-        """B, C, D and F, as copies that may be written: kernels are compiled for such arrays only."""
+        """B, C, D and F, as writable copies: kernels are compiled only for those."""
         return Polynomials(self.B.copy(), self.C.copy(), self.D.copy(), self.F.copy())
 
     @property
@@ -134,16 +134,16 @@ class BoxJenkins:
         """The output of B/F alone for input u, without noise; shape (N,).
 
         It starts from rest, or from recorded outputs: then the first len(outputs) samples are `outputs`
-        and the difference equation goes on from them. The paper's information gain copies max(len(F))
-        samples in this way.
+        and the difference equation continues from them. The paper's information gain copies len(F) samples
+        in this way.
 
         Raises:
-            IdentificationError: u is no signal, or outputs are longer than u.
+            IdentificationError: u is not a valid signal, or outputs are longer than u.
         """
         input_ = checked_signal(u, "input u")
         recorded = np.array(outputs, dtype=np.float64, ndmin=1)
         if recorded.size > input_.size:
-            msg = f"simulate: {recorded.size} recorded outputs for {input_.size} inputs"
+            msg = f"simulate: {recorded.size} recorded outputs for {input_.size} inputs; give at most as many"
             raise IdentificationError(msg)
         return np.asarray(continue_outputs(self.B.copy(), self.F.copy(), input_, recorded))
 
@@ -159,7 +159,7 @@ class BoxJenkins:
                 initial conditions such as `initial_state`.
 
         Raises:
-            IdentificationError: data that are no pair of signals, or an unknown `initial`.
+            IdentificationError: invalid signals, or an unknown `initial`.
         """
         u, y = checked_pair(u, y)
         if not isinstance(initial, str):
@@ -174,5 +174,5 @@ class BoxJenkins:
         return np.asarray(errors_of(u, y, self.polynomials, m))
 
     def loss(self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate") -> float:
-        """Mean squared prediction error on any data; arguments as `prediction_errors`."""
+        """Mean squared prediction error on any data; arguments as for `prediction_errors`."""
         return float(np.mean(self.prediction_errors(u, y, initial) ** 2))

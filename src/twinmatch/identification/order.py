@@ -13,7 +13,7 @@ ORDERS = ("22221", "33331", "44441", "55551")
 """The ladder of orders of the paper (table II), each nb nc nd nf nk."""
 
 MOST = 50
-"""No polynomial has more coefficients than this, and no delay is longer."""
+"""Upper limit on the coefficients of a polynomial and on the delay."""
 
 
 class Order(NamedTuple):
@@ -32,7 +32,7 @@ class Order(NamedTuple):
 
     @property
     def predictor_state(self) -> int:
-        """Initial conditions of the one-step predictor, those of B/F and of C/D together."""
+        """Number of initial conditions of the one-step predictor, for B/F and C/D together."""
         return max(self.nf + max(self.nc, self.nd), self.nd + self.nb + self.nk - 1)
 
     @property
@@ -51,7 +51,7 @@ class Order(NamedTuple):
         )
 
     def __str__(self) -> str:
-        """As in the paper, `22221`; with spaces between where a number has two digits."""
+        """As in the paper, `22221`; separated by spaces if a number has two digits."""
         return ("" if max(self) < 10 else " ").join(str(n) for n in self)
 
 
@@ -78,6 +78,6 @@ def parse_order(order: str | Sequence[int]) -> Order:
         msg = f"order: {order!r} leaves no coefficient for B; nb must be at least 1"
         raise IdentificationError(msg)
     if min(parsed) < 0 or max(parsed) > MOST:
-        msg = f"order: {order!r} has a number outside 0 to {MOST}"
+        msg = f"order: {order!r} has a number outside 0 to {MOST}; give smaller ones"
         raise IdentificationError(msg)
     return parsed

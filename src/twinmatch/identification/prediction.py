@@ -4,8 +4,8 @@ Multiplied out, the predictor of y = B/F u + C/D e is one difference equation,
 
     C F e = D F y − D B u + Σ mⱼ δ(t−j),    j < max(deg DF, deg CF, deg DB),
 
-in which m holds everything the time before the window leaves behind: the initial conditions of B/F and
-of the noise filter together. For given θ = (c, d, f) the error e is linear in x = (b, m), so the sum of
+in which m holds the effect of everything before the window: the initial conditions of B/F and of the noise
+filter together. For given θ = (c, d, f) the error e is linear in x = (b, m), so the sum of
 squares is minimised over x by least squares at every θ (variable projection) and only θ is searched.
 All derivatives are delayed copies of a few filtered signals:
 
@@ -45,14 +45,14 @@ __all__ = ["INITIALS", "MEMORY", "Place", "Task", "evaluate", "linear_size", "ta
 INITIALS = ("estimate", "zero")
 MEMORY = 6.0
 """Predictor and noise must forget their initial conditions to e^−MEMORY by the end of the window: roots of
-C and D stay below 1 − MEMORY/N. Nearer the unit circle C and the free initial conditions conspire to cancel
-chance sinusoids: measured on the rig, a few parts in a thousand off the loss and far worse predictions of
-the next window. And noise that never returns to its mean is free to carry the levels which the set-point
-commands; B/F then have a static gain of any size and sign, and the ν-gap sees two different plants."""
+C and D stay below 1 − MEMORY/N. Nearer the unit circle, C and the free initial conditions fit chance
+sinusoids: on the rig this lowers the loss by a few parts in a thousand and predicts the next window far
+worse. And noise that never returns to its mean can describe the levels commanded by the set-point; B/F then
+have a static gain of any size and sign, and the ν-gap compares two different plants."""
 
 BY_B, BY_M, BY_C, BY_D, BY_F, ERROR, OF_INPUT, OF_PROCESS, AT_ZERO = range(9)
 """The signals of a place: derivatives by the first coefficient of each group, e, u/(CF), B u/(CF), and the
-error that x = 0 leaves. The first six are also the groups of columns of the derivatives, in their order."""
+error for x = 0. The first six are also the groups of columns of the derivatives, in order."""
 ROWS = 9
 
 
@@ -72,7 +72,7 @@ class Task(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A model along the search: θ, the best x for it, and its errors."""
+    """A point of the search: θ, the best x for it, and its errors."""
 
     theta: FloatArray
     """c, d, f."""
@@ -83,7 +83,7 @@ class Place(NamedTuple):
     errors: FloatArray
     """e, shape (N,)."""
     signals: FloatArray
-    """By `BY_B` … `AT_ZERO`, each with its zeros in front, shape (ROWS, pad + N)."""
+    """Signals indexed by `BY_B` … `AT_ZERO`, each with leading zeros, shape (ROWS, pad + N)."""
     cost: float
     """Σ e²"""
 
@@ -118,21 +118,21 @@ def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate
 
 
 def linear_size(task: Task) -> int:
-    """Coefficients of B and initial conditions."""
+    """Number of coefficients of B and initial conditions."""
     return int(task.spans[BY_B, COUNT] + task.spans[BY_M, COUNT])
 
 
 def unknowns(task: Task) -> int:
-    """Everything that is free: coefficients and initial conditions."""
+    """Number of all unknowns: coefficients and initial conditions."""
     return linear_size(task) + int(task.counts[1:4].sum())
 
 
 @compiled
 def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) -> Place:
-    """The best linear coefficients at θ and the errors they leave.
+    """The best linear coefficients at θ, and their errors.
 
-    Roots outside the stable region are pulled back to its boundary: the place's θ is what is left. With
-    `exact` the coefficients are found by QR instead of by normal equations.
+    Roots outside the stable region are pulled back to its boundary, and the place has the changed θ. With
+    `exact` the coefficients are computed by QR instead of normal equations.
     """
     nb, nc, nd, nf, nk = task.counts
     C, D, F = np.ones(1 + nc), np.ones(1 + nd), np.ones(1 + nf)
@@ -157,7 +157,7 @@ def evaluate(task: Task, theta: FloatArray, signals: FloatArray, exact: bool) ->
 def project(
     task: Task, model: Polynomials, signals: FloatArray, exact: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """The best x = (b, m) for given C, D, F and the errors e it leaves; B of the model is not used."""
+    """The best x = (b, m) for given C, D, F, and its errors e; B of the model is not used."""
     pad = task.pad
     by_b, by_m, at_zero = signals[BY_B, pad:], signals[BY_M, pad:], signals[AT_ZERO, pad:]
     fir_into(model.D, task.u, by_b)

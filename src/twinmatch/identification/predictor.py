@@ -41,7 +41,7 @@ def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -
 
 @compiled
 def smallest_errors(u: FloatArray, y: FloatArray, model: Polynomials, count: int) -> FloatArray:
-    """Prediction errors for the `count` initial conditions of the predictor that leave least; shape (N,)."""
+    """Prediction errors for the best `count` initial conditions of the predictor; shape (N,)."""
     signals = np.zeros((2, count + u.size))
     impulse = signals[0, count:]
     impulse[0] = 1.0

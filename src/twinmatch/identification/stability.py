@@ -1,4 +1,4 @@
-"""Where the roots of C, D and F may be, and how they are kept there."""
+"""Bounds on the roots of C, D and F, and how they are enforced."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ __all__ = ["LARGEST_ROOT", "boundary_normals", "is_stable", "stabilise"]
 ComplexArray = NDArray[np.complex128]
 
 LARGEST_ROOT = 1.0 - 1e-6
-"""Largest root magnitude an estimated C, D or F may have."""
+"""Largest root magnitude of an estimated C, D or F."""
 TOUCHING = 1e-8
-"""A root is on the boundary when it is no farther from it than this."""
+"""Largest distance at which a root counts as on the boundary."""
 
 
 @compiled
@@ -39,10 +39,10 @@ def is_stable(polynomial: FloatArray, radius: float) -> bool:
 
 @compiled
 def stabilise(polynomial: FloatArray, radius: float, mirror: float) -> FloatArray:
-    """Pull roots beyond `radius` back to it along their ray; what is not finite becomes 1.
+    """Pull roots beyond `radius` back to it radially; a polynomial that is not finite becomes 1.
 
-    Roots beyond `mirror`, 1 or infinity, first move to their mirror image inside: a reflected C or D keeps
-    the spectrum's shape, only the size of the innovations changes.
+    Roots beyond `mirror`, 1 or infinity, are first reflected to the inside: a reflected C or D keeps the
+    shape of the spectrum; only the size of the innovations changes.
     """
     if is_stable(polynomial, radius):
         return polynomial
@@ -58,7 +58,7 @@ def stabilise(polynomial: FloatArray, radius: float, mirror: float) -> FloatArra
         if magnitude >= radius:
             roots[k] *= (radius - 1e-9) / magnitude
     stable = from_roots(roots, polynomial.size)
-    while not is_stable(stable, radius):  # rounding may leave a multiple root outside
+    while not is_stable(stable, radius):  # rounding may leave multiple roots outside
         for i in range(1, stable.size):
             stable[i] *= 0.9999**i
     return stable
@@ -93,7 +93,7 @@ def boundary_normals(polynomial: FloatArray, radius: float) -> FloatArray:
 
 @compiled(inside=True)
 def from_roots(roots: ComplexArray, size: int) -> FloatArray:
-    """The monic polynomial of `size` coefficients with these roots and the others at zero."""
+    """The monic polynomial of `size` coefficients with these roots, all others at zero."""
     product = np.zeros(size, np.complex128)
     product[0] = 1.0
     for k in range(roots.size):
@@ -107,7 +107,7 @@ def from_roots(roots: ComplexArray, size: int) -> FloatArray:
 
 @compiled(inside=True)
 def complex_roots(polynomial: FloatArray) -> ComplexArray:
-    """Roots in z of 1 + a₁q⁻¹ + …, those at zero left out: eigenvalues of the companion matrix."""
+    """Roots in z of 1 + a₁q⁻¹ + …, except those at zero: eigenvalues of the companion matrix."""
     degree = polynomial.size - 1
     while degree > 0 and polynomial[degree] == 0.0:
         degree -= 1

@@ -1,11 +1,11 @@
-"""Start values for the search, from routes that fail for different reasons.
+"""Start values for the search, from three methods that fail for different reasons.
 
 1. A long ARX model whitens the data; Steiglitz–McBride on the whitened data gives B/F (the
    Box–Jenkins Steiglitz–McBride method of Y. Zhu, efficient even in closed loop).
-2. Steiglitz–McBride on the raw data: the output-error model, blind to the noise.
-3. An ARX model of the wanted order: one denominator for both parts.
+2. Steiglitz–McBride on the raw data: the output-error model, which ignores the noise.
+3. An ARX model of the same order: one denominator for both parts.
 
-The noise part C/D of routes 1 and 2 is the ARMA model of what B/F leaves, by Hannan–Rissanen.
+The noise part C/D of methods 1 and 2 is the ARMA model of the residuals of B/F, by Hannan–Rissanen.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from twinmatch.signals import FloatArray
 __all__ = ["start_values"]
 
 LONG = 20
-"""Order of the long autoregressions, where the window is long enough for it."""
+"""Order of the long autoregressions, if the window is long enough."""
 ROUNDS = 8
-"""Rounds of Steiglitz–McBride; it settles in a few or not at all."""
+"""Iterations of Steiglitz–McBride; it converges in a few or not at all."""
 SETTLED = 1e-4
-"""Change of a coefficient of F below which it has."""
+"""Change of the coefficients of F below which it has converged."""
 ROUTES = 3
 
 
@@ -67,7 +67,7 @@ def regression(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
 
 @compiled(inside=True)
 def padded(pad: int, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Two signals behind zeros, shape (2, pad + N)."""
+    """Two signals with leading zeros, shape (2, pad + N)."""
     signals = np.zeros((2, pad + first.size))
     copy_into(first, signals[0, pad:])
     copy_into(second, signals[1, pad:])
@@ -106,7 +106,7 @@ def arx_denominator(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> 
 
 @compiled(inside=True)
 def steiglitz_mcbride(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
-    """F of the output-error model by iterated prefiltering, the initial conditions estimated along."""
+    """F of the output-error model by iterated prefiltering, with estimated initial conditions."""
     nb, _, _, nf, nk = counts
     F = np.ones(1 + nf)
     F[1:] = 0.0
@@ -141,7 +141,7 @@ def through_pole(F: FloatArray, u: FloatArray, y: FloatArray, out: FloatArray) -
 def noise_model(
     u: FloatArray, y: FloatArray, F: FloatArray, counts: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
-    """C and D of what the best B/F with this F leaves of y."""
+    """C and D for the residuals of the best B/F with this F."""
     nb, nc, nd, nf, nk = counts
     states = max(nf, nb + nk - 1)
     pad = max(nk + nb, states) + SLACK

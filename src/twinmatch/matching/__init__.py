@@ -1,15 +1,14 @@
-"""Parameters of a plant from a window: behavioral matching, and the gate that accepts or refuses it.
+"""Behavioral matching: parameters of a plant from a window, and the gate that accepts or refuses them.
 
-`match` runs the twin on the window and moves the free parameters until it agrees with the record as nearly as
-it can (nonlinear least squares, paper section III): closed into its loop on the window's own set-points where
-the controller is known, else driven by the recorded input. Which parameters there are, where each is looked
-for and what is unknown at a window's begin, the plant file says. Parameters trade off against each other, so
-a `Match` always carries its covariance, its Fisher information and the bounds it ran into; the covariance
-follows the sensor's noise round the loop. It also says which parameters to believe, within which intervals,
-which combination is known best, and which set-point step would show what is left open. Its `Status` is the
-gate's answer: only an accepted match may join the family of candidates. `Limits` says where the gate
-closes, and the gate's module in which order it asks. `fit_structure` fits any structure of a plant, over one
-window or several, without a gate.
+`match` simulates the twin on the window and adjusts the free parameters to fit the record (nonlinear least
+squares, paper section III): in closed loop on the window's own set-points if the controller is known,
+otherwise driven by the recorded input. The plant file declares the parameters, their bounds and the unknown
+initial states. Parameters trade off against each other, so a `Match` always carries its covariance, its
+Fisher information and the bounds that were hit; the covariance includes the sensor's noise circulating in the
+loop. A match also lists the parameters that are determined, their intervals, the best known combination, and
+the set-point step that would determine the rest. Its `Status` is the decision of the gate: only an accepted
+match may join the family of candidates. `Limits` are the limits of the gate; its module explains the order of
+the checks. `fit_structure` fits any structure of a plant to one or several windows, without a gate.
 """
 
 from twinmatch.matching.bounds import Bounds, MatchingError

@@ -1,4 +1,4 @@
-"""Which unknowns a match may move, and where each is looked for."""
+"""The unknowns of a match and their bounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Bounds", "MatchingError", "Unknown", "checked_free", "unknown_parame
 
 
 class MatchingError(TwinmatchError):
-    """A match was asked for that cannot be made: unknown names, bounds or noise without meaning."""
+    """A match that cannot be made: unknown names, or invalid bounds or noise."""
 
 
 Bounds = Mapping[str, tuple[float, float]]
@@ -21,19 +21,19 @@ Bounds = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A parameter, or a state at a window's begin, that a match looks for, as the plant file declares it."""
+    """A parameter or initial state that a match estimates, as the plant file declares it."""
 
     name: str
     unit: str
     bounds: tuple[float, float]
     scale: float
-    """A typical size, or of a difference where zero means nothing."""
+    """Typical size (of a difference where zero is arbitrary)."""
     relative: bool
-    """Whether its error is compared with its value; otherwise with its scale."""
+    """Whether its error is relative to its value; otherwise to its scale."""
 
 
 def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
-    """The parameters that are free, in the model's order; the structure's own if none are given.
+    """The free parameters, in the model's order; default: the structure's.
 
     Raises:
         MatchingError: no name, an unknown or repeated one, or one that this structure does not have.
@@ -42,11 +42,11 @@ def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
     unknown = [name for name in names if name not in model.names]
     if unknown:
         msg = (
-            f"matching: {unknown[0]!r} cannot be free in {model.title}; choose among {', '.join(model.names)}"
+            f"matching: {unknown[0]!r} cannot be free in {model.title}; choose from {', '.join(model.names)}"
         )
         raise MatchingError(msg)
     if not names or len(set(names)) != len(names):
-        msg = f"matching: free is {names}; name at least one parameter and none twice"
+        msg = f"matching: free is {names}; give at least one parameter and none twice"
         raise MatchingError(msg)
     return tuple(name for name in model.names if name in names)
 
@@ -54,20 +54,20 @@ def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
 def unknown_parameters(
     model: Model, names: Iterable[str], bounds: Bounds | None = None
 ) -> tuple[Unknown, ...]:
-    """Those parameters as the plant declares them, some of the bounds replaced.
+    """The named parameters as the plant declares them, with some bounds replaced.
 
     Raises:
-        MatchingError: bounds of an unknown name, or a pair that is not finite and growing.
-        PlantError: no such plant can have the value at an end.
+        MatchingError: bounds of an unknown name, or a pair that is not finite and in order.
+        PlantError: a bound is not a possible value of the parameter.
     """
     given = dict(bounds or {})
     known = (*model.names, *model.states)
     for name, (low, high) in given.items():
         if name not in known:
-            msg = f"matching: bounds for {name!r}, which is none of {', '.join(known)}"
+            msg = f"matching: bounds for {name!r}, which is unknown; choose from {', '.join(known)}"
             raise MatchingError(msg)
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            msg = f"matching: the bounds {low} and {high} of {name} must be finite and grow"
+            msg = f"matching: the bounds of {name} are {low} and {high}; give two finite numbers, lower first"
             raise MatchingError(msg)
         declared = model.declared.get(name)
         for end in (low, high):
@@ -83,7 +83,7 @@ def unknown_parameters(
 
 
 def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown, ...]:
-    """The states whose value at a window's begin the structure leaves open."""
+    """The states whose initial value is unknown in this structure."""
     found = []
     for name in model.structure.free_starts:
         state = model.declared_states[model.states.index(name)]

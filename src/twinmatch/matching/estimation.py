@@ -1,4 +1,4 @@
-"""Nonlinear least squares on output and input, and how well it determines the parameters."""
+"""Nonlinear least squares on output and input, and the uncertainty of the estimate."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["Estimate", "Uncertainty", "on_bounds", "solve", "starts_for", "uncer
 
 _MOST_EVALUATIONS = 100
 _ON_BOUND = 1e-4
-"""Distance from a bound, in units of the interval, below which a parameter sits on it."""
+"""Distance from a bound, in units of the interval, below which a parameter counts as on it."""
 _ROUNDING = 1e-13
 """Share of the largest eigenvalue below which another is rounding: each entry of the information is a sum
-over some hundreds of samples, right to about 1e-14 of itself. The condition number is then 3e6."""
+over hundreds of samples, accurate to a relative 1e-14. The condition number is then 3e6."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Where least squares ended."""
+    """Result of least squares."""
 
     problem: Problem
     values: FloatArray
@@ -33,19 +33,19 @@ class Estimate:
 
     @cached_property
     def residuals(self) -> FloatArray:
-        """Weighed residuals of the signals compared, shape (outputs, N − 2)."""
+        """Weighted residuals of the compared signals, shape (outputs, N − 2)."""
         return self.problem.residuals(self.values).reshape(self.problem.outputs, -1)
 
     @property
     def chi2(self) -> float:
-        """Mean squared weighed residual; near 1 when the noise is all that is left."""
+        """Mean squared weighted residual; near 1 if only noise remains."""
         return float(np.mean(np.square(self.residuals)))
 
 
 def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
-    """Where to begin: at the start values and at the structure's other starts, as far as those are free.
+    """Start points: the start values, and the structure's other starts if their parameters are free.
 
-    In one window of the rig out of ten the fit from a single start stops in a side valley.
+    In one of ten windows of the rig the fit from a single start stops in a side valley.
     """
     starts = [problem.values_of(start)]
     for changes in start.model.structure.starts:
@@ -56,14 +56,14 @@ def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
 
 
 def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
-    """The best of the fits from several starts; the first of equals."""
+    """The best of the fits from several starts; of equals the first."""
     best: Descended | None = None
     for start in starts:
         found = problem.descend(start, _MOST_EVALUATIONS, best)
         if best is None or found.cost < best.cost:
             best = found
     if best is None:
-        msg = "solve: no start was given"
+        msg = "solve: no start; give at least one"
         raise ValueError(msg)
     return Estimate(problem, best.values, best.converged)
 
@@ -77,25 +77,25 @@ def on_bounds(problem: Problem, values: FloatArray) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What the window says about the free parameters."""
+    """Information of the window about the free parameters."""
 
     fisher: FloatArray
-    """Information JᵀJ of the weighed residuals, shape (n, n), in the parameters' own units."""
+    """Information JᵀJ of the weighted residuals, shape (n, n), in the parameters' own units."""
     scores: FloatArray
     """Covariance of the gradient Jᵀr, shape (n, n); for white noise of variance 1 it is `fisher`."""
     scales: FloatArray
     """Typical sizes of the parameters, shape (n,)."""
     eigenvalues: FloatArray
-    """Of the information in units of the parameters' scales, ascending, shape (n,)."""
+    """Eigenvalues of the information in units of the parameters' scales, ascending, shape (n,)."""
     directions: FloatArray
-    """Its eigenvectors, shape (n, n), column by column; the largest component of each is positive."""
+    """Its eigenvectors as columns, shape (n, n); the largest component of each is positive."""
     condition: float
-    """Condition number of the scaled Jacobian; infinite when a direction is not seen at all."""
+    """Condition number of the scaled Jacobian; infinite if a direction has no effect at all."""
     covariance: FloatArray
-    """Of the parameters, shape (n, n); infinite where the information is singular."""
+    """Covariance of the parameters, shape (n, n); infinite where the information is singular."""
 
     def given(self, places: Sequence[int]) -> Uncertainty:
-        """That of the parameters at these places, the others being known."""
+        """The uncertainty of the parameters at these places if the others are known."""
         block = np.ix_(places, places)
         return _known(self.fisher[block], self.scores[block], self.scales[list(places)])
 
@@ -103,11 +103,11 @@ class Uncertainty:
 def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     """Information and covariance of an estimate.
 
-    A plant's noise enters at the sensor and goes round the loop, so the residuals are far from white
+    A plant's noise enters at the sensor and circulates in the loop, so the residuals are far from white
     and the textbook covariance s²·(JᵀJ)⁻¹ is too small by a factor of two to four. Here the noise of
-    each reading is followed through the twin's loop: (JᵀJ)⁻¹·S·(JᵀJ)⁻¹ with S = Σ_k (Jᵀm_k)(Jᵀm_k)ᵀ,
-    m_k the residuals that noise at sample k alone would leave, scaled so that the noise accounts for
-    the residuals actually found.
+    each reading is propagated through the twin's loop: (JᵀJ)⁻¹·S·(JᵀJ)⁻¹ with S = Σ_k (Jᵀm_k)(Jᵀm_k)ᵀ,
+    m_k the residuals caused by noise at sample k alone, scaled so that the noise explains the actual
+    residuals.
     """
     evaluation = problem.evaluate(estimate.values)
     _, _, fisher = evaluation.normal

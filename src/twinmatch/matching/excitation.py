@@ -1,4 +1,4 @@
-"""Which set-point step would show what a window left open."""
+"""The set-point step that would determine what a window left open."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from twinmatch.signals import FloatArray, Window
 __all__ = ["suggest_step"]
 
 _LEVELS = 8
-"""Set-points that are considered, over the range the plant declares for them."""
+"""Number of set-points considered, over the range that the plant declares for them."""
 _LEAST_STEP = 0.5
-"""A step smaller than this part of the way between two of them is not suggested."""
+"""Smallest suggested step, as a share of the distance between two of them."""
 _LEAD, _AFTER = 20, 240
 """Samples of the window kept before its last step, and samples simulated after the new one."""
 _MOVED = 20.0
 """Change of the set-point that counts as a step, in units of the output's noise."""
 _REACHED = 10.0
-"""Distance from the set-point within which the output must have come at the end, in the same units."""
+"""Largest final distance of the output from the set-point, in the same units."""
 _WORTH = 1.25
 """Least improvement worth a suggestion."""
 _NEARLY = 0.9
-"""Part of the best improvement for which the smallest step is taken."""
+"""Share of the best improvement that the smallest sufficient step must reach."""
 
 
 def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name: str) -> str:
-    """One sentence naming the step from here that would determine the combination this window shows
-    least, and how much better parameter `name` would be known; empty if no step would help much, or if the
-    loop is not known, in which a step would be made.
+    """A sentence with the step that would best determine the combination that this window determines least,
+    and how much better parameter `name` would be known; empty if no step would help much, or if the loop
+    is not known.
 
-    The next window holds this one's last regime and the one after the step. For each step it is
-    simulated with the fitted twin, and its information JᵀJ compared with that of this window.
+    The next window would hold this one's last regime and the one after the step. For each step it is
+    simulated with the fitted twin, and its information JᵀJ is compared with that of this window.
     """
     now = _scaled_inverse(problem, fisher)
     if now is None or problem.gains is None:
@@ -60,7 +60,7 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
 
 
 def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArray | None:
-    """Scaled covariance that the next window would leave; None if the output does not get there."""
+    """Scaled covariance from the next window; None if the output does not reach the set-point."""
     window, noise = problem.window, problem.base.model.plant.output.noise
     steps = np.flatnonzero(np.abs(np.diff(window.reference)) >= _MOVED * noise)
     first = max(int(steps[-1]) + 1 - _LEAD, 0) if steps.size else 0
@@ -80,7 +80,7 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
 
 
 def _scaled_inverse(problem: Problem, fisher: FloatArray) -> FloatArray | None:
-    """Covariance for white noise in units of the scales; None if a direction does not show at all."""
+    """Covariance for white noise in units of the scales; None if a direction has no effect at all."""
     scaled = fisher * np.outer(problem.scales, problem.scales)
     eigenvalues = np.linalg.eigvalsh(scaled)
     if not eigenvalues[0] > np.finfo(np.float64).eps * eigenvalues[-1]:

@@ -1,16 +1,16 @@
-"""Whether a fit may be used: the gate between a window and the family of candidates.
+"""The gate between a match and the family of candidates: whether a fit may be used.
 
-The questions are asked in this order, and the first that is answered badly names the status:
+The checks are made in this order, and the first that fails gives the status:
 
-1. Did the set-point move, and early enough? Without that no fit is made.
-2. Can the best fit explain the window at all? If not, its parameters mean nothing, whatever the rest says.
-   What is wrong with the plant then, the health monitor says and not the gate.
-3. Did the fit converge? If not, bounds and covariance are those of a point on the way.
-4. Did a parameter end on its bound? Then the search ended there and not the data. Zero is another matter:
-   there physics ends, and it mostly says that the window does not show the parameter (see 5).
-5. Are the parameters determined by this window? One that is not is kept near what stood before, because
-   the twin predicts well all along the valley that leaves it open; the question is put to the others.
-6. Do they predict what was held back no worse than the incumbent?
+1. Did the set-point move, and early enough? Otherwise no fit is made.
+2. Does the best fit explain the window at all? If not, its parameters mean nothing, whatever the other checks
+   give. Faults of the plant are then named by the health monitor, not by the gate.
+3. Did the fit converge? If not, bounds and covariance are those of an intermediate point.
+4. Did a parameter end on its bound? Then the bound determines it, not the data. A bound of zero is different:
+   it is a physical limit, and mostly means that the window does not determine the parameter (see 5).
+5. Are the parameters determined by this window? One that is not is kept near its previous value, because the
+   twin predicts equally well along the whole valley; the check is repeated for the others.
+6. Do they predict the held-back samples no worse than the incumbent?
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "undetermin
 
 
 class Status(Enum):
-    """What became of a match."""
+    """Result of a match."""
 
     ACCEPTED = "accepted"
     NOT_EXPLAINED = "not_explained"
@@ -42,27 +42,27 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Limits:
-    """Where the gate closes.
+    """Limits of the gate.
 
-    That on the residuals comes from hours of one rig: two-regime windows of a healthy plant leave 0.5 to 8,
-    at the cold start of a session 12; a window with a lost drive leaves 130 and more.
+    The limit on the residuals is based on hours of one rig: two-regime windows of a healthy plant give 0.5 to
+    8, the cold start of a session 12; a window with a lost drive gives 130 and more.
 
     Raises:
-        MatchingError: a limit has no meaning.
+        MatchingError: a limit is out of range.
     """
 
     chi2: float = 40.0
-    """Mean squared weighed residual above which the best fit does not explain the window."""
+    """Mean squared weighted residual above which the best fit does not explain the window."""
     relative_error: float = 0.5
-    """Largest standard error of a free parameter in units of its value, a kept one being known."""
+    """Largest standard error of a free parameter relative to its value, a kept one being known."""
     condition: float = 1000.0
     """Largest condition number of the scaled Jacobian."""
     slack: float = 1.1
-    """Factor by which chance may make the held-back part worse than the incumbent leaves it."""
+    """Factor by which chance may make the held-back residuals larger than the incumbent's."""
     held_back: float = 0.3
-    """Part of the window that the test fit does not see."""
+    """Share of the window that is held back from the test fit."""
     least_samples: int = 20
-    """Samples wanted between the first excitation and the held-back part, and in that part."""
+    """Least samples between the first excitation and the held-back part, and in that part."""
 
     def __post_init__(self) -> None:
         for name in ("chi2", "relative_error", "condition", "slack", "least_samples"):
@@ -70,16 +70,16 @@ class Limits:
                 msg = f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
                 raise MatchingError(msg)
         if not 0 < self.held_back < 1:
-            msg = f"gate: held_back is {self.held_back}; it is a part of the window between 0 and 1"
+            msg = f"gate: held_back is {self.held_back}; give a share of the window between 0 and 1"
             raise MatchingError(msg)
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the gate looks at once a fit was made."""
+    """The figures that the gate checks after a fit."""
 
     free: tuple[Unknown, ...]
-    """What was fitted, but the kept one."""
+    """The fitted unknowns, except the kept one."""
     values: FloatArray
     standard_errors: FloatArray
     condition: float
@@ -87,15 +87,15 @@ class Evidence:
     converged: bool
     chi2: float
     held_back_chi2: float
-    """Mean squared weighed residual of the test fit on the held-back part."""
+    """Mean squared weighted residual of the test fit on the held-back part."""
     incumbent_chi2: float
-    """The same of the incumbent, or of the start values if there is none."""
+    """The same for the incumbent, or for the start values if there is none."""
     kept: str = ""
-    """What was kept because the window does not determine it, with value and interval; or nothing."""
+    """The parameter kept because the window does not determine it, with value and interval; or empty."""
 
 
 def first_excited(moved: FloatArray, least: float) -> int | None:
-    """Position of the first sample by which a signal, shape (N,), has moved by `least` since the second, or
+    """Position of the first sample at which a signal, shape (N,), has moved by `least` since the second, or
     None."""
     signal = moved[1:]
     if not signal.size:
@@ -106,15 +106,15 @@ def first_excited(moved: FloatArray, least: float) -> int | None:
 
 
 def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
-    """The status of a fit and one sentence why."""
-    # Written so that residuals that are not numbers count as not explained.
+    """The status of a fit, and a sentence with the reason."""
+    # Negated comparisons, so that residuals that are not numbers count as not explained.
     if not evidence.chi2 <= limits.chi2:
         return Status.NOT_EXPLAINED, (
-            f"even the best fit leaves {evidence.chi2:.3g} times the noise variance, more than "
-            f"{limits.chi2:g}: the plant did something the model cannot"
+            f"even the best fit leaves residuals of {evidence.chi2:.3g} times the noise variance, more than "
+            f"{limits.chi2:g}: the plant did something that the model cannot"
         )
     if not evidence.converged:
-        return Status.DID_NOT_CONVERGE, "least squares was still moving when its evaluations ran out"
+        return Status.DID_NOT_CONVERGE, "least squares did not converge within its number of evaluations"
     if evidence.bounds_hit:
         return Status.BOUNDS_HIT, _bounds_sentence(evidence)
     loose = undetermined(evidence.free, evidence.values, evidence.standard_errors, evidence.condition, limits)
@@ -122,12 +122,12 @@ def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
         return Status.NOT_IDENTIFIABLE, loose
     if not evidence.held_back_chi2 <= limits.slack * evidence.incumbent_chi2:
         return Status.NOT_BETTER, (
-            f"on the held-back samples the fit leaves {evidence.held_back_chi2:.3g} times the noise "
-            f"variance, the parameters that stand only {evidence.incumbent_chi2:.3g}"
+            f"on the held-back samples the residuals are {evidence.held_back_chi2:.3g} times the noise "
+            f"variance, with the present parameters only {evidence.incumbent_chi2:.3g}"
         )
     return Status.ACCEPTED, (
-        f"explains the window down to {evidence.chi2:.3g} times the noise variance and predicts what was "
-        f"held back ({evidence.held_back_chi2:.3g}, the parameters before: {evidence.incumbent_chi2:.3g})"
+        f"explains the window down to {evidence.chi2:.3g} times the noise variance and predicts the "
+        f"held-back samples ({evidence.held_back_chi2:.3g}, parameters before: {evidence.incumbent_chi2:.3g})"
         + (f"; not determined and kept: {evidence.kept}" if evidence.kept else "")
     )
 
@@ -144,7 +144,7 @@ def undetermined(
     condition: float,
     limits: Limits,
 ) -> str | None:
-    """One sentence on a parameter or combination that is not determined; None if all are."""
+    """A sentence on a parameter or combination that is not determined; None if all are."""
     if not condition <= limits.condition:
         return (
             f"the condition number {condition:.3g} is above {limits.condition:g}: "

@@ -1,9 +1,9 @@
-"""Which parameters, and which combinations of them, a window determines.
+"""Identifiability: which parameters, and which combinations of them, a window determines.
 
-A parameter is believed when the data alone close its interval on both sides, to a factor of two or less.
-What is not believed is not thereby wrong: the twin may predict well along the whole interval. So a fit
-that leaves one parameter quite open, down to zero, may still be used, with that parameter kept as near to
-what stood before as the interval allows and the others fitted anew.
+A parameter is believed if the data alone bound its interval on both sides, to a factor of two or less. A
+parameter that is not believed is not necessarily wrong: the twin may predict well along the whole interval.
+So a fit that leaves one parameter open, down to zero, may still be used, with that parameter kept as near to
+its previous value as the interval allows and the others fitted again.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from twinmatch.signals import FloatArray
 __all__ = ["Identified", "identify", "unidentified"]
 
 _WIDEST = 2.0
-"""Ratio of the ends of a believed parameter's interval; where zero means nothing, the typical difference
-of the parameter takes its place. A ratio does not depend on where in the valley the estimate lies."""
+"""Largest ratio of the ends of a believed parameter's interval; where zero is arbitrary, the interval must
+not exceed the parameter's scale. A ratio does not depend on where in the valley the estimate lies."""
 _TIGHTER = 3.0
-"""How much better than each alone a ratio of two parameters must be known to be worth naming."""
+"""Factor by which a ratio of two parameters must be known better than each alone to be reported."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """An estimate, perhaps with one parameter kept, and what the window says about it."""
+    """An estimate, possibly with one parameter kept, and its uncertainty."""
 
     estimate: Estimate
     known: Uncertainty
-    """Of all free parameters."""
+    """Uncertainty of all free parameters."""
     others: Uncertainty
-    """Of all but the kept one, this being known."""
+    """Uncertainty of the others if the kept one is known."""
     kept: str = ""
-    """Name of the parameter that was kept, or nothing."""
+    """Name of the kept parameter, or empty."""
     intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     believed: tuple[str, ...] = ()
     determined: str = ""
@@ -49,7 +49,7 @@ class Identified:
 
 
 def unidentified(problem: Problem, found: Estimate) -> Identified:
-    """An estimate whose parameters mean nothing, because it does not explain the window."""
+    """The result for an estimate that does not explain the window: its parameters mean nothing."""
     known = uncertainty(problem, found)
     return Identified(found, known, known, intervals=np.full((len(problem.names), 2), np.nan))
 
@@ -60,10 +60,11 @@ def identify(
     standing: Parameters,
     stands: Callable[[Uncertainty, FloatArray], bool],
 ) -> Identified:
-    """Ask the window which parameters it determines.
+    """Find the parameters that the window determines.
 
-    A fit that does not stand by itself (`stands` is asked with its uncertainty and values) gets its least
-    determined parameter kept. One that ended on a bound other than zero does not: it is refused for that.
+    If a fit is not acceptable as it is (`stands`, called with its uncertainty and values), its least
+    determined parameter is kept at its previous value, unless a parameter ended on a bound other than zero:
+    such a fit is refused anyway.
     """
     known = uncertainty(problem, found)
     intervals = profile_intervals(problem, found.values, known.covariance)
@@ -95,7 +96,7 @@ def identify(
 
 
 def _to_keep(problem: Problem, values: FloatArray, widths: list[float]) -> str:
-    """Name of the parameter with the widest interval, of equals the first; none if a bound stopped one."""
+    """Name of the parameter with the widest interval, of equals the first; empty if one ended on a bound."""
     stopped = [n for n in on_bounds(problem, values) if values[problem.names.index(n)] != 0.0]
     of_parameters = widths[: len(problem.free)]
     place = int(np.argmax(of_parameters))
@@ -103,7 +104,7 @@ def _to_keep(problem: Problem, values: FloatArray, widths: list[float]) -> str:
 
 
 def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
-    """Width of each interval in units of what is believed, infinite if the data leave a side open."""
+    """Width of each interval relative to the limit of belief, infinite if the data leave a side open."""
     widths = []
     for unknown, (low, high) in zip(problem.unknowns, intervals.tolist(), strict=True):
         closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
@@ -116,7 +117,7 @@ def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
 
 
 def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, standing: float) -> Estimate:
-    """The fit with one parameter kept as near to what stands as its interval (low, high) allows."""
+    """The fit with one parameter kept as near to its previous value as its interval (low, high) allows."""
     place = problem.names.index(name)
     low, high = np.clip(interval, *problem.unknowns[place].bounds)
     value = float(np.clip(standing, low, high))
@@ -136,7 +137,7 @@ def _determined(
     intervals: FloatArray,
     believed: tuple[str, ...],
 ) -> str:
-    """Which parameters or combination the window determines, and which it leaves open (95 %)."""
+    """A sentence on the parameters or combination that the window determines, and those left open (95 %)."""
     if not np.isfinite(covariance).all():
         return "some combination of the free parameters does not show in this window at all"
     known = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed]
@@ -149,7 +150,7 @@ def _determined(
 
 
 def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:
-    """The ratio of two parameters known best, if far better than each alone."""
+    """The best known ratio of two parameters, if known far better than each alone."""
     places = [i for i, unknown in enumerate(problem.unknowns) if unknown.relative and values[i] > 0.0]
     best, text = math.inf, ""
     for i, j in combinations(places, 2):

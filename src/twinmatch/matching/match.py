@@ -1,4 +1,4 @@
-"""Behavioral matching: the parameters that make the twin behave as the plant did in a window."""
+"""Behavioral matching: the parameters with which the twin behaves like the plant in a window."""
 
 from __future__ import annotations
 
@@ -42,29 +42,29 @@ def match(
 ) -> Match:
     """Fit the twin to a window by nonlinear least squares.
 
-    A plant whose controller is known is run in closed loop on the window's set-points, and output and input
-    are fitted. Any other is driven by the recorded input, and the output is fitted.
+    If the controller is known, the twin runs in closed loop on the window's set-points, and output and input
+    are fitted. Otherwise it is driven by the recorded input, and the output is fitted.
 
     First a fit without the window's last part is tested on that part against `incumbent` (or, without
-    one, against `start`); the parameters returned are then fitted to the whole window. One that the
-    window leaves quite open is kept as near to its value in `incumbent` or `start` as the window allows.
+    one, `start`); the returned parameters are then fitted to the whole window. A parameter that the
+    window does not determine is kept as near to its value in `incumbent` or `start` as the window allows.
 
     Args:
-        window: recorded samples; should hold two levels and the way between them.
-        start: plant, structure, where the search begins, and the values of all that is not free.
-        free: names of the parameters to fit; those of the structure if not given.
-        incumbent: parameters that stand for this regime so far, of any structure of the plant.
-        bounds: replace some of the plant's, by name of a parameter or of a state that starts unknown.
-        noise: standard deviations by which the residuals are weighed; the plant's if not given.
-        gains: the plant's controller, None if it is not known; if not given, what the plant file says, at the
-            window's period.
-        min_step: least movement of the set-point (in the driven twin, of the input) that excites the plant,
-            in its unit; as its declaration says (`least_step`) if not given.
-        limits: where the gate closes.
+        window: recorded samples; should hold two levels and the transition between them.
+        start: plant, structure, start of the search, and values of the parameters not free.
+        free: names of the parameters to fit; default: those of the structure.
+        incumbent: present parameters of this regime, of any structure of the plant.
+        bounds: replacements for the plant's bounds, by name of a parameter or of a state with unknown start.
+        noise: standard deviations that weight the residuals; default: the plant's.
+        gains: the plant's controller, None if it is not known; default: the plant file's, at the window's
+            period.
+        min_step: least step of the set-point (for a driven twin, of the input) that excites the plant, in its
+            unit; default: the declared `least_step`.
+        limits: limits of the gate.
 
     Raises:
-        MatchingError: the names or bounds have no meaning, or the controller has another period.
-        PlantError: bounds reach where no such plant can be.
+        MatchingError: names or bounds are invalid, or the controller has another period.
+        PlantError: a bound is not a possible value of the parameter.
     """
     model, limits = start.model, limits or Limits()
     gains = checked_gains(model, window, gains)
@@ -78,7 +78,7 @@ def match(
 
 
 def _split(problem: Problem, min_step: float | None, limits: Limits) -> tuple[int, str]:
-    """How many samples the test fit sees, or what is missing for one."""
+    """Number of samples for the test fit, or the reason why none can be made."""
     window, plant = problem.window, problem.base.model.plant
     what, signal, unit, usual = "set-point", window.reference, plant.output.unit, plant.output.least_step
     if problem.gains is None:
@@ -126,7 +126,7 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: Limits) -
         chi2=final.chi2,
         held_back_chi2=float(np.mean(np.square(tested))),
         incumbent_chi2=float(np.mean(np.square(standing))),
-        kept=_kept_words(problem, found),
+        kept=_kept_sentence(problem, found),
     )
     status, reason = judge(evidence, limits)
     return Match(
@@ -152,18 +152,16 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: Limits) -
     )
 
 
-def _kept_words(problem: Problem, found: Identified) -> str:
+def _kept_sentence(problem: Problem, found: Identified) -> str:
     if not found.kept:
         return ""
     place = problem.names.index(found.kept)
     low, high = found.intervals[place]
-    return (
-        f"{found.kept} at {found.estimate.values[place]:.3g} (anything from {low:.2g} to {high:.2g} will do)"
-    )
+    return f"{found.kept} at {found.estimate.values[place]:.3g} (possible: {low:.2g} to {high:.2g})"
 
 
 def _residuals_of(problem: Problem, seen: Problem, rival: Parameters) -> FloatArray:
-    """Residuals of given parameters on the window; their unknown starts are fitted to the seen part."""
+    """Residuals of given parameters on the window, with initial states fitted to the part before the test."""
     alone = replace(seen, free=(), base=rival)
     values = alone.values_of(rival)
     if values.size:

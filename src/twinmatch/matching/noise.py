@@ -1,4 +1,4 @@
-"""How much a residual weighs."""
+"""The noise that weights the residuals."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ __all__ = ["Noise"]
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations by which residuals are weighed.
+    """Standard deviations that weight the residuals.
 
     Raises:
         MatchingError: one is not finite and positive.
     """
 
     output: float
-    """Of the output, in its unit."""
+    """Standard deviation of the output, in its unit."""
     input: float
-    """Of the input in steady closed loop, in its unit."""
+    """Standard deviation of the input in steady closed loop, in its unit."""
 
     def __post_init__(self) -> None:
         for name, value in (("output", self.output), ("input", self.input)):
@@ -32,5 +32,5 @@ class Noise:
 
     @classmethod
     def of(cls, plant: type[Plant]) -> Noise:
-        """As the plant file declares it."""
+        """The noise that the plant file declares."""
         return cls(plant.output.noise, plant.drive.noise)

@@ -1,4 +1,4 @@
-"""The least squares problem that a window poses: what may vary, and how far the twin is off."""
+"""The least-squares problem of a window: its unknowns and its residuals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["Evaluation", "Problem", "checked_gains"]
 
 
 def checked_gains(model: Model, window: Window, gains: Closing = FILED) -> PidGains | None:
-    """The controller with which the twin is closed into its loop; None for one whose loop is not known.
+    """The controller of the closed-loop twin; None if the loop is not known.
 
     Raises:
         MatchingError: the controller has another period than the window.
@@ -46,33 +46,32 @@ def checked_gains(model: Model, window: Window, gains: Closing = FILED) -> PidGa
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The twin on one window as a function of the free parameters and of its unknown starts.
+    """The twin on one window as a function of the free parameters and the unknown initial states.
 
-    Closed into its loop, it gets the window's reference and is held against output and input; without a
-    known loop it is driven by the recorded input, and the output alone is compared. It begins at the third
-    sample: with the output as it was measured there, and with the controller as the first two samples leave
-    it.
+    In closed loop it gets the window's reference, and output and input are compared; without a known loop
+    it is driven by the recorded input, and only the output is compared. It starts at the third sample, from
+    the output measured there and the controller's state after the first two samples.
     """
 
     window: Window
     free: tuple[str, ...]
-    """Names of the parameters that vary."""
+    """Names of the free parameters."""
     base: Parameters
-    """Values of all that does not vary."""
+    """Values of all other parameters."""
     noise: Noise
     gains: PidGains | None
     bounds: Bounds | None = None
-    """Replace some of the plant's."""
+    """Replacements for some of the plant's bounds."""
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """What varies, in the order of every array of values: the parameters, then the starts."""
+        """The unknowns, in the order of every array of values: parameters, then initial states."""
         model = self.base.model
         return unknown_parameters(model, self.free, self.bounds) + unknown_starts(model, self.bounds)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the unknowns."""
+        """Names of the unknowns."""
         return tuple(unknown.name for unknown in self.unknowns)
 
     @cached_property
@@ -104,21 +103,21 @@ class Problem:
 
     @property
     def outputs(self) -> int:
-        """How many signals are compared: output and input in closed loop, else the output alone."""
+        """Number of compared signals: output and input in closed loop, otherwise only the output."""
         return 1 if self.gains is None else 2
 
     @property
     def weights(self) -> FloatArray:
-        """Of the signals compared, shape (outputs, 1)."""
+        """Weights of the compared signals, shape (outputs, 1)."""
         return np.array([[1.0 / self.noise.output], [1.0 / self.noise.input]])[: self.outputs]
 
     @property
     def measured(self) -> FloatArray:
-        """The signals compared, as they were recorded, shape (outputs, N − 2)."""
+        """The compared signals as recorded, shape (outputs, N − 2)."""
         return self.experiment.measured[: self.outputs]
 
     def values_of(self, parameters: Parameters) -> FloatArray:
-        """The unknowns of a plant as an array, moved inside the bounds; starts as the plant file has them."""
+        """The unknowns of a plant as an array, clipped to the bounds; initial states are the plant file's."""
         return np.clip(self.experiment.values_of(parameters), self.lower, self.upper)
 
     def parameters_at(self, values: FloatArray) -> Parameters:
@@ -126,7 +125,7 @@ class Problem:
         return self.experiment.parameters_at(values)
 
     def starts_at(self, values: FloatArray) -> Mapping[str, float]:
-        """States at the third sample among the values, by name."""
+        """The unknown states at the third sample, by name."""
         return self.experiment.starts_at(values)
 
     def weigh(self, response: Response | Tangents) -> FloatArray:
@@ -139,7 +138,7 @@ class Problem:
         return Evaluation(self, values)
 
     def residuals(self, values: FloatArray) -> FloatArray:
-        """Weighed residuals of the signals in a row, shape (outputs·(N − 2),)."""
+        """Weighted residuals of all signals in one row, shape (outputs·(N − 2),)."""
         return self.weigh(self.experiment.simulate(values)).ravel()
 
     def jacobian(self, values: FloatArray) -> FloatArray:
@@ -152,7 +151,7 @@ class Problem:
 
 
 class Evaluation:
-    """A problem at some values: its normal equations, its residuals and Jacobian when they are asked for."""
+    """A problem at some values: normal equations, residuals and Jacobian, each computed when first used."""
 
     def __init__(self, problem: Problem, values: FloatArray) -> None:
         self.problem, self.values = problem, values
@@ -174,19 +173,19 @@ class Evaluation:
 
     @cached_property
     def residuals(self) -> FloatArray:
-        """Shape (outputs·(N − 2),)."""
+        """Weighted residuals, shape (outputs·(N − 2),)."""
         return self.problem.weigh(self.tangents).ravel()
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """Shape (outputs·(N − 2), n)."""
+        """Derivatives of the residuals, shape (outputs·(N − 2), n)."""
         derivative = self.tangents.by[: self.problem.outputs] * -self.problem.weights[:, :, None]
         return derivative.reshape(-1, derivative.shape[2])
 
     @cached_property
     def noise_scores(self) -> tuple[FloatArray, float]:
-        """Jᵀ times the residuals that the nominal noise of each sample alone would leave, shape (N − 2, n),
-        and the mean squared residual that all of it leaves."""
+        """Jᵀ times the residuals caused by the nominal noise of each sample alone, shape (N − 2, n), and the
+        mean squared residual caused by all of it."""
         noise = self.problem.noise
         weighed = self.tangents.by * -np.array([1.0 / noise.output, 1.0 / noise.input])[:, None, None]
         weights = (1.0, noise.output / noise.input)

@@ -1,4 +1,4 @@
-"""Profile-likelihood intervals: how far one parameter can go when all others may follow."""
+"""Profile-likelihood intervals: how far one parameter can change if all others are refitted."""
 
 # ruff: noqa: PLR0917 (kernels take arrays in a row)
 
@@ -23,16 +23,16 @@ _MOST_STEPS, _MOST_CUTS = 8, 3
 _MOST_FITS, _MOST_EVALUATIONS, _FIRST_SPAN = 16, 30, 0.1
 _FAR, _CUT = 2.0, 0.4
 _CLOSE = 0.02
-"""Part of the allowed rise of the sum of squares to which an end is found: 1 % of the half interval."""
+"""Tolerance of an end, as a share of the allowed rise of the sum of squares: 1 % of the half interval."""
 
 
 def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArray) -> FloatArray:
     """95 % interval of each parameter around the estimate `values`, shape (n, 2).
 
     The residuals are not white, so the sum of squares may rise by the quantile times the ratio of the
-    parameter's variance to the one that white noise would give: the profile's curvature at its minimum
-    is then that of the variance, and its shape farther out that of the twin. An end that a bound cuts
-    off is infinite; where that bound is zero it is zero, for there physics ends and not the search.
+    parameter's variance to the one that white noise would give: the curvature of the profile at its
+    minimum then matches the variance, and its shape farther out is that of the twin. An end that a bound
+    cuts off is infinite; if that bound is zero, the end is zero, because zero is a physical limit.
     """
     here = problem.evaluate(values)
     rises = QUANTILE * np.diag(covariance) / _white_variance(problem, here)
@@ -49,7 +49,7 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
 
 
 def _white_variance(problem: Problem, here: Evaluation) -> FloatArray:
-    """Variance of each parameter, were the residuals white noise of variance 1, shape (n,)."""
+    """Variance of each parameter for residuals of white noise of variance 1, shape (n,)."""
     _, _, hessian = here.normal
     scales = problem.scales
     try:
@@ -60,12 +60,12 @@ def _white_variance(problem: Problem, here: Evaluation) -> FloatArray:
 
 
 def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: float) -> FloatArray | None:
-    """The parameters where number `i` has gone as far as the sum of squares may rise above its minimum
-    at `start`, the others following; None if the sum does not rise so far inside the bounds.
+    """The parameters at which the sum of squares has risen by `rise` above its minimum at `start` along
+    parameter `i`, with the others refitted; None if it does not rise so far inside the bounds.
 
     Newton's iteration for both conditions at once, the others at their minimum and the sum at its limit
-    (Venzon and Moolgavkar 1988). A step after which the sum is far above its limit is cut short. Where
-    the valley folds back, so that no small step leads on, the end is bracketed instead.
+    (Venzon and Moolgavkar 1988). A step after which the sum is far above its limit is shortened. Where
+    the valley folds back, so that no small step makes progress, the end is bracketed instead.
     """
     point = start
     limit = start.cost + rise
@@ -98,14 +98,14 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
 def _bracketed(
     problem: Problem, inside: Evaluation, i: int, bound: float, limit: float, rise: float
 ) -> FloatArray | None:
-    """The same end between a value inside and one outside, the others fitted anew at each."""
+    """Find the end between a value inside and one outside, refitting the others at each."""
     near, far, beyond, ahead = inside, bound, math.inf, 1.0
     below = inside.cost - limit
     span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(inside.values[i]))
     for _ in range(_MOST_FITS):
         here = float(near.values[i])
         if math.isfinite(beyond):
-            # The sum's rise is next to a parabola, so its root is near a straight line; Illinois.
+            # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
             target = here + (far - here) * min(max(below / (below - beyond), 0.1), 0.9)
         else:
             target, span = here + span, 3.0 * span
@@ -142,7 +142,7 @@ def model_profile(
     way: float,
     cost: float,
 ) -> tuple[FloatArray, float]:
-    """Step whose component `i` is `way` and whose others minimise the quadratic model, and the sum there."""
+    """The step with component `i` of `way` whose others minimise the quadratic model, and the sum there."""
     low, high = lower.copy(), upper.copy()
     low[i] = high[i] = values[i]
     step, gain = box_step(hessian, gradient + hessian[:, i] * way, values, low, high, 1e-12)
@@ -163,7 +163,7 @@ def model_reach(
     cost: float,
     limit: float,
 ) -> float:
-    """How far component `i` goes until the quadratic model's profile is at its limit; it is convex."""
+    """Change of component `i` at which the quadratic model's convex profile reaches the limit."""
     near, far = inside - values[i], bound - values[i]
     above = model_profile(hessian, gradient, values, lower, upper, i, far, cost)[1] - limit
     if above <= 0.0:

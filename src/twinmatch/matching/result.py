@@ -1,4 +1,4 @@
-"""What a match returns."""
+"""The result of a match."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Fit(NamedTuple):
     """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean."""
 
     y: float
-    """Of the output."""
+    """Fit of the output."""
     u: float
-    """Of the input; NaN for a twin that is driven by it."""
+    """Fit of the input; NaN for a driven twin."""
 
 
 _NO_FIT = Fit(float("nan"), float("nan"))
@@ -31,8 +31,8 @@ _NO_FIT = Fit(float("nan"), float("nan"))
 class Match:
     """Parameters of a plant matched to a window, how well they are known, and whether they may be used.
 
-    When no fit was made (the status says why) the parameters are the start values and all figures of
-    the fit are NaN.
+    If no fit was made (see the status) the parameters are the start values and all figures of the fit
+    are NaN.
     """
 
     DERIVED: ClassVar = ("standard_errors",)
@@ -40,25 +40,25 @@ class Match:
 
     parameters: Parameters
     free: tuple[str, ...]
-    """Names of what was fitted, in the order of the arrays below: parameters in the model's order, then the
-    states whose value at the window's third sample was unknown."""
+    """Names of the unknowns, in the order of the arrays below: parameters in the model's order, then the
+    states with unknown value at the window's third sample."""
     starts: Mapping[str, float]
-    """Those states' values, by name; empty where the structure leaves none open."""
+    """Values of those states, by name; empty if the structure has none."""
     covariance: FloatArray = field(metadata={"columns": -1})
-    """Of the fitted parameters, shape (n, n), their own units."""
+    """Covariance of the fitted parameters, shape (n, n), in their own units."""
     fisher: FloatArray = field(metadata={"columns": -1})
-    """Information JᵀJ of the weighed residuals, shape (n, n)."""
+    """Information JᵀJ of the weighted residuals, shape (n, n)."""
     eigenvalues: FloatArray
-    """Of the information in units of the parameters' scales, ascending, shape (n,)."""
+    """Eigenvalues of the information in units of the parameters' scales, ascending, shape (n,)."""
     condition: float
     """Condition number of the scaled Jacobian."""
     bounds_hit: tuple[str, ...]
     fit: Fit
-    """On the window."""
+    """Fit on the window."""
     held_back: Fit
-    """Of a fit made without the window's last part, on that part."""
+    """Fit on the window's last part, for parameters fitted without it."""
     chi2: float
-    """Mean squared residual of the signals compared in units of the noise variance."""
+    """Mean squared residual of the compared signals, in units of the noise variance."""
     samples: tuple[int, int]
     """Session indices of the window's first and last sample."""
     status: Status
@@ -66,17 +66,17 @@ class Match:
     """One sentence on the status."""
     directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)), metadata={"columns": -1})
     """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
-    to `eigenvalues[j]`, so column 0 is the combination of parameters that the window shows least."""
+    to `eigenvalues[j]`, so column 0 is the combination of parameters that the window determines least."""
     intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2})
-    """Profile-likelihood interval (95 %) of each parameter, its own unit, shape (n, 2); an end is
-    infinite where a bound of the search cuts the interval off, zero where physics does, and NaN where no
-    fit was made or it does not explain the window."""
+    """Profile-likelihood interval (95 %) of each parameter, in its own unit, shape (n, 2); an end is
+    infinite where a bound of the search cuts the interval off, zero where zero is a physical limit, and NaN
+    if no fit was made or it does not explain the window."""
     believed: tuple[str, ...] = ()
     """Names of the parameters that this window determines."""
     determined: str = ""
-    """One sentence: which combination of the parameters the window determines."""
+    """A sentence on which combination of the parameters the window determines."""
     suggestion: str = ""
-    """One sentence: which set-point step would determine what this window leaves open; or nothing."""
+    """A sentence on which set-point step would determine what this window leaves open; or empty."""
 
     @property
     def accepted(self) -> bool:
@@ -85,18 +85,18 @@ class Match:
 
     @property
     def standard_errors(self) -> FloatArray:
-        """Of the fitted parameters, shape (n,)."""
+        """Standard errors of the fitted parameters, shape (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def of_parameters(self) -> tuple[tuple[str, ...], FloatArray]:
-        """Names of the fitted parameters without the states that were fitted too, and their covariance."""
+        """Names of the fitted parameters, without fitted states, and their covariance."""
         names = tuple(name for name in self.free if name in self.parameters)
         places = [self.free.index(name) for name in names]
         return names, self.covariance[np.ix_(places, places)]
 
     @property
     def correlation(self) -> FloatArray:
-        """Of the fitted parameters, shape (n, n)."""
+        """Correlation of the fitted parameters, shape (n, n)."""
         errors = self.standard_errors
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(self.covariance / np.outer(errors, errors), dtype=np.float64)
@@ -105,7 +105,7 @@ class Match:
 def without_fit(
     window: Window, free: tuple[str, ...], start: Parameters, status: Status, reason: str
 ) -> Match:
-    """A match whose status says why no fit was made; its unknown starts are NaN."""
+    """A match without fit, with the status that says why; its unknown initial states are NaN."""
     n = len(free)
     unknown = np.full((n, n), np.nan)
     return Match(

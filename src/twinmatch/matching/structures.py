@@ -1,10 +1,10 @@
-"""Structures a plant may have, fitted to what was recorded.
+"""Fits of a plant's structures to recorded windows.
 
-A plant file lists its structures: which parts are there, and which parameters are unknown. `fit_structure`
-finds those for one or more windows together: the twin runs on each window from its third sample on, and the
-residuals, in units of the noise, are made small. Large ones count by their size and not by its square: a
-sensor that pauses to correct itself, or repeats old readings when a session begins, kicks the loop in a way
-that no structure explains.
+A plant file lists its structures: which parts are modelled, and which parameters are unknown. `fit_structure`
+estimates those from one or more windows together: the twin runs on each window from its third sample on, and
+the residuals, in units of the noise, are minimised. Large ones count linearly instead of quadratically: a
+sensor that pauses to correct itself, or repeats old readings when a session begins, disturbs the loop in a
+way that no structure explains.
 """
 
 from __future__ import annotations
@@ -25,43 +25,43 @@ from twinmatch.signals import FloatArray, Window
 __all__ = ["SETTLE", "StructureFit", "fit_structure"]
 
 SETTLE: Final = 60
-"""Samples at a window's begin that are simulated but not judged: until the loop has forgotten how the twin
-was put there, and the sensor its first readings."""
+"""Samples at a window's start that are simulated but not compared, until the loop has forgotten the twin's
+initial state and the sensor its first readings."""
 
 _SKIPPED = 2
-"""A twin starts at the third sample, where the controller's memory is known."""
+"""A twin starts at the third sample, where the controller's state is known."""
 _LOOK = 8
-"""Evaluations after which only the best of several starts goes on."""
+"""Evaluations after which only the best of several starts continues."""
 _MOST_EVALUATIONS = 40
 LASTING: Final = 30.0
-"""Samples for which an error of the closed loop lasts, so that as many tell what one independent would."""
+"""Correlation length of the residuals, samples: so many count as one independent residual."""
 SPREAD: Final = 0.5
-"""How far a parameter may well be from its typical value, in units of that value."""
+"""Prior standard deviation of a parameter around its typical value, in units of that value."""
 
 
 @dataclass(frozen=True, eq=False)
 class StructureFit:
-    """A structure fitted to windows; its arrays leave out the first `SETTLE` samples of each window."""
+    """A structure fitted to windows; the arrays omit the first `SETTLE` samples of each window."""
 
     parameters: Parameters
-    """The plant as this structure has it."""
+    """The fitted parameters."""
     starts: tuple[Mapping[str, float], ...]
     """Unknown states at the third sample of each window, by name."""
     measured: tuple[FloatArray, ...]
     """Output and, in closed loop, input of each window, shape (outputs, M)."""
     simulated: tuple[FloatArray, ...]
-    """The same of the twin."""
+    """The same for the twin."""
     converged: bool
-    """Whether the search came to rest."""
+    """Whether the search converged."""
     cost: float
-    """What was made small: the mean over all residuals of 2(√(1 + e²) − 1), e in units of the noise."""
+    """The minimised cost: the mean over all residuals e, in units of the noise, of 2(√(1 + e²) − 1)."""
     states: tuple[FloatArray, ...]
-    """Of the twin at each of those samples, shape (M, states)."""
+    """States of the twin at each of those samples, shape (M, states)."""
     covariance: FloatArray
-    """Of the free parameters, in their order and units, residuals taken to last; shape (n, n)."""
+    """Covariance of the free parameters, in their order and units, for correlated residuals; shape (n, n)."""
     charge: float
-    """Minus twice the logarithm of the evidence for the structure, Laplace's approximation, residuals taken
-    to last: what is left, and what every direction costs in which the windows say more than was known."""
+    """Minus twice the logarithm of the evidence for the structure, by Laplace's approximation for correlated
+    residuals: the cost of the residuals plus that of every direction better known than before."""
 
     @property
     def model(self) -> Model:
@@ -70,7 +70,7 @@ class StructureFit:
 
     @property
     def n_parameters(self) -> int:
-        """How many numbers the fit was free to choose."""
+        """Number of values that the fit estimates."""
         return self.model.structure.n_parameters(len(self.measured))
 
     @property
@@ -97,17 +97,17 @@ def fit_structure(
     """Find the unknown parameters of one structure from windows of one plant.
 
     Args:
-        windows: what was recorded; each has more than `SETTLE` + 2 samples.
-        model: the plant in the structure that it is taken to have.
+        windows: recorded windows, each with more than `SETTLE` + 2 samples.
+        model: the plant in the structure to fit.
         start: an earlier fit of the same structure; without it the search has several starts.
-        noise: what the residuals are measured in; the plant's if not given.
-        gains: of the running controller, None for a loop that is not known; if not given, what the plant file
-            says, at the windows' period.
-        thorough: search from several starts and to the end; otherwise from the best one, and no further than
-            the cost falls by a part in ten thousand or so, in a fifth of the time.
-        informed: let what the plant file calls typical count as well, as one independent residual for each
-            parameter. A few minutes leave a valley of parameters that fit alike, and the ends of it foretell
-            badly; an hour says more than the file.
+        noise: unit of the residuals; default: the plant's.
+        gains: gains of the running controller, None if the loop is not known; default: the plant file's, at
+            the windows' period.
+        thorough: search from several starts to convergence; otherwise from the best one until the cost falls
+            by less than about a part in ten thousand, in a fifth of the time.
+        informed: use the plant file's typical values as prior, as one independent residual for each
+            parameter. A few minutes leave a valley of parameters that fit equally well, whose ends forecast
+            badly; an hour outweighs the prior.
 
     Raises:
         MatchingError: no window, one that is too short, or windows of different periods.
@@ -118,7 +118,7 @@ def fit_structure(
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
     else:
-        others = () if informed else model.structure.starts  # what is typical leaves no second valley
+        others = () if informed else model.structure.starts  # with the prior there is no second valley
         firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *others)]
         looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
         values = min(looks, key=lambda found: found.cost).values
@@ -127,7 +127,7 @@ def fit_structure(
 
 
 def _known(model: Model, windows: int) -> dict[str, Known]:
-    """The plant file's typical values as knowledge, a share of it for each of the windows."""
+    """The plant file's typical values as prior, with its weight divided among the windows."""
     typical, known = model.typical(), {}
     for name in model.structure.free:
         declared = model.declared[name]
@@ -144,13 +144,13 @@ def _runs(
     known: Mapping[str, Known],
 ) -> list[Experiment]:
     if not windows:
-        raise MatchingError("structures: no window was given; a fit needs one at least")
+        raise MatchingError("structures: there is no window; give at least one")
     runs = []
     for window in windows:
         if len(window) <= SETTLE + _SKIPPED:
             msg = (
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
-                f"the first {SETTLE + _SKIPPED} are not judged, give more"
+                f"the first {SETTLE + _SKIPPED} are not compared, give more"
             )
             raise MatchingError(msg)
         own = checked_gains(model, window, gains)
@@ -172,7 +172,7 @@ def _runs(
 
 
 class _Problem:
-    """Robust least squares over all windows; the values are the free parameters and each window's starts."""
+    """Robust least squares over all windows; values are free parameters and each window's initial states."""
 
     def __init__(self, runs: Sequence[Experiment]) -> None:
         self._runs, model = runs, runs[0].model
@@ -184,14 +184,14 @@ class _Problem:
         self._pull = runs[0].pull
 
     def values_of(self, parameters: Parameters, starts: Mapping[str, float] | None = None) -> FloatArray:
-        """The values at a plant whose states begin at `starts` in each window, or as its file has them."""
+        """The values for given parameters, with initial states `starts` in each window, or as in the file."""
         own = [run.values_of(parameters) for run in self._runs]
-        begun = [list(starts.values()) if starts else values[self._free :] for values in own]
-        values = np.clip(np.concatenate([own[0][: self._free], *begun]), self._lower, self._upper)
+        initial = [list(starts.values()) if starts else values[self._free :] for values in own]
+        values = np.clip(np.concatenate([own[0][: self._free], *initial]), self._lower, self._upper)
         return np.asarray(values, dtype=np.float64)
 
     def _places(self, window: int) -> NDArray[np.int64]:
-        """Where the values stand that one window knows."""
+        """Indices of the values that apply to one window."""
         first = self._free + window * self._own
         return np.concatenate([np.arange(self._free), np.arange(first, first + self._own)])
 
@@ -208,14 +208,14 @@ class _Problem:
         return cost, gradient, hessian
 
     def search(self, start: FloatArray, evaluations: int) -> Descended:
-        """Where the search from one start ends."""
+        """Search from one start."""
         box = self._lower, self._upper, self._scales, evaluations
         if len(self._runs) == 1:
             return self._runs[0].descend(start, *box)
         return descend(self.normal, start, *box)
 
     def fitted(self, found: Descended) -> StructureFit:
-        """The fit at the end of a search."""
+        """The fit from the result of a search."""
         parts = [found.values[self._places(window)] for window in range(len(self._runs))]
         outputs = 2 if self._runs[0].closed else 1
         simulated, states = [], []
@@ -224,7 +224,7 @@ class _Problem:
             simulated.append(np.stack([response.output, response.input])[:outputs, SETTLE:])
             states.append(response.states[SETTLE:-1])
         if not all(np.isfinite(rows).all() for rows in simulated):
-            msg = f"structures: {self._runs[0].model.title} gives no finite numbers at the best parameters"
+            msg = f"structures: {self._runs[0].model.title} has no finite response at the best parameters"
             raise MatchingError(msg)
         measured = tuple(run.measured[:outputs, SETTLE:] for run in self._runs)
         return StructureFit(
@@ -240,9 +240,9 @@ class _Problem:
         )
 
     def _precision(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the values, in units of their scales: after the windows, and before them, shape (n, n) and (n,).
+        """Precision of the values, in units of their scales, after and before the windows: (n, n) and (n,).
 
-        What nobody knew beforehand was as uncertain as its scale.
+        Without a prior, a value was as uncertain as its scale.
         """
         before = np.append(self._pull * len(self._runs), np.zeros(self._scales.size - self._free)) / LASTING
         before *= self._scales**2
