@@ -92,7 +92,7 @@ def test_another_candidate_may_be_asked(session: Path, tmp_path: Path, capsys: A
 def test_what_was_never_visited_is_noted(session: Path, tmp_path: Path, capsys: Any) -> None:
     found = asked(session, tmp_path / "out.json", "--at", AT, "--hold", 88)[0]
     assert any("was visited" in note for note in found["notes"])
-    assert "Note: it goes from" in capsys.readouterr().out
+    assert "Note: the forecast covers " in capsys.readouterr().out
     assert not asked(session, tmp_path / "out.json", "--at", AT, "--hold", 50)[0]["notes"]
 
 

@@ -186,7 +186,7 @@ def test_a_page_shows_an_fmu_that_it_does_not_have(adopted: Callable[..., Model]
     assert found.model.structure_name == parameters.model.structure_name
     assert dict(found) == dict(parameters)
     assert found.model not in watched(Peltier)
-    with pytest.raises(StructureLostError, match="is not in this process"):
+    with pytest.raises(StructureLostError, match="is not loaded in this process"):
         begin(found, 30.0)
     with pytest.raises(ForeignError, match="give the one it was"):
         check_fmus("x", Peltier, [found.model.structure_name])

@@ -59,21 +59,21 @@ def test_it_is_read_from_a_csv() -> None:
     [
         (lambda: SetPoints.planned([], 30.0), "it has no row; give at least one"),
         (lambda: SetPoints.planned(["time,level"], 30.0), "it has no row"),
-        (lambda: SetPoints.planned(["1,2,3"], 30.0), "line 1: '1, 2, 3' is no pair of numbers"),
-        (lambda: SetPoints.planned(["1,2", "", "soon,3"], 30.0), "line 3: 'soon, 3' is no pair"),
+        (lambda: SetPoints.planned(["1,2,3"], 30.0), "line 1: '1, 2, 3' is not a pair of numbers"),
+        (lambda: SetPoints.planned(["1,2", "", "soon,3"], 30.0), "line 3: 'soon, 3' is not a pair"),
         (lambda: SetPoints.planned([(-1, 40)], 30.0), "row 1: -1 s lies in the past; give seconds"),
-        (lambda: SetPoints.planned([(5, 40), (5, 41)], 30.0), "row 2: its time 5 s does not come after"),
+        (lambda: SetPoints.planned([(5, 40), (5, 41)], 30.0), "row 2: its time 5 s is not after"),
         (lambda: SetPoints.planned([(math.inf, 40)], 30.0), "row 1: the time is inf s; give a finite time"),
         (lambda: SetPoints.planned([(1, math.nan)], 30.0), "row 1: the set-point is nan; give a finite"),
         (
             lambda: SetPoints.planned([(1, 40), (2, 120)], 30.0, signal=PLATE),
-            "row 2: the set-point is 120 °C; give one from 0 to 100 °C, where the plant takes set-points",
+            "row 2: the set-point is 120 °C; give one from 0 to 100 °C, the range of the plant's set-points",
         ),
         (lambda: SetPoints.held(-5.0, PLATE), "the set-point now is -5 °C; give one from 0 to 100 °C"),
         (lambda: SetPoints.held(900.0, Motor.output), "is 900 rad/s; give one from -500 to 500 rad/s"),
         (lambda: SetPoints(30.0, (1.0,), ()), "1 times and 0 set-points are given; give one"),
-        (lambda: SetPoints.held(30.0).ahead(0.0, 5), "5 samples every 0 s were asked for; give positive"),
-        (lambda: SetPoints.recorded([], 1.0), "no set-point was recorded; give at least that of the newest"),
+        (lambda: SetPoints.held(30.0).ahead(0.0, 5), "5 samples every 0 s requested; give positive"),
+        (lambda: SetPoints.recorded([], 1.0), "there is no set-point; give at least that of the newest"),
     ],
 )  # fmt: skip
 def test_a_faulty_profile_is_one_clear_line(make: Callable[[], object], message: str) -> None:
@@ -86,7 +86,7 @@ def test_a_faulty_profile_is_one_clear_line(make: Callable[[], object], message:
 def test_an_unusual_set_point_is_noted() -> None:
     assert SetPoints.held(45.0, PLATE).notes == ()
     assert SetPoints.planned([(5, 95)], 45.0, signal=PLATE).notes == (
-        "A set-point of 95 °C lies outside 20 to 90 °C, where set-points are usual.",
+        "A set-point of 95 °C is outside the usual range of 20 to 90 °C.",
     )
 
 

@@ -84,7 +84,7 @@ def test_a_forecast_is_asked_for_under_inputs(config: Path, capsys: Any, tmp_pat
     assert main([*asked, "--hold", "80", "--horizon", "60", "--json", str(tmp_path / "f.json")]) == 0
     told = capsys.readouterr().out
     assert "80 PWM held" in told
-    assert "the loop is not known: it holds for the inputs that were given" in told
+    assert "the loop is not known: the forecast is for the given inputs" in told
     [document] = json.loads((tmp_path / "f.json").read_text(encoding="utf-8"))
     assert document["reference"] is None
     assert document["u"]["mean"] == [80.0] * 60

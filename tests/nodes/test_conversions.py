@@ -279,7 +279,7 @@ def test_a_state_of_another_number_of_loops_is_refused() -> None:
             "no parameter 'mass' in this structure",
         ),
         ({"structure": "two sinks"}, "no structure 'two sinks'; it has held sink, "),
-        ({"values": [0.1]}, "9 names came with 1 values"),
+        ({"values": [0.1]}, "9 names with 1 values"),
         ({"plant": "", "names": [], "values": []}, "the message holds none"),
     ],
 )

@@ -184,7 +184,7 @@ def test_questions_that_make_no_sense_are_answered_in_one_line(
     listener.spin_until(lambda: ask().success, "the first candidate")
     refused = {
         "row 1: -5 s lies in the past": {"times": [-5.0], "levels": [50.0]},
-        "does not come after": {"times": [10.0, 10.0], "levels": [50.0, 60.0]},
+        "is not after": {"times": [10.0, 10.0], "levels": [50.0, 60.0]},
         "2 times and 1 set-points are given": {"times": [1.0, 2.0], "levels": [50.0]},
         "the set-point is 400 °C; give one from": {"times": [1.0], "levels": [400.0]},
         "the set-point is nan": {"times": [1.0], "levels": [math.nan]},

@@ -80,7 +80,7 @@ class Other(Plant):
         ("Output(unit", "Output(unti", r"TypeError: Output\(\) got .*unti"),
         ("unit=\"°C\", noise=0.1, ", "unit=\"°C\", ", r"TypeError: Output\(\) missing 1 required .*noise"),
         ("bounds=(0.05, 5.0)", "bounds=(5.0, 0.05)", r"bounds of a parameter is \(5\.0, 0\.05\)"),
-        ("default=0.5, ", "default=0.5 ", r"no Python: "),
+        ("default=0.5, ", "default=0.5 ", r"invalid Python: "),
         ("Disturbance(", "Disturbence(", r"NameError: name 'Disturbence' is not defined"),
         ('free=("gain", "capacity")', 'free=("gian",)', r"plant .*no parameter 'gian'"),
         ("State, Structure", "State, Structur", r"ImportError: cannot import name 'Structur'"),
@@ -109,7 +109,7 @@ def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Pa
         find_plant(str(tmp_path / "none.py"))
     empty = tmp_path / "empty.py"
     empty.write_text("x = 1\n")
-    with pytest.raises(PlantError, match="has no plant; write a class of it"):
+    with pytest.raises(PlantError, match="has no plant; write a class such as"):
         find_plant(str(empty))
     with pytest.raises(PlantError, match="is called peltier, as one that comes with twinmatch"):
         find_plant(str(plant_file(tmp_path, "peltier")))
@@ -117,7 +117,7 @@ def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Pa
     find_plant(str(plant_file(tmp_path, "block_twice")))
     (tmp_path / "copy").mkdir()
     with pytest.raises(
-        PlantError, match=r"is called block_twice, as that of .*give one of them another name"
+        PlantError, match=r"is called block_twice, like that of .*give one of them another name"
     ):
         find_plant(str(plant_file(tmp_path / "copy", "block_twice")))
     with pytest.raises(PlantError, match=r"plant 'nothing': not known; there are peltier.*nothing\.py"):

@@ -121,9 +121,9 @@ def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
     np.testing.assert_array_equal(held.forecast.input.mean, 0.15)
     np.testing.assert_array_equal(held.forecast.input.high, held.forecast.input.low)
     assert off.forecast.output.mean[-1] < held.forecast.output.mean[-1]
-    assert "the loop is not known: it holds for an input that stays at 0.15" in held.forecast.notes
-    assert "the loop is not known: it holds for the inputs that were given" in off.forecast.notes
-    assert any("(room) stays as it is" in note for note in held.forecast.notes)
+    assert "the loop is not known: the forecast is for a constant input of 0.15" in held.forecast.notes
+    assert "the loop is not known: the forecast is for the given inputs" in off.forecast.notes
+    assert any("(room) stay constant" in note for note in held.forecast.notes)
     # The output is waited for that these inputs lead to.
     assert held.level == held.forecast.output.mean[-1]
     assert held.reached.expected is not None

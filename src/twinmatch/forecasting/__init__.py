@@ -1,10 +1,9 @@
-"""What a twin says of samples nobody has seen, and the band that is to hold 90 % of them.
+"""Forecasts of future samples by a twin, with bands that are to hold 90 % of them.
 
-`Follower` carries a twin's states beside the plant, an `Outlook` is a twin at one sample and gives a
-`Forecast` for any set-points ahead. `SetPoints` says which those are; `time_to_reach`, `time_held` and
-`largest_input` read from a forecast what people ask of it, and `what_if` answers a whole `Question`.
-`Calibration` learns from what came how wide bands have to be, and the `Ledger` what every candidate's
-forecasts have cost.
+`Follower` estimates a twin's states beside the plant; an `Outlook` is a twin at one sample and gives a
+`Forecast` for any future set-points. `SetPoints` defines these; `time_to_reach`, `time_held` and
+`largest_input` evaluate a forecast, and `what_if` answers a complete `Question`. `Calibration` learns the
+width of the bands from past errors, and the `Ledger` keeps the cost of every candidate's forecasts.
 """
 
 from twinmatch.forecasting.answers import Moment, Peak, largest_input, time_held, time_to_reach

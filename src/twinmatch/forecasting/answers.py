@@ -1,7 +1,7 @@
-"""What people ask of a forecast: when a level is reached, from when on it holds, how hard the drive works.
+"""Figures from a forecast: when a level is reached, from when on it is held, the largest input.
 
-The band holds its share of the samples one by one. What is read off it here, earliest and latest, is what
-a plant does that stays inside it all the time.
+The band holds its share of the samples one by one. Earliest and latest times here are those of a plant that
+stays inside the band all the time.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ __all__ = ["Moment", "Peak", "largest_input", "time_held", "time_to_reach"]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When something happens, s after the newest sample; None where the forecast ends before."""
+    """When something happens, s after the newest sample; None if the forecast ends before."""
 
     expected: float | None
-    """By the mean."""
+    """According to the mean."""
     earliest: float | None
-    """By the edge of the band that is there first."""
+    """According to the edge of the band that gets there first."""
     latest: float | None
-    """By the edge that is there last."""
+    """According to the edge that gets there last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +35,13 @@ class Peak:
     """A largest size, in the signal's unit."""
 
     expected: float
-    """Of the mean."""
+    """Largest size of the mean."""
     time: float
-    """When the mean has it, s after the newest sample."""
+    """Time of that, s after the newest sample."""
     least: float
-    """What a plant inside the band has at least."""
+    """Smallest possible value for a plant inside the band."""
     most: float
-    """What it has at most."""
+    """Largest possible value for it."""
 
 
 def time_to_reach(forecast: Forecast, level: float, tolerance: float) -> Moment:
@@ -67,9 +67,9 @@ def time_to_reach(forecast: Forecast, level: float, tolerance: float) -> Moment:
 
 
 def time_held(forecast: Forecast, level: float, tolerance: float) -> Moment:
-    """From when on the output stays within a tolerance of a level until the forecast ends.
+    """When the output comes within a tolerance of a level to stay there until the forecast ends.
 
-    Latest: from then on the whole band stays there. Earliest: from then on the band leaves room for it.
+    Latest: from then on the whole band stays there. Earliest: from then on the band overlaps it.
 
     Raises:
         ForecastError: as `time_to_reach`.
@@ -89,7 +89,7 @@ def largest_input(forecast: Forecast) -> Peak:
     sizes = np.abs(band.mean)
     at = int(np.argmax(sizes))
     edges = np.stack([np.abs(band.low), np.abs(band.high)])
-    # Inside a band that holds zero u may be zero.
+    # If the band contains zero, u may be zero.
     least = np.where((band.low <= 0.0) & (band.high >= 0.0), 0.0, edges.min(axis=0))
     return Peak(float(sizes[at]), float(forecast.time[at]), float(least.max()), float(edges.max()))
 
@@ -103,12 +103,12 @@ def _check(forecast: Forecast, level: float, tolerance: float) -> None:
 
 
 def _first(forecast: Forecast, there: NDArray[np.bool_]) -> float | None:
-    """Time of the first sample that is there."""
+    """Time of the first sample with a true entry."""
     return float(forecast.time[int(np.argmax(there))]) if there.any() else None
 
 
 def _last(forecast: Forecast, there: NDArray[np.bool_]) -> float | None:
-    """Time of the first sample from which on all are there."""
+    """Time of the first sample from which on all entries are true."""
     if not there[-1]:
         return None
     away = np.flatnonzero(~there)

@@ -1,4 +1,4 @@
-"""What can be wrong with a forecast that is asked for."""
+"""The error of this package."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["ForecastError"]
 
 
 class ForecastError(TwinmatchError):
-    """A forecast that cannot be given: no candidate yet, or a set-point profile that cannot be followed."""
+    """A forecast that cannot be made: no candidate yet, or an invalid set-point profile."""

@@ -1,4 +1,4 @@
-"""A twin carried beside the plant, so that it can foretell from any sample."""
+"""State estimation of a twin beside the plant, so that it can forecast from any sample."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from twinmatch.signals import FloatArray, Sample
 __all__ = ["Follower", "drift_of"]
 
 DRIFT: Final = 2e-4
-"""How far a state may stray from the equations in a second, in units of its span: 0.03 K on the rig."""
+"""Drift of a state from the equations per second, in units of its span: 0.03 K on the rig."""
 UNKNOWN: Final = 0.03
-"""How uncertain a state is at the start, in units of its span: 4.5 K."""
+"""Initial uncertainty of a state, in units of its span: 4.5 K."""
 LIMIT: Final = 4.0
-"""Standard deviations of surprise at which a reading moves the states no further: a sensor that corrects
-itself is not the plant."""
+"""Limit on innovations, in standard deviations: jumps of a self-correcting sensor are not the plant's."""
 
 
 class Follower:
@@ -36,12 +35,11 @@ class Follower:
         """Begin with the next sample.
 
         Args:
-            parameters: of the twin.
+            parameters: parameters of the twin.
             period: sample time, s.
-            states: at the next sample, before its reading; what the plant file says of its output if not
-                given.
+            states: states at the next sample, before its reading; default: the plant file's for its output.
             free: names of the parameters that were matched.
-            covariance: of these, shape (len(free), len(free)); none if not given.
+            covariance: covariance of these, shape (len(free), len(free)); default: they are exact.
         """
         self.parameters, self.period = parameters, period
         self.free = tuple(free) if covariance is not None else ()
@@ -51,9 +49,9 @@ class Follower:
         self._input = 0.0
 
     def push(self, sample: Sample) -> None:
-        """Take one sample; it follows the one before it.
+        """Take one sample, the next one in sequence.
 
-        States at which the twin's equations mean nothing any more are given up, and it begins anew here.
+        If the twin's equations have no finite value at the states, the observer is restarted here.
         """
         row = np.array(sample.disturbances) if sample.disturbances else None
         if self._observer is not None:
@@ -77,35 +75,35 @@ class Follower:
         self._input = sample.input
 
     def restart(self) -> None:
-        """Forget what was read: the next sample does not follow the last one."""
+        """Forget the states: the next sample does not follow the last one."""
         self._observer = self._states = None
 
     @property
     def states(self) -> FloatArray:
-        """At the newest sample, its reading taken in, shape (n,)."""
-        return self._followed.states
+        """States at the newest sample, corrected by its reading, shape (n,)."""
+        return self._started.states
 
     @property
     def state_covariance(self) -> FloatArray:
-        """Of those, shape (n, n)."""
-        return self._followed.covariance
+        """Covariance of the states, shape (n, n)."""
+        return self._started.covariance
 
     @property
     def joint(self) -> FloatArray:
-        """Of states and free parameters, which are taken to err on their own, shape (n + m, n + m)."""
+        """Covariance of states and free parameters, assumed independent, shape (n + m, n + m)."""
         n, m = self.states.size, len(self.free)
         joint = np.zeros((n + m, n + m))
         joint[:n, :n], joint[n:, n:] = self.state_covariance, self.covariance
         return joint
 
     @property
-    def _followed(self) -> Observer:
-        assert self._observer is not None, "a follower is asked after its first sample"  # noqa: S101
+    def _started(self) -> Observer:
+        assert self._observer is not None, "a follower needs a first sample"  # noqa: S101
         return self._observer
 
 
 def drift_of(model: Model) -> FloatArray:
-    """Standard deviation by which each state strays from the equations in a second, shape (n,)."""
+    """Standard deviation of the drift of each state from the equations per second, shape (n,)."""
     return DRIFT * _spans(model)
 
 

@@ -1,12 +1,12 @@
-"""What every candidate's forecasts have cost so far, in characters.
+"""Code length of every candidate's forecasts so far, in characters.
 
-The paper's information gain is what a model saves of the characters in which the data are written down, taken
-on the data it was fitted to. Here it is taken on data that no model has seen: whoever foretells a reading has
-said with what density he expects it, and minus its logarithm to base ten, with as many decimals as the
-reading is written with, is the length of the reading in digits, given the forecast (Dawid's prequential
-principle, 1984; Rissanen's predictive code, 1986). The density is Laplace's, since the errors of a thermal
-camera have long tails; its width is the mean of the errors that this candidate made before, so that each pays
-for its own. The trivial code, to which gains are compared, foretells that everything stays as it is.
+The paper's information gain is the number of characters that a model saves in writing down the data to which
+it was fitted. Here it is computed on data that no model has seen: a forecast gives a probability density for
+a reading, and minus the density's logarithm to base ten, for the decimals with which readings are written, is
+the length of the reading in digits, given the forecast (Dawid's prequential principle, 1984; Rissanen's
+predictive code, 1986). The density is Laplace's, because the errors of a thermal camera have long tails; its
+width is the mean of this candidate's previous errors. The trivial code, the reference for gains, is a
+forecast of no change.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from twinmatch.signals import FloatArray
 __all__ = ["PERSISTENCE", "Ledger"]
 
 PERSISTENCE: Final = ""
-"""Under this name errors of the trivial forecast are entered."""
-_AT_FIRST: Final = 3.0
-"""Forecasts that the noise of the signals stands for, before a candidate has errors of its own."""
+"""Name under which errors of the trivial forecast are entered."""
+_PRIOR: Final = 3.0
+"""Weight of the noise as prior mean error of a candidate, in forecasts."""
 _NARROWEST: Final = 0.3
-"""Least width, in units of the noise: a run of lucky readings is no promise."""
-_COMMON: Final = 5.0
-"""Forecasts with which a candidate is taken for an average one of its family."""
+"""Least width, in units of the noise: a few small errors may be chance."""
+_SHRINKAGE: Final = 5.0
+"""Weight, in forecasts, with which a candidate's mean is shrunk to that of its family."""
 _LN10: Final = float(np.log(10.0))
 
 
@@ -39,15 +39,15 @@ class _Account:
     lengths: FloatArray
     """Characters by horizon, all signals together, shape (H,)."""
     weights: FloatArray
-    """Forecasts they are the sums of, shape (H,)."""
+    """Effective number of forecasts in these sums, shape (H,)."""
     sizes: FloatArray
     """Mean |error| of each signal, shape (signals, H)."""
     counted: FloatArray
-    """Forecasts those means are of, shape (H,)."""
+    """Effective number of forecasts in these means, shape (H,)."""
 
     @property
     def mean(self) -> FloatArray:
-        """Characters per forecast by horizon, NaN where none has come, shape (H,)."""
+        """Characters per forecast by horizon, NaN without a forecast, shape (H,)."""
         return np.where(self.weights > 0.0, self.lengths, np.nan) / np.maximum(self.weights, 1e-300)
 
     def copy(self) -> _Account:
@@ -56,32 +56,32 @@ class _Account:
 
 @dataclass
 class Ledger:
-    """Accounts of all candidates; errors go in, gains come out."""
+    """The accounts of all candidates: takes errors, returns gains."""
 
     horizons: int
-    """How many horizons H are kept apart."""
+    """Number of horizons H."""
     noise: FloatArray
-    """Of the signals that are foretold, shape (signals,): output and input, or, where inputs are given, the
-    output alone."""
+    """Noise of the forecast signals, shape (signals,): output and input, or only the output if inputs are
+    given."""
     kept: float
-    """Share of the past that is left after one more forecast; below 1, it is forgotten slowly."""
+    """Factor on past weights per forecast; below 1, the past is forgotten slowly."""
     _accounts: dict[str, _Account] = field(default_factory=dict)
 
     def keep(self, names: Iterable[str]) -> None:
-        """Close the accounts of all others."""
+        """Keep only the accounts of these candidates."""
         held = {*names, PERSISTENCE}
         self._accounts = {name: account for name, account in self._accounts.items() if name in held}
 
     def inherit(self, name: str, predecessor: str) -> None:
-        """Give a candidate a copy of another's account, if there is one: whose work it goes on with."""
+        """Give a candidate a copy of its predecessor's account, if there is one."""
         if predecessor in self._accounts:
             self._accounts[name] = self._accounts[predecessor].copy()
 
     def add(self, errors: Mapping[str, FloatArray], horizon: int) -> None:
-        """Enter what came minus what was foretold from one sample, of the signals, shape (signals, N).
+        """Add the errors (measured minus forecast) of the forecasts from one sample, shape (signals, N).
 
-        The N readings are those up to the horizon and beyond the one before; `horizon` counts from 0. Their
-        errors last, so that together they count as one reading of each signal, of mean length.
+        The N readings are those after the previous horizon up to this one; `horizon` is an index. Their
+        errors are correlated, so together they count as one reading of each signal, of mean length.
         """
         h = horizon
         for name, error in errors.items():
@@ -96,13 +96,13 @@ class Ledger:
             account.sizes[:, h] = (before * account.sizes[:, h] + sizes) / account.counted[h]
 
     def forecasts(self, name: str) -> float:
-        """Forecasts at all horizons on which a candidate's gain stands, those long ago counting less."""
+        """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""
         return float(self._accounts[name].weights.sum()) if name in self._accounts else 0.0
 
     def gains(self, names: Sequence[str]) -> FloatArray:
-        """Characters saved for each forecast of the signals, by horizon; shape (len(names), H).
+        """Characters saved per forecast of the signals, by horizon; shape (len(names), H).
 
-        NaN at a horizon of which nothing could be compared with what came.
+        NaN at a horizon at which no forecast could be compared yet.
         """
         trivial = self._accounts.get(PERSISTENCE)
         if trivial is None:
@@ -112,10 +112,10 @@ class Ledger:
         seen = np.isfinite(known)
         count = np.maximum(seen.sum(axis=0), 1)
         common = np.where(seen.any(axis=0), np.where(seen, known, 0.0).sum(axis=0) / count, trivial.mean)
-        rows = [(a.lengths + _COMMON * common) / (a.weights + _COMMON) for a in accounts]
+        rows = [(a.lengths + _SHRINKAGE * common) / (a.weights + _SHRINKAGE) for a in accounts]
         return np.asarray(trivial.mean - np.array(rows).reshape(len(names), self.horizons))
 
     def _opened(self) -> _Account:
         none = np.zeros(self.horizons)
         sizes = np.repeat(self.noise[:, None], self.horizons, axis=1)
-        return _Account(none, none.copy(), sizes, none + _AT_FIRST)
+        return _Account(none, none.copy(), sizes, none + _PRIOR)

@@ -1,5 +1,5 @@
-"""Which set-points a forecast is made for: one that is held, a planned profile, a function of time, or those
-that were recorded. Where the loop is not known they are inputs."""
+"""Set-points of a forecast: a constant one, a planned profile, a function of time, or recorded ones; inputs
+if the loop is not known."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from twinmatch.signals import FloatArray
 __all__ = ["SetPoints"]
 
 _SLACK = 1e-9
-"""A sample this little before a row's time, relative to it, counts as at it: 3 × 0.1 s is not 0.3 s."""
+"""Relative tolerance of a row's time: 3 × 0.1 s is not exactly 0.3 s."""
 
 Row = str | Sequence[float | str]
 
 
 @dataclass(frozen=True)
 class SetPoints:
-    """Rows of time and set-point, or input, ahead of now; the last one is held.
+    """Rows of time and set-point (or input), relative to now; the last one is held.
 
     Raises:
-        ForecastError: times and set-points are not as many, a value is not finite, a time lies in the past or
-            does not grow, or a set-point lies where the plant takes none.
+        ForecastError: unequal numbers of times and set-points, a value that is not finite, a time in the past
+            or out of order, or a set-point outside the plant's range.
     """
 
     before: float
-    """Set-point now, which acts until the first row; its unit is the plant's."""
+    """Present set-point, which holds until the first row; in the plant's unit."""
     times: tuple[float, ...] = ()
-    """Seconds ahead of now; they grow."""
+    """Seconds from now, in increasing order."""
     levels: tuple[float, ...] = ()
-    """Set-points from these times on, or reached at these times if they are ramps."""
+    """Set-points from these times on, or, with ramps, reached at these times."""
     ramps: bool = False
-    """Whether the set-point moves in a straight line from row to row, beginning now; else it steps."""
+    """Whether the set-point moves linearly from row to row, beginning now; otherwise it steps."""
     signal: Output | Drive | None = None
-    """The plant's output or drive, which says where set-points or inputs may lie; without it anywhere."""
+    """The plant's output or drive, which gives the range of set-points or inputs; None: no limits."""
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.levels):
@@ -59,8 +59,8 @@ class SetPoints:
                 raise ForecastError(msg)
             if time <= before:
                 msg = (
-                    f"profile: row {number}: its time {time:g} s does not come after the {before:g} s of the "
-                    "row before; give growing times"
+                    f"profile: row {number}: its time {time:g} s is not after the {before:g} s of the row "
+                    "before; give increasing times"
                 )
                 raise ForecastError(msg)
             self._check_level(f"row {number}: the {self.kind}", level)
@@ -68,7 +68,7 @@ class SetPoints:
 
     @property
     def kind(self) -> str:
-        """What the levels are."""
+        """The kind of the levels."""
         return "input" if isinstance(self.signal, Drive) else "set-point"
 
     def _check_level(self, what: str, level: float) -> None:
@@ -78,13 +78,13 @@ class SetPoints:
         if not low <= level <= high:
             msg = (
                 f"profile: {what} is {_with(level, unit)}; give one from {low:g} to {_with(high, unit)}, "
-                f"where the plant takes {self.kind}s"
+                f"the range of the plant's {self.kind}s"
             )
             raise ForecastError(msg)
 
     @classmethod
     def held(cls, level: float, signal: Output | Drive | None = None) -> SetPoints:
-        """One set-point that stays.
+        """One constant set-point.
 
         Raises:
             ForecastError: as the class.
@@ -95,12 +95,12 @@ class SetPoints:
     def planned(
         cls, rows: Sequence[Row], before: float, *, ramps: bool = False, signal: Output | Drive | None = None
     ) -> SetPoints:
-        """A profile from rows of time (s ahead) and set-point: pairs of numbers or texts, or lines of a CSV.
+        """A profile from rows of time (s from now) and set-point: pairs of numbers or texts, or CSV lines.
 
-        A first line of words is its header; empty lines and those that begin with # are left out.
+        A first line of words is a header; empty lines and those that begin with # are ignored.
 
         Raises:
-            ForecastError: a row that is no pair of numbers, no row at all, or as the class.
+            ForecastError: a row is not a pair of numbers, there is no row, or as the class.
         """
         found: list[tuple[float, float]] = []
         header = True
@@ -115,8 +115,8 @@ class SetPoints:
             header = False
             if len(values) != 2 or values[0] is None or values[1] is None:
                 msg = (
-                    f"profile: line {number}: {', '.join(cells)!r} is no pair of numbers; give the time in s "
-                    "ahead and the set-point"
+                    f"profile: line {number}: {', '.join(cells)!r} is not a pair of numbers; give the time "
+                    "in s ahead and the set-point"
                 )
                 raise ForecastError(msg)
             found.append((values[0], values[1]))
@@ -127,16 +127,16 @@ class SetPoints:
 
     @classmethod
     def recorded(cls, reference: ArrayLike, period: float) -> SetPoints:
-        """The set-points that were recorded: a sample each, the first one the newest; period in s.
+        """Recorded set-points, one per sample, beginning with the newest sample's; period in s.
 
-        What the plant did take is not checked against where it takes set-points.
+        Recorded set-points are not checked against the plant's range.
 
         Raises:
             ForecastError: there is none, or one is not finite.
         """
         values = np.array(reference, dtype=np.float64).ravel().tolist()
         if not values:
-            raise ForecastError("profile: no set-point was recorded; give at least that of the newest sample")
+            raise ForecastError("profile: there is no set-point; give at least that of the newest sample")
         return cls(values[0], tuple(k * period for k in range(1, len(values))), tuple(values[1:]))
 
     @classmethod
@@ -149,30 +149,30 @@ class SetPoints:
         size: int,
         signal: Output | Drive | None = None,
     ) -> SetPoints:
-        """What a function of time, such as the controller's own profile, asks for in the next samples.
+        """Set-points of the next samples from a function of time, such as the controller's own profile.
 
         Args:
-            profile: set-point at a time, s.
-            time: its time now, s.
-            period: s.
+            profile: function from time, s, to set-point.
+            time: its present time, s.
+            period: sample time, s.
             size: number of samples ahead.
-            output: the plant's.
+            signal: the plant's output or drive.
 
         Raises:
             ForecastError: as the class.
         """
-        asked = [float(profile(time + k * period)) for k in range(size + 1)]
-        return cls(asked[0], tuple(k * period for k in range(1, size + 1)), tuple(asked[1:]), signal=signal)
+        levels = [float(profile(time + k * period)) for k in range(size + 1)]
+        return cls(levels[0], tuple(k * period for k in range(1, size + 1)), tuple(levels[1:]), signal=signal)
 
     def reference(self, time: float) -> float:
-        """The set-point at a time, s ahead of now."""
+        """The set-point at a time, s from now."""
         times = np.array(self.times, dtype=np.float64)
         number = int(np.searchsorted(times, time + _SLACK * max(abs(time), 1.0), side="right"))
         since = self.levels[number - 1] if number else self.before
         if not self.ramps or number == times.size:
             return since
-        begun = times[number - 1] if number else 0.0
-        share = max(time - begun, 0.0) / (times[number] - begun)
+        initial = times[number - 1] if number else 0.0
+        share = max(time - initial, 0.0) / (times[number] - initial)
         return float(since + (self.levels[number] - since) * share)
 
     def ahead(self, period: float, size: int) -> FloatArray:
@@ -182,13 +182,13 @@ class SetPoints:
             ForecastError: the period is not positive, or there is no sample.
         """
         if not (math.isfinite(period) and period > 0 and size > 0):
-            msg = f"profile: {size} samples every {period:g} s were asked for; give positive numbers"
+            msg = f"profile: {size} samples every {period:g} s requested; give positive numbers"
             raise ForecastError(msg)
         return np.array([self.reference(k * period) for k in range(1, size + 1)], dtype=np.float64)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on set-points that the plant takes but that lie where none are usual."""
+        """Sentences on set-points that are allowed but outside the usual range."""
         if not isinstance(self.signal, Output) or self.signal.set_points is None:
             return ()
         low, high = self.signal.set_points
@@ -197,14 +197,13 @@ class SetPoints:
             return ()
         unit = self.signal.unit
         return (
-            f"A set-point of {beyond[0]:g} {unit} lies outside {low:g} to {high:g} {unit}, where set-points "
-            "are usual.",
+            f"A set-point of {beyond[0]:g} {unit} is outside the usual range of {low:g} to {high:g} {unit}.",
         )
 
 
 def _allowed(signal: Output | Drive | None) -> tuple[float, float, str]:
-    """Where a plant takes inputs, or set-points: its safe range; where that has no end, where they make
-    sense."""
+    """The range of a plant's inputs or set-points: for set-points the safe range; where that has no limit,
+    the useful one."""
     if signal is None:
         return -math.inf, math.inf, ""
     if isinstance(signal, Drive):

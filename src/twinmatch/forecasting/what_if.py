@@ -1,4 +1,4 @@
-"""A question about what comes, and its answer."""
+"""A what-if question to a twin, and its answer."""
 
 from __future__ import annotations
 
@@ -16,54 +16,54 @@ from twinmatch.forecasting.profile import SetPoints
 __all__ = ["MOST_SAMPLES", "NEAR", "Answer", "Question", "what_if"]
 
 MOST_SAMPLES: Final = 3600
-"""Longest forecast that is given: what an answer costs grows with it."""
+"""Longest forecast, samples: it limits the computing time of an answer."""
 NEAR: Final = 10.0
-"""How near to a level counts as there if nothing else is said, in the output's noise: 1 °C on the rig."""
+"""Default tolerance for reaching a level, in the output's noise: 1 °C on the rig."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What comes if the set-points, or the inputs where the loop is not known, are these? Without arguments:
+    """A question: what happens under these set-points, or inputs if the loop is not known? Without arguments:
     if nothing is changed?"""
 
     times: tuple[float, ...] = ()
-    """Seconds after the newest sample, growing; without any the newest level stays."""
+    """Seconds after the newest sample, increasing; if empty, the newest level stays."""
     levels: tuple[float, ...] = ()
-    """Set-points, or inputs, from these times on, the last of which stays."""
+    """Set-points, or inputs, from these times on; the last one stays."""
     ramps: bool = False
-    """Whether they move in a straight line from row to row, beginning now."""
+    """Whether they move linearly from row to row, beginning now."""
     horizon: float | None = None
-    """How far to look, s; None: as far as forecasts are judged."""
+    """Length of the forecast, s; None: the longest scored horizon."""
     level: float | None = None
-    """Output to wait for; None: the last set-point, or where inputs were given the output they lead to."""
+    """Output level to reach; None: the last set-point or, for given inputs, the final output."""
     tolerance: float | None = None
-    """How near to it counts as there; None: `NEAR`."""
+    """Tolerance for reaching it; None: `NEAR`."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a twin says to a question."""
+    """A twin's answer to a question."""
 
     forecast: Forecast
-    """At every sample as far as was asked."""
+    """The forecast, sample by sample."""
     level: float
-    """Output that was waited for."""
+    """Output level to reach."""
     tolerance: float
-    """How near counted as there."""
+    """Tolerance for reaching it."""
     reached: Moment
-    """When the output is there first."""
+    """When the output first reaches it."""
     held: Moment
-    """From when on it stays there."""
+    """When the output reaches it to stay."""
     largest: Peak
     """The largest |u|."""
 
 
 def what_if(outlook: Outlook, question: Question) -> Answer:
-    """Ask a twin.
+    """Answer a question with a twin.
 
     Raises:
-        ForecastError: set-points or inputs the plant does not take or that lie in the past, a horizon that is
-            not positive or too long, a level that is not finite, a tolerance that is not positive.
+        ForecastError: set-points or inputs out of range or in the past, a horizon that is not positive or too
+            long, a level that is not finite, or a tolerance that is not positive.
     """
     output, period = outlook.parameters.model.plant.output, outlook.period
     size = _samples(question.horizon, outlook)
@@ -107,4 +107,4 @@ def _beyond(size: int, outlook: Outlook) -> tuple[str, ...]:
     judged = outlook.leads[-1]
     if size <= judged:
         return ()
-    return (f"no forecast was held against what came further than {judged * outlook.period:g} s ahead",)
+    return (f"no forecast further than {judged * outlook.period:g} s ahead was ever compared with readings",)

@@ -1,7 +1,7 @@
-"""Plants, each in a file of its own that says nothing but what the plant is.
+"""Plants, each declared in its own file.
 
-`find_plant` finds those that come with this package, those of other installed packages (entry points of the
-group `twinmatch.plants`), and those in a file, by its path.
+`find_plant` finds the plants of this package, those of other installed packages (entry points of the group
+`twinmatch.plants`), and those in a file, by its path.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier
 def find_plant(name: str) -> type[Plant]:
     """The plant of this name, or the one in this file.
 
-    A file is code that is run. So names that come from a recording or over a wire are not given to this
-    function but to `plant_named`.
+    A file is code that is run. So for names from a recording or from the network, use `plant_named`.
 
     Raises:
         PlantError: there is none, or its file cannot be used.
@@ -34,7 +33,7 @@ def find_plant(name: str) -> type[Plant]:
         plant = load_plant(name)
         if plant.name in PLANTS:
             msg = (
-                f"{name}: its plant is called {plant.name}, as one that comes with twinmatch; give it "
+                f"{name}: its plant is called {plant.name}, like one that comes with twinmatch; give it "
                 f"another name, such as class {plant.__name__}(Plant, name='my_{plant.name}')"
             )
             raise PlantError(msg)
@@ -43,8 +42,8 @@ def find_plant(name: str) -> type[Plant]:
 
 
 def plant_named(name: str) -> type[Plant]:
-    """The plant of this name, as recordings and messages give it: of those that are there, and of the files
-    that were loaded because a user named them. A file that is named here is never loaded.
+    """The plant of this name from a recording or message: one that is installed, or from a file that was
+    loaded because the user named it. This function never loads a file.
 
     Raises:
         PlantError: there is none.
@@ -59,12 +58,12 @@ def plant_named(name: str) -> type[Plant]:
         raise PlantError(msg)
     known = ", ".join(dict.fromkeys([*PLANTS, *installed_names()]))
     msg = (
-        f"plant {name!r}: not known; there are {known}. One in a file is named by its path: --plant "
+        f"plant {name!r}: not known; choose from {known}. One in a file is named by its path: --plant "
         f"{name}.py, or plant: {name}.py in a configuration"
     )
     raise PlantError(msg)
 
 
 def written_name(plant: type[Plant]) -> str:
-    """How a plant is named in settings, so that `find_plant` finds it again: its name, or its file."""
+    """The name of a plant in settings, with which `find_plant` finds it again: its name, or its file."""
     return source_of(plant) or plant.name

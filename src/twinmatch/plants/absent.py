@@ -1,7 +1,7 @@
-"""Structures from elsewhere in a process that does not have them: a page shows what others say of them.
+"""Stand-ins for external structures in a process without them, such as a page that only displays them.
 
-The name of such a structure ends in a mark, as `the maker's (FMU 0ab36ba3)` does, so that it can be told from
-one that nobody knows.
+The name of an external structure ends in a mark, as in `the maker's (FMU 0ab36ba3)`, which distinguishes it
+from an unknown name.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ _ANYTHING: Final = (-1e300, 1e300)
 
 
 def is_marked(structure: str) -> bool:
-    """Whether a structure of this name comes from elsewhere."""
+    """Whether this is the name of an external structure."""
     return MARK.search(structure) is not None
 
 
 def stand_in(plant: type[Plant], structure: str, names: Sequence[str]) -> None:
-    """Let a structure be known by the names of its parameters; it cannot be run.
+    """Declare a structure by the names of its parameters; it cannot be run.
 
     Raises:
-        PlantError: the plant's own structure has that name.
+        PlantError: a structure of the plant's file has that name.
     """
     plant.adopt(structure, Structure(free=(), watched=False, elsewhere=_Absent(plant, structure, names)))
 
 
 class _Absent:
-    """Stands behind such a structure."""
+    """The source of such a structure."""
 
     def __init__(self, plant: type[Plant], structure: str, names: Sequence[str]) -> None:
-        self.lost = f"{structure} is not in this process; --allow-fmu takes an FMU in"
+        self.lost = f"{structure} is not loaded in this process; load its FMU with --allow-fmu"
         self.states: Mapping[str, State] = {}
         self.parameters: Mapping[str, Parameter] = {
             name: Parameter(default=0.0, bounds=_ANYTHING, text=name)
@@ -47,7 +47,7 @@ class _Absent:
 
 
 class _NoKernels:
-    """Names only."""
+    """Kernels with names only."""
 
     STATES: tuple[str, ...] = ()
     QUANTITIES: tuple[str, ...] = ()

@@ -1,7 +1,7 @@
-"""A plant in a file that somebody named: loaded, found again by its name, and sent to other processes.
+"""Plants in files named by the user: loaded, found again by name, and sent to other processes.
 
-The class of such a file travels between processes as the path it came from, since no other process can import
-its module by name.
+The class from such a file is pickled as the path of the file, because other processes cannot import its
+module by name.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from twinmatch.dynamics.plant import PlantType
 __all__ = ["is_plant_file", "load_plant", "loaded", "source_of"]
 
 _MODULES: Final = "twinmatch_plant_file_"
-"""How the names of modules begin that were loaded from a path."""
+"""Prefix of the names of modules loaded from a path."""
 _BY_FILE: Final[dict[Path, type[Plant]]] = {}
 _BY_NAME: Final[dict[str, type[Plant]]] = {}
 _WRITTEN: Final[dict[str, str]] = {}
-"""The path as it was written, by the name of the plant."""
+"""The path as the user wrote it, by name of the plant."""
 
 
 def is_plant_file(name: str) -> bool:
-    """Whether this names a file, not a plant."""
+    """Whether this is the name of a file, not of a plant."""
     return name.endswith(".py") or "/" in name or "\\" in name
 
 
@@ -37,20 +37,21 @@ def load_plant(name: str) -> type[Plant]:
     """The plant in a file; the file is run, once in a process.
 
     Raises:
-        PlantError: no such file, a mistake in it, no plant or several, or another file's plant has its name.
+        PlantError: no such file, a mistake in it, no plant or several, or a plant with the name of another
+        file's.
     """
     path = Path(name).expanduser().resolve()
     if path in _BY_FILE:
         return _BY_FILE[path]
     if not path.is_file():
-        msg = f"{name}: there is no such file (looked for {path}); name the file with the plant"
+        msg = f"{name}: there is no such file (looked for {path}); give the file with the plant"
         raise PlantError(msg)
     if path.suffix != ".py":
-        raise PlantError(f"{name}: is no Python file; a plant is in a file that ends in .py")
+        raise PlantError(f"{name}: is not a Python file; give one that ends in .py")
     plant = _plant_in(_run(path, name), name)
     other = _WRITTEN.get(plant.name)
     if other is not None:
-        msg = f"{name}: its plant is called {plant.name}, as that of {other}; give one of them another name"
+        msg = f"{name}: its plant is called {plant.name}, like that of {other}; give one of them another name"
         raise PlantError(msg)
     _BY_FILE[path] = _BY_NAME[plant.name] = plant
     _WRITTEN[plant.name] = name
@@ -58,7 +59,7 @@ def load_plant(name: str) -> type[Plant]:
 
 
 def loaded(name: str) -> type[Plant] | None:
-    """The plant of this name that was loaded from a file; also by the file's name, whatever its folder."""
+    """The plant of this name loaded from a file; also found by the file's name, in any folder."""
     if name in _BY_NAME:
         return _BY_NAME[name]
     if is_plant_file(name):
@@ -68,20 +69,20 @@ def loaded(name: str) -> type[Plant] | None:
 
 
 def source_of(plant: type[Plant]) -> str:
-    """The file of a plant, as it was written by who named it; empty if it was imported."""
+    """The file of a plant, as the user wrote it; empty if it was imported."""
     return _WRITTEN[plant.name] if _BY_NAME.get(plant.name) is plant else ""
 
 
 def _run(path: Path, name: str) -> ModuleType:
-    """The module in a file."""
+    """Import the module in a file."""
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:16]
     spec = importlib.util.spec_from_file_location(f"{_MODULES}{digest}", path)
     if spec is None or spec.loader is None:
-        raise PlantError(f"{name}: is no Python module")
+        raise PlantError(f"{name}: is not a Python module; give a file of Python code")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where what is made of the equations looks for their source
+    sys.modules[spec.name] = module  # the generator looks up the source of the equations there
     beside = str(path.parent)
-    sys.path.append(beside)  # a plant may take tables and functions from files beside it
+    sys.path.append(beside)  # a plant may import tables and functions from files beside it
     try:
         spec.loader.exec_module(module)
     except Exception as error:
@@ -100,9 +101,9 @@ def _plant_in(module: ModuleType, name: str) -> type[Plant]:
     }
     last = sorted((c.__name__, c) for c in own if not any(c in o.__mro__[1:] for o in own))
     if not last:
-        raise PlantError(f"{name}: has no plant; write a class of it, class Tank(Plant): …")
+        raise PlantError(f"{name}: has no plant; write a class such as class Tank(Plant): …")
     if len(last) > 1:
-        msg = f"{name}: has {len(last)} plants, {', '.join(n for n, _ in last)}; give each a file of its own"
+        msg = f"{name}: has {len(last)} plants, {', '.join(n for n, _ in last)}; give each its own file"
         raise PlantError(msg)
     return last[0][1]
 
@@ -120,13 +121,13 @@ def _words(error: Exception) -> str:
     if isinstance(error, PlantError):
         return str(error)
     if isinstance(error, SyntaxError):
-        return f"no Python: {error.msg}"
+        return f"invalid Python: {error.msg}"
     text = str(error).replace(".__init__()", "()")
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def _reduced(plant: type[Plant]) -> str | tuple[object, ...]:
-    """How a plant is pickled: by the path of its file, or as any class by its name."""
+    """Pickle a plant by the path of its file, or, like any class, by its name."""
     if plant.__module__.startswith(_MODULES):
         path = next((path for path, known in _BY_FILE.items() if known is plant), None)
         if path is not None:

@@ -1,12 +1,13 @@
 """An incubator: a polystyrene box with heat bed and fan, as the INTO-CPS Association built and published it.
 
-The structures with two and four parameters are those of its authors: all that is warm in one lump, or the
-heat bed apart from the air. With them the room takes at once what leaves the air. The others keep apart what
-the air is in contact with, walls and whatever stands in the box: it takes heat for hours before the room gets
-much of it.
+The structures with two and four parameters are those of its authors: one lumped heat capacity, or separate
+ones for heat bed and air. In these, heat leaving the air goes directly to the room. The others add a heat
+capacity for the walls and contents of the box, which absorb heat for hours before much of it reaches the
+room.
 
-While the room stays as it is, readings tell three numbers of air and bed and not four: the air may hold more
-if the bed holds less. So the heat capacity of the air is taken as published, but in the authors' structure.
+At constant room temperature, readings determine three parameters of air and bed, not four: a larger heat
+capacity of the air can be offset by a smaller one of the bed. So the heat capacity of the air is fixed at the
+published value, except in the authors' structure.
 
 Temperatures are in °C; all equations are linear in them, so only differences count.
 
@@ -27,11 +28,11 @@ _HEAVY: Final = (*_AIR, "box_heat_capacity")
 
 
 class Incubator(Plant, name="incubator"):
-    """A box whose air is heated by a bed that is on or off, and stirred by a fan."""
+    """A box with air heated by a bed that is on or off, and stirred by a fan."""
 
     title = "Incubator"
     surroundings = "lid, fan and room"
-    typical = {  # noqa: RUF012 (a mapping of what there is, not state)
+    typical = {  # noqa: RUF012 (a constant mapping, not state)
         "bed_heat_capacity": 240.0,
         "bed_conductance": 2.0,
         "box_conductance": 0.9,
@@ -43,7 +44,7 @@ class Incubator(Plant, name="incubator"):
         unit="°C", noise=0.1, span=(-20.0, 90.0), set_points=(22.0, 45.0), safe=(0.0, 60.0),
         absolute=273.15, text="temperature in the box", symbol="T", sensor="sensors in the box",
     )  # fmt: skip
-    # A sensor's step is 0.06 °C; two of them, and air that the fan does not mix in a moment.
+    # The mean of two sensors with steps of 0.06 °C, in air that the fan does not mix instantly.
     heater = Drive(
         unit="",
         limits=(0.0, 1.0),
@@ -56,7 +57,7 @@ class Incubator(Plant, name="incubator"):
     air = State(unit="°C", span=(-20.0, 90.0), text="air in the box", symbol="T_A")
     bed = State(unit="°C", span=(-20.0, 250.0), start_bounds=(0.0, 150.0), text="heat bed", symbol="T_H")
     box = State(unit="°C", span=(-20.0, 90.0), scale=5.0, text="walls and contents of the box", symbol="T_B")
-    seen = State(unit="°C", span=(-20.0, 90.0), text="what the sensors see", symbol="T_S")
+    seen = State(unit="°C", span=(-20.0, 90.0), text="temperature at the sensors", symbol="T_S")
 
     power = Parameter(
         unit="W",
@@ -68,7 +69,7 @@ class Incubator(Plant, name="incubator"):
     )
     air_heat_capacity = Parameter(
         unit="J/K", default=177.6, bounds=(5.0, 2000.0), positive=True, symbol="C_A",
-        text="heat capacity of the air and what follows it",
+        text="heat capacity of the air and what follows it quickly",
     )  # fmt: skip
     bed_heat_capacity = Parameter(
         unit="J/K", default=239.6, bounds=(20.0, 5000.0), positive=True, symbol="C_H",
@@ -106,7 +107,7 @@ class Incubator(Plant, name="incubator"):
             free=("air_heat_capacity", "box_conductance"),
             fixed={"air_heat_capacity": 500.0},
             watched=False,
-            text="the authors' first twin: all that is warm in one",
+            text="the authors' first twin: one lumped heat capacity",
         ),
         "four parameters": Structure(
             free=("air_heat_capacity", *_AIR),

@@ -18,7 +18,7 @@ GROUP: Final = "twinmatch.plants"
 
 
 def installed_names() -> tuple[str, ...]:
-    """Of the plants that installed packages declare."""
+    """Names of the plants that installed packages declare."""
     return tuple(_declared())
 
 
@@ -26,7 +26,7 @@ def installed_plant(name: str) -> type[Plant] | None:
     """The plant of this name; None if no package declares it.
 
     Raises:
-        PlantError: what a package declares is no plant, or cannot be imported.
+        PlantError: the declared object is not a plant, or cannot be imported.
     """
     point = _declared().get(name)
     if point is None:
@@ -38,10 +38,10 @@ def installed_plant(name: str) -> type[Plant] | None:
         msg = f"plant {name!r} of {package}: cannot be imported ({type(error).__name__}: {error})"
         raise PlantError(msg) from error
     if not (isinstance(plant, type) and issubclass(plant, Plant)):
-        msg = f"plant {name!r} of {package}: {point.value} is no Plant; name the class"
+        msg = f"plant {name!r} of {package}: {point.value} is not a Plant; declare the class"
         raise PlantError(msg)
     if plant.name != name:
-        msg = f"plant {name!r} of {package}: calls itself {plant.name!r}; entry point and class must agree"
+        msg = f"plant {name!r} of {package}: its class is named {plant.name!r}; give both the same name"
         raise PlantError(msg)
     return plant
 

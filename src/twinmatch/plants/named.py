@@ -1,4 +1,4 @@
-"""Plants and parameters in the words that messages, figures and files share."""
+"""Descriptions of plants and parameters for messages, figures and files."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["Named", "description_of", "named", "parameters_of"]
 
 
 def description_of(plant: type[Plant]) -> Description:
-    """What a plant and its signals are called."""
+    """Names and units of a plant and its signals."""
     y, u = plant.output, plant.drive
     return Description(
         plant=plant.name,
         title=plant.title,
-        reference=Quantity("set-point", f"what {y.text or y.name} is to be", y.unit),
+        reference=Quantity("set-point", f"set-point of {y.text or y.name}", y.unit),
         output=Quantity(y.name, y.text, y.unit, *y.span),
         input=Quantity(u.name, u.text, u.unit, *u.limits),
         disturbances=tuple(Quantity(d.name, d.text, d.unit) for d in plant.disturbances.values()),
@@ -28,19 +28,19 @@ def description_of(plant: type[Plant]) -> Description:
 
 
 class Named(NamedTuple):
-    """Parameters as a message carries them."""
+    """Parameters in the form of a message."""
 
     plant: str = ""
-    """Empty: there are no parameters."""
+    """Name of the plant; empty if there are no parameters."""
     structure: str = ""
-    """Empty: the values say which parts there are, as before structures had names."""
+    """Name of the structure; empty in old records: the values then imply the parts."""
     names: tuple[str, ...] = ()
     values: tuple[float, ...] = ()
     units: tuple[str, ...] = ()
 
 
 def named(parameters: Parameters | None) -> Named:
-    """Parameters by name with their units; of none, no names."""
+    """Parameters by name with their units; empty for None."""
     if parameters is None:
         return Named()
     plant, structure = parameters.model.key
@@ -50,15 +50,15 @@ def named(parameters: Parameters | None) -> Named:
 def parameters_of(
     plant: str, structure: str, names: Sequence[str], values: Sequence[float]
 ) -> Parameters | None:
-    """The parameters with these names and values; None where there are none.
+    """The parameters with these names and values; None if there are none.
 
     Raises:
-        PlantError: a plant, structure or parameter that is not known, not one value for each name, or values
-            that no plant has.
+        PlantError: an unknown plant, structure or parameter, not one value for each name, or impossible
+            values.
     """
     if not plant and not names:
         return None
     if len(names) != len(values):
-        msg = f"parameters: {len(names)} names came with {len(values)} values; each needs one"
+        msg = f"parameters: {len(names)} names with {len(values)} values; give one value for each name"
         raise PlantError(msg)
     return parameters_from(plant, structure, dict(zip(names, map(float, values), strict=True)))

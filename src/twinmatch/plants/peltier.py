@@ -1,12 +1,12 @@
 """The paper's plant: a Peltier plate on a heat sink under a thermal camera (section III).
 
-Electrical domain: the bridge puts a mean voltage in proportion to the PWM on the module, whose current the
-driver limits. Thermal domain: the Peltier effect, Joule heat and conduction move heat between the plate (side
-A) and the sink (side B), and the plate's heat capacity makes a temperature of it. Fluid domain: the sink
-gives its heat to the room. Digital domain: the camera's reading, once a sample, and the PID that answers it.
+Electrical domain: the bridge applies a mean voltage proportional to the PWM to the module, and the driver
+limits the current. Thermal domain: the Peltier effect, Joule heat and conduction move heat between the plate
+(side A) and the sink (side B); the plate's heat capacity turns heat into temperature. Fluid domain: the sink
+loses its heat to the room. Digital domain: the camera's reading, once a sample, and the PID.
 
-Where the module's Seebeck coefficient depends on temperature, α(T) = α + β·(T − T₀), everything that belongs
-to it is there: the Seebeck voltage is ∫α dT = α(T̄)·(T_B − T_A), T̄ being the mean of both sides; the Peltier
+If the module's Seebeck coefficient depends on temperature, α(T) = α + β·(T − T₀), all its effects are
+modelled: the Seebeck voltage is ∫α dT = α(T̄)·(T_B − T_A), T̄ being the mean of both sides; the Peltier
 heats are α(T_A)·T_A·I and −α(T_B)·T_B·I; half of the Thomson heat I·∫T dα goes to either side. Together that
 is α(T̄)·T·I ± ¼·β·(T_B − T_A)²·I, and energy balances.
 
@@ -74,7 +74,7 @@ def _structure(
 
 
 class Peltier(Plant, name="peltier"):
-    """A Peltier plate on a heat sink, driven by a PWM bridge, seen by a thermal camera, held by a PID."""
+    """A Peltier plate on a heat sink, driven by a PWM bridge, measured by a thermal camera, held by a PID."""
 
     title = "Peltier rig"
     surroundings = "fan, heat sink and room"
@@ -92,7 +92,7 @@ class Peltier(Plant, name="peltier"):
     sink = State(
         unit="K", span=(250.0, 400.0), start_bounds=(253.0, 393.0), text="heat sink (side B)", symbol="T_B"
     )
-    sensor_state = State(unit="K", span=(250.0, 400.0), text="what the camera sees", symbol="T_C")
+    sensor_state = State(unit="K", span=(250.0, 400.0), text="temperature at the camera", symbol="T_C")
 
     seebeck = Parameter(
         unit="V/K", default=0.075, bounds=(0.01, 0.2), least=0.0, symbol="α", text="Seebeck coefficient"
@@ -121,7 +121,7 @@ class Peltier(Plant, name="peltier"):
     )  # fmt: skip
     sensor_lag = Parameter(
         unit="s", default=1.0, bounds=(0.2, 20.0), scale=2.0, positive=True, symbol="τ",
-        text="lag of what the camera sees",
+        text="lag of the camera",
     )  # fmt: skip
     seebeck_slope = Parameter(
         unit="V/K²", default=0.0, bounds=(-5e-4, 5e-4), scale=1e-4, relative=False, symbol="β",
@@ -129,7 +129,7 @@ class Peltier(Plant, name="peltier"):
     )  # fmt: skip
     drive_ripple = Parameter(
         unit="", default=0.0, bounds=(0.0, 1.0), scale=1.0, least=0.0, most=1.0, symbol="ρ",
-        text="share of the bridge's switching that the module feels",
+        text="share of the bridge's switching ripple that reaches the module",
     )  # fmt: skip
     supply = Parameter(
         unit="V", default=12.0, bounds=(3.0, 24.0), positive=True, symbol="V_S", text="bridge voltage"
@@ -142,14 +142,14 @@ class Peltier(Plant, name="peltier"):
     )
 
     followed = "sink with mass, free ambient, free ripple"
-    structures = {  # noqa: RUF012 (a mapping of what there is, not state)
+    structures = {  # noqa: RUF012 (a constant mapping, not state)
         "held sink": Structure(
             free=_PLATE,
             starts=(
                 {"seebeck": 0.04, "conductance": 0.6, "heat_capacity": 18.0},
                 {"seebeck": 0.12, "conductance": 0.5, "heat_capacity": 50.0},
             ),
-            text="the paper's twin: a sink that stays at one temperature",
+            text="the paper's twin: a sink at constant temperature",
         ),
         "held sink, free ambient": _structure(_ROOM),
         "held sink, free ambient, switched drive": _structure(_ROOM, switched=True),
@@ -187,7 +187,7 @@ class Peltier(Plant, name="peltier"):
     sensor = Sensor(noise=0.1, resolution=0.01, pause_period=180.0, pause_duration=0.9)
 
     def equations(self, parts: frozenset[str]) -> Equations:
-        """The domains in the order in which power flows; temperatures in kelvin, heat drawn positive."""
+        """The domains in the order of the power flow; temperatures in kelvin, heat drawn positive."""
         plate, sink = self.plate, (self.sink if _MASS in parts else self.ambient)
         slope = self.seebeck_slope if _SLOPE in parts else 0
         seebeck = self.seebeck + slope * ((plate + sink) / 2 - SEEBECK_REFERENCE)

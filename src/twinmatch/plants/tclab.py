@@ -1,17 +1,17 @@
-"""The Temperature Control Lab: heater 1 warms sensor 1; a second heater stands beside it.
+"""The Temperature Control Lab: heater 1 warms sensor 1, next to a second heater.
 
-Hedengren's energy balance (apmonitor.com/heat.htm; Park et al., Computers & Chemical Engineering 2020): what
-the heater's transistor draws warms it, and it gives heat to the room by convection and radiation, and to
+Hedengren's energy balance (apmonitor.com/heat.htm; Park et al., Computers & Chemical Engineering 2020): the
+power of the heater's transistor warms it, and it loses heat to the room by convection and radiation, and to
 its neighbour likewise; the sensor, glued to it, follows with a lag.
 
     m c_p dT_H/dt = U A (T_∞ − T_H) + ε σ A (T_∞⁴ − T_H⁴) + Q_C12 + Q_R12 + α Q,    τ dT_C/dt = T_H − T_C
 
-Heat capacity, losses and heating power appear as ratios but for the radiation, so nothing in the readings
-tells their size; m c_p is held at the published 4 g of 500 J/(kg K).
+Except in the radiation, heat capacity, losses and heating power appear only as ratios, so the readings do not
+determine their size; m c_p is fixed at the published 4 g of 500 J/(kg K).
 
 The second heater's command Q2 is the measured disturbance, and its temperature a state. That temperature is
-measured too, but it follows heater 1: a forecast that took it as given would have to know it beforehand,
-while Q2 is known as far ahead as somebody has planned it.
+measured, too, but it depends on heater 1, so a forecast cannot take it as given, whereas future values of Q2
+are known as far as they are planned.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _STEFAN_BOLTZMANN: Final = 5.670374e-8
 """W/(m² K⁴)."""
 
 RESOLUTION: Final = 0.3223
-"""Step of a reading, °C: 3.3 V in 1024 steps, 10 mV a degree."""
+"""Step of a reading, °C: 3.3 V in 1024 steps, 10 mV per degree."""
 
 _LAG, _RADIATION, _NEIGHBOUR = "sensor lag", "radiation", "neighbour"
 
@@ -56,7 +56,7 @@ def _structure(free: tuple[str, ...], *parts: str, watched: bool = True, text: s
     return Structure(
         free=free,
         parts=frozenset(parts),
-        # What radiation takes, convection has to give where there is none.
+        # Without radiation, convection has to account for all losses.
         fixed={"losses": 8.0 if _RADIATION in parts else 14.0},
         free_starts=("neighbour",) if _NEIGHBOUR in parts else (),
         watched=watched,
@@ -65,7 +65,7 @@ def _structure(free: tuple[str, ...], *parts: str, watched: bool = True, text: s
 
 
 class TCLab(Plant, name="tclab"):
-    """Heater 1 of a Temperature Control Lab, held by a PID, with heater 2 as what disturbs it."""
+    """Heater 1 of a Temperature Control Lab, held by a PID, with heater 2 as disturbance."""
 
     title = "Temperature Control Lab"
     typical = {"losses": 11.0, "heating": 0.0085, "sensor_lag": 18.0}  # noqa: RUF012
@@ -76,7 +76,7 @@ class TCLab(Plant, name="tclab"):
         unit="°C", noise=0.12, span=(-45.0, 130.0), set_points=(25.0, 70.0), safe=(0.0, 75.0),
         absolute=KELVIN, text="temperature T1", symbol="T₁", sensor="kit",
     )  # fmt: skip
-    # The sensor is made for −40 to 125 °C, and reads −50 °C when its wire is off. Above 75 °C skin burns.
+    # The sensor is specified for −40 to 125 °C, and reads −50 °C if its wire is off. Above 75 °C skin burns.
     power = Drive(unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 1", symbol="Q₁")
     second = Disturbance(unit="%", default=0.0, text="heater 2", symbol="Q₂")
 
@@ -84,7 +84,7 @@ class TCLab(Plant, name="tclab"):
     neighbour = State(
         unit="K", span=(263.0, 423.0), start_bounds=(263.0, 423.0), text="heater 2", symbol="T_H2"
     )
-    sensor_state = State(unit="K", span=(263.0, 423.0), text="what the sensor has come to", symbol="T_C1")
+    sensor_state = State(unit="K", span=(263.0, 423.0), text="temperature of the sensor", symbol="T_C1")
 
     losses = Parameter(
         unit="W/(m² K)", default=6.0, bounds=(1.0, 60.0), scale=5.0, least=0.0, role="losses", symbol="U",
@@ -109,13 +109,18 @@ class TCLab(Plant, name="tclab"):
         text="power of heater 2",
     )  # fmt: skip
     heat_capacity = Parameter(
-        unit="J/K", default=2.0, bounds=(0.5, 10.0), positive=True, symbol="m c_p", text="of one heater"
+        unit="J/K",
+        default=2.0,
+        bounds=(0.5, 10.0),
+        positive=True,
+        symbol="m c_p",
+        text="heat capacity of one heater",
     )
 
     followed = "sensor lag"
-    structures = {  # noqa: RUF012 (a mapping of what there is, not state)
-        "sensor lag": _structure(_LAGGED, _LAG, text="one heater that loses heat in proportion"),
-        "no lag": _structure(_HEATER, watched=False, text="the same, seen at once"),
+    structures = {  # noqa: RUF012 (a constant mapping, not state)
+        "sensor lag": _structure(_LAGGED, _LAG, text="one heater with proportional heat loss"),
+        "no lag": _structure(_HEATER, watched=False, text="the same without sensor lag"),
         "radiation": _structure(_HEATER, _RADIATION, watched=False),
         "sensor lag, radiation": _structure(_LAGGED, _LAG, _RADIATION),
         "sensor lag, neighbour": _structure(_BOTH, _LAG, _NEIGHBOUR),
@@ -127,8 +132,8 @@ class TCLab(Plant, name="tclab"):
         ),
     }
 
-    # Kc = 5 %/K, τ_I = 120 s, τ_D = 2 s, the derivative of the reading; the integral is pulled back with the
-    # time constant √(τ_I τ_D) that Åström and Hägglund advise.
+    # Kc = 5 %/K, τ_I = 120 s, τ_D = 2 s, derivative on measurement; the tracking time constant of the
+    # back-calculation is √(τ_I τ_D), as Åström and Hägglund advise.
     loop = PidGains(
         proportional=5.0,
         integral=5.0 / 120.0,
@@ -146,7 +151,7 @@ class TCLab(Plant, name="tclab"):
         reading = self.temperature + KELVIN
 
         def gained(own: Any, other: Any, area: float, convection: Any) -> Any:
-            """From something at another temperature, through a surface."""
+            """Heat gained from a body at another temperature through a surface."""
             heat = convection * area * (other - own)
             if _RADIATION in parts:
                 heat += _EMISSIVITY * _STEFAN_BOLTZMANN * area * (other**4 - own**4)

@@ -1,4 +1,4 @@
-"""Parameters as they are written down, in messages, documents and files: plant, structure, names, values."""
+"""Parameters as written in messages, documents and files: plant, structure, names, values."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from twinmatch.plants.absent import is_marked, stand_in
 __all__ = ["parameters_from", "structure_of"]
 
 _PARTS: Final = {"sink_heat_capacity": "sink with mass", "sensor_lag": "sensor lag", "seebeck_slope": "α(T)"}
-"""The part that each of these numbers stands for, where they were written down without a structure."""
+"""The part that each of these values implies, in records without a structure."""
 _HELD: Final = 1e12
-"""Heat capacity of a sink that does not move, J/K, for parts that no structure has without a sink's mass."""
+"""Heat capacity of a sink at constant temperature, J/K, for parts that occur only with a sink's mass."""
 _IMMEDIATE: Final = 0.05
-"""Lag of a sensor that has none, s, likewise."""
+"""Lag of a sensor without lag, s, likewise."""
 
 
 def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> Parameters:
-    """The parameters that were written down, by name.
+    """The parameters of a record, by name.
 
-    Where no structure is named, the values say which parts there are: so it was before plants had
-    structures, when there was but the Peltier rig, and so it is in short files. A structure that is an FMU
-    need not be in this process: then its parameters have names and values, and cannot be run.
+    Without a structure, the values imply the parts: so in records from before plants had structures, when the
+    Peltier rig was the only plant, and in short files. A structure that is an FMU need not be loaded in this
+    process: its parameters then have names and values, but cannot be run.
 
     Raises:
-        PlantError: no such plant, structure or parameter, or values that no plant has.
+        PlantError: no such plant, structure or parameter, or impossible values.
     """
     kind = plant_named(plant or Peltier.name)
     if structure:
@@ -45,8 +45,9 @@ def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> 
 
 
 def structure_of(plant: type[Plant], values: Mapping[str, float]) -> str:
-    """The first structure with all parts that some values speak of: a heat capacity of the sink, a lag of the
-    sensor, a slope of the Seebeck coefficient. Zero (or, for the sink, infinite) stood for no such part."""
+    """The first structure with all parts that the values imply: a heat capacity of the sink, a lag of the
+    sensor, a slope of the Seebeck coefficient. Zero (for the sink, infinity) meant that the part is
+    absent."""
     parts = {
         part
         for name, part in _PARTS.items()
