@@ -1,6 +1,6 @@
-"""How fast twinmatch is, beside its peers: `python -m benchmarks`. See README.md.
+"""Benchmarks of twinmatch and comparable programs: `python -m benchmarks`. See README.md.
 
-One thread for linear algebra, here and in what is started from here; set before numpy is first imported.
+Linear algebra uses one thread, here and in child processes; this is set before numpy is first imported.
 """
 
 from __future__ import annotations

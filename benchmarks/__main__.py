@@ -1,4 +1,4 @@
-"""All benchmarks, or those named, one after the other: `python -m benchmarks [--quick] [NAMES]`."""
+"""All benchmarks, or the named ones, in sequence: `python -m benchmarks [--quick] [NAMES]`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ def main() -> int:
     names = available()
     unknown = sorted(set(options.names) - set(names))
     if unknown:
-        print(f"benchmarks: there is no {', '.join(unknown)}; there are: {', '.join(names)}", file=sys.stderr)
+        print(
+            f"benchmarks: there is no {', '.join(unknown)}; choose from: {', '.join(names)}", file=sys.stderr
+        )
         return 2
     if options.list:
         print("\n".join(names))
@@ -51,7 +53,7 @@ def main() -> int:
             json.dumps(document(rows), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         )
     if broken:
-        print(f"benchmarks: broke down: {', '.join(broken)}", file=sys.stderr)
+        print(f"benchmarks: failed: {', '.join(broken)}", file=sys.stderr)
     return 1 if broken else 0
 
 

@@ -2,11 +2,11 @@
 
     python -m benchmarks.box_jenkins [--quick] [--recording FILE] [--json OUT]
 
-Without a recording the rig is simulated. The peers assume that the data begin at rest; the notes give
-their loss so, and the loss of the same coefficients with the best initial conditions, beside ours. A
-ladder that takes longer than its limit is stopped between two orders: its ratio is then a lower bound.
-statsmodels has no B/F and stands in with delayed inputs and ARMA errors. SIPPY (LGPL) and the others are
-compared with here only; the package imports none of them.
+Without a recording the rig is simulated. The peers assume that the data begin at rest; the notes give their
+loss on that assumption, and the loss of the same coefficients with the best initial conditions. A ladder that
+takes longer than its limit is stopped between two orders: its ratio is then a lower bound. statsmodels has no
+B/F and uses delayed inputs and ARMA errors instead. SIPPY (LGPL) and the others are used here only; the
+package imports none of them.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from twinmatch.signals import FloatArray, Sample
 NAME = "box_jenkins"
 SHORT, LONG = 500, 3600
 LIMIT = 4.0
-"""Seconds after which a peer's search stops at its present order."""
+"""Time after which a peer's ladder stops at its present order, s."""
 NO_HOPS = "twinmatch, no hops"
-"""The minimum next to the start values, which is what a verdict asks for."""
+"""The minimum next to the start values, as used in a verdict."""
 MODEL_TARGETS = {SHORT: 0.010, LONG: 0.040}
 SIPPY_TARGET = 50.0
 MOST = {"sippy_unipi": 300, "timeseries-toolbox": 1000}
-"""Longest record on which a slow peer is tried for the truth."""
+"""Longest record on which a slow peer is compared with the truth."""
 GROWTH = (600, 1200, 3600, 12000, 36000)
 
 B, C = np.array([0.0, 1.0, 0.5]), np.array([1.0, 0.7, 0.2])
@@ -46,7 +46,7 @@ D, F = np.array([1.0, -1.2, 0.5]), np.array([1.0, -1.5, 0.7])
 
 
 class Ladder(NamedTuple):
-    """What a program's ladder came to: losses by order, and those of its coefficients with the best start."""
+    """Result of a program's ladder: losses by order, and those of its coefficients with the best start."""
 
     losses: dict[str, float]
     best: dict[str, float]
@@ -185,7 +185,7 @@ def _error(program: Callable[[FloatArray, FloatArray, str], Fit], u: FloatArray,
 
 
 def _data(kind: str, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """A record that begins in the middle of a run, as every window of a running loop does."""
+    """A record that begins in the middle of a run, like every window of a running loop."""
     rng = np.random.default_rng(seed)
     total = count + 200
     drive = np.repeat(rng.choice([-1.0, 1.0], size=total // 4 + 1), 4)[:total]

@@ -1,4 +1,4 @@
-"""The peers of the Box–Jenkins benchmark, each in the best use it offers, behind one signature."""
+"""The peers of the Box–Jenkins benchmark, each used as well as it allows, with one signature."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ MODULES = {
 }
 
 DELAYED = 12
-"""Delayed inputs that stand for B/F where a program knows no denominator."""
+"""Number of delayed inputs in place of B/F, for programs without a denominator."""
 
 
 class Fit(NamedTuple):
-    """What a program found."""
+    """The result of a program."""
 
     loss: float
-    """Mean squared one-step prediction error by its own account or from rest."""
+    """Mean squared one-step prediction error, as reported by the program or computed from rest."""
     model: BoxJenkins | None
-    """Its coefficients; None where it has no B/F."""
+    """Its coefficients; None if it has no B/F."""
 
 
 Program = Callable[[FloatArray, FloatArray, str], Fit]
@@ -49,7 +49,7 @@ def own(u: FloatArray, y: FloatArray, order: str) -> Fit:
 
 
 def peers() -> dict[str, Program]:
-    """The installed ones by name. SIPPY is LGPL: compared with here, never imported by the package."""
+    """The installed peers by name. SIPPY is LGPL: used here for comparison, never imported by the package."""
     programs = (_sippy, _toolbox, _pysid, _statsmodels)
     known = zip(MODULES.items(), programs, strict=True)
     return {name: program for (name, module), program in known if peer(module) is not None}
@@ -61,7 +61,7 @@ def missing() -> list[str]:
 
 
 def _fit(B: FloatArray, C: FloatArray, D: FloatArray, F: FloatArray, *, u: FloatArray, y: FloatArray) -> Fit:
-    """Coefficients as a model, and its loss from rest, as these programs assume."""
+    """The coefficients as a model, and its loss from rest, which these programs assume."""
     size = max(B.size, F.size)
     system = control.TransferFunction(np.pad(B, (0, size - B.size)), np.pad(F, (0, size - F.size)), 1.0)
     model = BoxJenkins.from_transfer_function(system, C=list(C), D=list(D))
@@ -112,7 +112,7 @@ def _pysid(u: FloatArray, y: FloatArray, order: str) -> Fit:
     from pysid.identification import solvers  # noqa: PLC0415
     from pysid.identification.pemethod import bj  # noqa: PLC0415
 
-    # It hands columns to scipy's toeplitz, which flattened them before scipy 1.17.
+    # It passes columns to scipy's toeplitz, which flattened them before scipy 1.17.
     solvers.toeplitz = lambda c, r: scipy.linalg.toeplitz(np.ravel(c), np.ravel(r))
     nb, nc, nd, nf, nk = parse_order(order)
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""What all benchmarks share: timing side by side, rows of results, their table, the machine."""
+"""Shared parts of the benchmarks: side-by-side timing, rows of results, their table, the machine."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ class Row:
 
     Attributes:
         benchmark: name of the module, for example "nu_gap".
-        case: what was measured, on what, for example "a pair of order 5".
-        program: who did it: "twinmatch", or the peer's name.
-        seconds: median time of one call, s; NaN where it could not be measured.
+        case: what was measured, for example "a pair of order 5".
+        program: "twinmatch", or the peer's name.
+        seconds: median time of one call, s; NaN if it could not be measured.
         ratio: median over rounds of this program's time divided by twinmatch's in the same round;
-            above 1, the peer is that many times slower. None where there is nothing to compare.
-        repeats: number of calls the median is taken of.
-        target: the most `seconds` (or, for a peer, the least `ratio`) that was aimed at; None without.
-        note: anything that belongs to the figure, for example the accuracy that was reached.
+            above 1, the peer is that many times slower. None if there is nothing to compare.
+        repeats: number of calls in the median.
+        target: largest `seconds` (or, for a peer, least `ratio`) aimed at; None without a target.
+        note: remarks on the figure, for example the accuracy that was reached.
     """
 
     benchmark: str
@@ -83,7 +83,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of one case, s, one per round it took part in; `result` is what its first call returned."""
+    """Times of one case, s, one per round; `result` is the return value of its first call."""
 
     seconds: tuple[float, ...]
     result: Any = None
@@ -91,11 +91,11 @@ class Timing:
 
     @property
     def median(self) -> float:
-        """Median time of one call, s; NaN where the case failed."""
+        """Median time of one call, s; NaN if the case failed."""
         return median(self.seconds) if self.seconds else math.nan
 
     def ratio_to(self, other: Timing) -> float | None:
-        """How many times longer this case takes than the other: the median over the rounds both ran."""
+        """How many times longer this case takes than the other: median over the rounds of both."""
         pairs = zip(self.seconds, other.seconds, strict=False)
         ratios = [mine / its for mine, its in pairs]
         return median(ratios) if ratios else None
@@ -108,7 +108,7 @@ def measure_side_by_side(
     patience: float = 20.0,
     least: float = 2e-3,
 ) -> dict[str, Timing]:
-    """Time several programs in turns (A B C, A B C, …), so that the machine's moods strike all alike.
+    """Time several programs in turns (A B C, A B C, …), so that changes of the load affect all alike.
 
     Each case is called once unmeasured, which compiles and fills caches, unless that call alone exhausts
     the patience: then its time counts as the only one. A case faster than `least` is called many times a
@@ -117,7 +117,7 @@ def measure_side_by_side(
     Args:
         cases: program → a call without arguments.
         repeats: number of rounds.
-        patience: most time one case may take altogether, s; it then drops out of the later rounds.
+        patience: largest total time of one case, s; after that it is left out of further rounds.
         least: least time of one measurement, s.
     """
     first = {name: _attempt(call, 1) for name, call in cases.items()}
@@ -160,7 +160,7 @@ def _attempt(call: Callable[[], object], loops: int) -> Timing:
 
 
 def peer(module: str) -> ModuleType | None:
-    """A peer's module, or None where it is not installed; `make bench` installs them all."""
+    """A peer's module, or None if it is not installed; `make bench` installs them all."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -194,7 +194,7 @@ def rows_of(
 
 
 def environment() -> dict[str, str]:
-    """What the figures were measured on: machine, load, versions of everything that took part."""
+    """The environment of the measurement: machine, load, versions of all packages involved."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -232,7 +232,7 @@ def print_rows(title: str, rows: Sequence[Row]) -> None:
 
 
 def duration(seconds: float) -> str:
-    """A time in the unit that suits it."""
+    """Format a time in a suitable unit."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
@@ -247,7 +247,7 @@ def _target(row: Row) -> str:
 
 
 def document(rows: Sequence[Row]) -> dict[str, object]:
-    """Environment and rows as JSON takes them: what could not be measured is null."""
+    """Environment and rows for JSON; values that could not be measured are null."""
     entries = [asdict(row) | {"met": row.met} for row in rows]
     for entry in entries:
         if math.isnan(entry["seconds"]):

@@ -1,11 +1,11 @@
-"""An hour of the closed loop with tangents of six parameters: made from equations here, CasADi, differences.
-And a sample of the observer, and a forecast of 300 samples.
+"""An hour of the closed loop with tangents of six parameters: generated code, CasADi, differences.
+Also a sample of the observer, and a forecast of 300 samples.
 
 The richest useful Peltier structure: plate and heat sink, six unknown parameters. CasADi gets the same
-equations, from SymPy too, the same Runge–Kutta steps and the same controller, and derives forward; its graph
-is built beforehand and not counted. `solve_ivp` runs the loop alone, without a tangent. The note of a peer
-says how far its tangents, or its output, are from ours. The observer stands beside the same filter in NumPy,
-the forecast beside 200 runs of the loop with states, parameters and noise drawn at random.
+equations, also from SymPy, the same Runge–Kutta steps and the same controller, and differentiates in forward
+mode; its graph is built beforehand and not counted. `solve_ivp` runs the loop without tangents. The note of a
+peer gives the difference of its tangents, or its output, from ours. The observer is compared with the same
+filter in NumPy, the forecast with 200 runs of the loop with random states, parameters and noise.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _observer(quick: bool) -> list[Row]:
-    """One sample: a reading taken, a period moved on."""
+    """One sample: one correction and one prediction."""
     ours = Observer(RIG, 30.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0])
     theirs = Observer(RIG, 30.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0])
     held: dict[str, Array] = {"states": theirs.states, "covariance": theirs.covariance}
@@ -121,7 +121,7 @@ def _observer(quick: bool) -> list[Row]:
 
 
 def _forecast(quick: bool) -> list[Row]:
-    """The same mean and band by small movements and by chance."""
+    """The same mean and band by linearisation and by random runs."""
     unsure, gains = MODEL.structure.free, gains_of(Peltier, 1.0)
     states, reference = begin(RIG, 45.0), np.repeat([45.0, 55.0], 150)
     spread = np.array([0.05, 0.3, *(0.005 * MODEL.declared[name].scale for name in unsure)])
@@ -215,7 +215,7 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
 
 
 def _solve_ivp(experiment: Experiment) -> Array:
-    """The output of the loop, every tick by scipy."""
+    """The output of the loop, with every tick integrated by scipy."""
     written = derive(Peltier(), MODEL.structure.parts, frozenset())
     import sympy  # noqa: PLC0415
 

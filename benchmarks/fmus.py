@@ -1,9 +1,9 @@
 """Matching three parameters: native equations, and the same equations as FMUs.
 
-One window of a simulated, noisy closed loop, each in a process of its own where it is an FMU: model exchange
-compiled from C, and co-simulation written in Python. Differences instead of exact tangents, and questions to
-another process instead of compiled loops, are what a ratio shows. The note gives how far the Seebeck
-coefficient found is from the native one.
+One window of a simulated, noisy closed loop; each FMU runs in its own process: model exchange compiled from
+C, and co-simulation written in Python. The ratio shows the cost of differences instead of exact tangents, and
+of calls to another process instead of compiled loops. The note gives the deviation of the estimated Seebeck
+coefficient from the native one.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def structures(folder: Path) -> dict[str, Model]:
-    """The held sink as FMUs, as far as there are the tools to build and run them."""
+    """The held sink as FMUs, if the tools to build and run them are installed."""
     if peer("fmpy") is None:
         return {}
     from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 (an extra)
@@ -62,7 +62,7 @@ def structures(folder: Path) -> dict[str, Model]:
 
 
 def record(samples: int) -> Window:
-    """A step of the set-point, seen through a noisy camera."""
+    """A step of the set-point, measured by a noisy camera."""
     truth = NATIVE.parameters(seebeck=0.06, conductance=0.7, heat_capacity=28.0)
     reference = np.repeat([40.0, 60.0], [30, samples - 30])
     camera = Peltier.sensor.realise(samples, 1.0, 3)

@@ -1,10 +1,10 @@
-"""Matching three parameters on a closed loop: here, CasADi, numba with Runge–Kutta, solve_ivp.
+"""Matching three parameters on a closed loop: twinmatch, CasADi, numba with Runge–Kutta, solve_ivp.
 
 One fit of Seebeck coefficient, conductance and heat capacity to a simulated, noisy window. Ours searches
-from three starts, the peers from one; a row of its own shows ours from one. All see the same loop, start and
-weights; the peers integrate each tick with Runge–Kutta of order 4 in four steps (solve_ivp as it likes).
-CasADi's graph is built beforehand and not counted. The note gives the parameters found, which the peers
-should share.
+from three starts, the peers from one; a separate row shows ours from one. All use the same loop, start and
+weights; the peers integrate each tick with Runge–Kutta of order 4 in four steps (solve_ivp with its own
+steps). CasADi's graph is built beforehand and not counted. The note gives the estimated parameters, on which
+all should agree.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def record(samples: int, seed: int = 7) -> Window:
-    """A window of the rig: a new level every 240 samples, seen through a noisy camera."""
+    """A window of the rig: a new level every 240 samples, measured by a noisy camera."""
     count = -(-samples // 240)
     reference = np.repeat([LEVELS[k % len(LEVELS)] for k in range(count)], 240)[:samples].astype(np.float64)
     camera = Sensor(noise=NOISE.output).realise(samples, GAINS.period, seed)
@@ -111,7 +111,7 @@ def _found(timings: dict[str, Timing]) -> dict[str, str]:
 
 
 def _whole_match(repeats: int) -> list[Row]:
-    """What the twin does: test fit, fit, covariance, intervals, suggestion."""
+    """The complete match: test fit, fit, covariance, intervals, suggestion."""
     rows = []
     for samples in (300, 720):
         window = record(samples)
@@ -274,7 +274,7 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
 
 
 def _gauss_newton(linearise: Callable[[Array], tuple[Array, Array]]) -> Array:
-    """Gauss–Newton inside the bounds, damped only as far as it must be."""
+    """Gauss–Newton inside the bounds, damped only as much as necessary."""
     values = FIRST.copy()
     residuals, jacobian = linearise(values)
     damping = 1e-4

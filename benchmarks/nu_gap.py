@@ -32,7 +32,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _one_output(order: int, repeats: int, *, accurate: bool) -> list[Row]:
-    """All pairs of five models, prepared beforehand; and from the coefficients on."""
+    """All pairs of five models, from prepared symbols and from the coefficients."""
     rng = np.random.default_rng(order)
     models = [_model(rng, order, 1.0) for _ in range(PAIRS)]
     pairs = list(combinations(range(PAIRS), 2))
@@ -65,7 +65,7 @@ def _one_output(order: int, repeats: int, *, accurate: bool) -> list[Row]:
 
 
 def _two_outputs(order: int, repeats: int) -> list[Row]:
-    """What a verdict does: eight candidates, set-point to temperature and control."""
+    """The work of a verdict: eight candidates, set-point to temperature and control."""
     rng = np.random.default_rng(order)
     symbols = [
         GraphSymbol.of_transfer_functions([_model(rng, order, 1.0), _model(rng, order, 45.0)], 1.0)
@@ -114,7 +114,7 @@ def _model(rng: np.random.Generator, order: int, gain: float) -> Fraction:
 
 
 def _reference(p1: Fraction, p2: Fraction) -> Any:
-    """50 digits: |P1 − P2|/√(1 + |P1|²)√(1 + |P2|²) sampled and refined; 1 where the winding fails."""
+    """With 50 digits: |P1 − P2|/√(1 + |P1|²)√(1 + |P2|²) sampled and refined; 1 if the winding fails."""
     with mp.workdps(50):
         exact = [[[mp.mpf(float(c)) for c in poly] for poly in p] for p in (p1, p2)]
 
@@ -141,7 +141,7 @@ def _reference(p1: Fraction, p2: Fraction) -> Any:
 
 
 def _winding_holds(exact: list[list[list[Any]]]) -> bool:
-    """As many zeros of d2~ d1 + n2~ n1 inside the circle as the first model has poles."""
+    """Whether d2~ d1 + n2~ n1 has as many zeros inside the circle as the first model has poles."""
     (n1, d1), (n2, d2) = exact
     n1, n2 = [mp.mpf(0)] * (len(d1) - len(n1)) + n1, [mp.mpf(0)] * (len(d2) - len(n2)) + n2
     total = [mp.mpf(0)] * (len(d1) + len(d2) - 1)

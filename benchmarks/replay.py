@@ -1,7 +1,7 @@
 """Replay: recordings against real time, growth with their length, and a full verdict.
 
-One core, in a process that has already loaded everything; `start_up` measures what comes before. The
-recording is simulated; `python -m benchmarks.replay --recording FILE` takes your own instead.
+One core, in a process that has already loaded everything; `start_up` measures the time before that. The
+recording is simulated; `python -m benchmarks.replay --recording FILE` uses your own instead.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from twinmatch.twin import Discriminator, MatchReport, TwinSettings, answer
 
 HOUR = 3600
 HOUR_TARGET = 1.2
-"""s; with 0.8 s for import and start-up, an hour is judged in two."""
+"""Target for an hour, s; with 0.8 s for import and start-up, the total is two."""
 VERDICT_TARGET = 0.5
-"""s"""
+"""Target for a verdict, s."""
 POINTS = (30, 40, 50, 60, 70, 80, 90, 100)
 """Operating points of eight candidates, °C."""
 
@@ -41,7 +41,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
-    """One recording against the time it took to record."""
+    """Time to judge one recording, compared with its duration."""
     settings = TwinSettings()
     calls = {"twinmatch": lambda: judge_samples("hour", samples, settings)}
     timings = measure_side_by_side(calls, 1 if quick else 5, patience=120.0)
@@ -54,7 +54,7 @@ def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
 
 
 def _growth(quick: bool) -> list[Row]:
-    """What an hour of a recording costs when the recording is short and when it is long."""
+    """Time to judge an hour of a recording, for short and long recordings."""
     lengths = (600, 620) if quick else (600, HOUR, 10 * HOUR)
     settings = TwinSettings()
     calls = {}
@@ -74,7 +74,7 @@ def _growth(quick: bool) -> list[Row]:
 
 
 def _full_verdict(quick: bool) -> list[Row]:
-    """All over again: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
+    """A full verdict: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
     ready, sample, report = _before_a_verdict()
 
     def judge() -> tuple[Verdict, ...]:
@@ -100,7 +100,7 @@ def _before_a_verdict() -> tuple[Discriminator, Sample, MatchReport]:
         if request is not None:
             return ready, sample, answer(request, settings)
         ready.push_sample(sample)
-    raise RuntimeError("the recording sets off no match")
+    raise RuntimeError("the recording triggers no match")
 
 
 def main() -> None:

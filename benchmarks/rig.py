@@ -1,4 +1,4 @@
-"""A rig to record from: richer than the twin, seen through its camera, on a staircase of set-points."""
+"""A simulated rig to record: richer than the twin, measured by its camera, on a staircase of set-points."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SINK = Peltier.model("sink with mass").parameters(
     sink_heat_capacity=280.0,
     sink_convection=4.0,
 )
-"""A sink that warms up, which the twin's three parameters do not know."""
+"""A sink that warms up, which the twin's three parameters do not describe."""
 
 REGIME = 300
 """Samples between two steps of the set-point."""
 
 
 def recorded(samples: int, seed: int = 5) -> list[Sample]:
-    """That many samples at 1 Hz; every five minutes another set-point between 30 and 90 °C."""
+    """So many samples at 1 Hz; every five minutes another set-point between 30 and 90 °C."""
     rng = np.random.default_rng(seed)
     count = -(-samples // REGIME)
     levels = np.resize([30.0, 60.0, 45.0, 80.0, 50.0, 90.0, 35.0, 70.0], count) + rng.integers(-3, 4, count)

@@ -1,8 +1,8 @@
 """Start-up: from the shell to the first sample judged, and a whole hour from the shell.
 
-Everything runs in new processes, so the operating system's start of Python counts too; `python -c pass` is
-measured beside. Kernels are compiled beforehand, as `make setup` leaves them, and modules are byte-compiled,
-as Python does it at the first use wherever it is not forbidden.
+Everything runs in new processes, so the start of Python counts, too; `python -c pass` is measured for
+comparison. Kernels are compiled beforehand, as by `make setup`, and modules are byte-compiled, as Python does
+at the first use unless that is disabled.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from benchmarks.rig import recorded
 from twinmatch.sessions import write_session
 
 START_TARGET = 0.8
-"""s, for import and start-up."""
+"""Target for import and start-up, s."""
 HOUR_TARGET = 2.0
-"""s, for all of an hour, start-up included."""
+"""Target for an hour including start-up, s."""
 
 
 def run(quick: bool) -> list[Row]:
@@ -57,7 +57,7 @@ def _environment() -> dict[str, str]:
 
 
 def _loading(session: Path, repeats: int) -> Row:
-    """What a new process computes before it judges: a first replay less a second one."""
+    """CPU time of a new process before it judges: that of a first replay minus that of a second one."""
     code = (
         "import sys, time; from pathlib import Path; from twinmatch.judging.judgement import judge_session\n"
         "judge_session(Path(sys.argv[1])); first = time.process_time()\n"

@@ -1,14 +1,14 @@
-"""Which structure of the plant half an hour pays for, and how well it foretells the next half hour.
+"""Which structure of the plant half an hour supports, and how well it forecasts the next half hour.
 
     python benchmarks/structures.py --recordings DIR
 
 reads every recording of DIR (`.mat` or `.csv`, as `twinmatch import` does). Each structure is fitted to a
-recording's first half. Then the closed-loop twin with those parameters runs over the set-points of the whole
-hour from its third sample on: plate where it was measured there, controller as the first two samples leave
-it, heat sink where the fit of the first half put it at that third sample. So the second half, on which NRMSE
-is judged, begins with the sink as the twin has warmed it in the first; nothing measured in the second half
-is used. Recordings named by `--faulty` hold a failure of the plant; they are shown but not summed up. The
-last lines are what the structure watch chooses beside a running plant, and its CPU time.
+recording's first half. Then the closed-loop twin with those parameters runs on the set-points of the whole
+hour, from its third sample on: the plate starts at the measured temperature, the controller at its state
+after the first two samples, the heat sink at the temperature fitted to the first half. So the second half, on
+which NRMSE is computed, begins with the sink as warmed by the twin; nothing measured in the second half is
+used. Recordings named by `--faulty` contain a failure of the plant; they are shown but not summed up. The
+last lines show the choice of the structure watch beside a running plant, and its CPU time.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def judged(fitted: StructureFit, hour: Window, half: int) -> Figures:
 
 
 def looks(hour: Window) -> str:
-    """What the watch beside a running plant chooses over the hour, and what it costs."""
+    """The choices of the structure watch over the hour, and their CPU time."""
     schedule, watch, chosen, costs = Schedule(), StructureWatch(StructureSettings(MODELS)), [], []
     for sample in samples_of(hour):
         trigger = schedule.push(sample)
@@ -63,7 +63,7 @@ def looks(hour: Window) -> str:
         if choice is not None:
             costs.append(time.process_time() - began)
             chosen.append(f"{choice.samples[0]}-{choice.samples[1]}: {choice.chosen}")
-    return f"{1e3 * sum(costs):.0f} ms in {len(costs)} looks ({'; '.join(chosen)})"
+    return f"{1e3 * sum(costs):.0f} ms in {len(costs)} choices ({'; '.join(chosen)})"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             began = time.process_time()
             choice = choose_structure(hour.part(hour.first, hour.first + half), MODELS)
         except TwinmatchError as error:
-            console.print(f"{path.name}: passed over: {error}")
+            console.print(f"{path.name}: skipped: {error}")
             continue
         console.print(f"{path.name}: {choice.sentence} [{time.process_time() - began:.1f} s of CPU]")
         for score in choice.scores:
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found[CHOSEN][path.name] = found[choice.chosen][path.name]
     names = list(found[CHOSEN])
     if not names:
-        console.print(f"{options.recordings}: holds no recording that can be used")
+        console.print(f"{options.recordings}: there is no usable recording in this folder")
         return 1
     healthy = [n for n in names if not any(_begins(n, faulty) for faulty in options.faulty)]
     console.print(_table(found, names, healthy))
@@ -129,7 +129,7 @@ def _met(console: Console, figures: list[Figures]) -> bool:
     well = bool(np.all(np.round(median, 3) >= MEDIAN_TARGET) and np.all(np.round(least, 3) >= LEAST_TARGET))
     console.print(
         f"chosen, {len(figures)} healthy recordings: median {median[0]:.4f} and {median[1]:.4f} "
-        f"(wanted {MEDIAN_TARGET}), least {least[0]:.4f} and {least[1]:.4f} (wanted {LEAST_TARGET}): "
+        f"(target {MEDIAN_TARGET}), least {least[0]:.4f} and {least[1]:.4f} (target {LEAST_TARGET}): "
         f"{'met' if well else 'not met'} to three decimals"
     )
     return well

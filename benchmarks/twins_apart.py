@@ -1,13 +1,13 @@
-"""Whether the ν-gap of a family ranks how differently its twins behave, and the error that is to come.
+"""Whether the ν-gap of a family ranks the differences between its twins, and their future errors.
 
     python benchmarks/twins_apart.py --recordings DIR
 
-judges every recording of DIR (`.mat` or `.csv`, as `twinmatch import` does). Two twins that stand in a family
-together behave as differently as their closed-loop responses to the hour's set-points: root mean square of
-the differences of output and input in units of their noise. A twin is as wrong as its closed-loop response to
-the 300 s after the verdict. The figures are rank correlations (Spearman) with these, of the ν-gap between the
-plants and of that between identified models; over all pairs, and over all candidates of all verdicts, then as
-the mean over the verdicts with four candidates or more.
+judges every recording of DIR (`.mat` or `.csv`, as `twinmatch import` does). The difference between two twins
+of a family is that of their closed-loop responses to the hour's set-points: root mean square of the
+differences of output and input in units of their noise. The error of a twin is that of its closed-loop
+response over the 300 s after the verdict. The figures are rank correlations (Spearman) with these, of the
+ν-gap between the plants and of that between identified models; over all pairs, and over all candidates of all
+verdicts, then as the mean over the verdicts with four candidates or more.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Window
 
 AHEAD = 300
-"""Samples over which a twin is held to what it foretells."""
+"""Samples over which a twin's forecast is scored."""
 
 Row = tuple[float, float, float]
-"""ν-gap between plants, between models, and what it is to rank."""
+"""ν-gap between plants, between models, and the quantity to rank."""
 
 
 def size(y: FloatArray, u: FloatArray) -> float:
@@ -70,7 +70,7 @@ def judged(path: Path) -> tuple[dict[object, Row], list[list[Row]]]:
 
 
 def wrong(candidate: CandidateScore, ahead: Window) -> Row:
-    """What a candidate's distances to the plant are, and its error over what came."""
+    """A candidate's ν-gaps to the plant, and its error on the samples that follow."""
     run = simulate_window(candidate.parameters, ahead)
     error = size(ahead.output[2:] - run.output, ahead.input[2:] - run.input)
     gaps = candidate.nu_gap_to_plant, candidate.identified_gap_to_plant
@@ -78,7 +78,7 @@ def wrong(candidate: CandidateScore, ahead: Window) -> Row:
 
 
 def ranks(rows: Sequence[Row]) -> FloatArray:
-    """How well either ν-gap ranks it, shape (2,)."""
+    """Rank correlation of either ν-gap with it, shape (2,)."""
     table = np.array(rows)
     found = np.full(2, np.nan)
     for k in (0, 1):
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"all {len(pairs)} pairs: {ranks(list(pairs.values())).round(2)}")
     every = [row for rows in verdicts for row in rows]
     within = np.nanmean([ranks(rows) for rows in verdicts if len(rows) >= 4], axis=0)
-    print(f"{len(every)} errors to come: {ranks(every).round(2)}, within a verdict {within.round(2)}")
+    print(f"{len(every)} future errors: {ranks(every).round(2)}, within a verdict {within.round(2)}")
     return 0
 
 

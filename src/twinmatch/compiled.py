@@ -1,12 +1,11 @@
-"""How numeric kernels are compiled, and kept on disk for as long as their sources stay what they were.
+"""Compilation of numeric kernels, and their cache on disk, which is valid until a source changes.
 
-numba keeps what it compiles beside the source file, under a stamp of that one file. A kernel holds
-the code of all kernels that it calls and the values of all constants that it uses, wherever these were
-written: after an upgrade of another file, numba alone runs the old mathematics. The stamp here is made from
-everything that a kernel can reach: the files of the kernels and classes it names, theirs in turn,
-and the values of constants.
+numba caches compiled code under a stamp of the kernel's own source file. But a kernel contains the code of
+all kernels that it calls and the values of all constants that it uses, from any file: after a change of
+another file, numba alone would run outdated code. The stamp here covers everything that a kernel can reach:
+the files of the kernels and classes it names, recursively, and the values of constants.
 
-A module that is made at run time is kept like any other if it stands in `sys.modules` under its name.
+A module generated at run time is cached like any other if it is in `sys.modules` under its name.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from numba.core.runtime import rtsys
 
 __all__ = ["compiled"]
 
-# numba names what it compiles by a number that it counts from one in every process. Kernels kept by two of
-# them may then bear one name; where such a kernel comes in twice, by itself and inside another, one takes the
-# other's data for its own and fails ("'descr' is NULL"). So every process counts from a number of its own.
+# numba numbers compiled functions from one in every process, so kernels cached by two processes may have the
+# same name. If such a kernel is loaded twice, alone and inside another, one uses the other's data and fails
+# ("'descr' is NULL"). So every process starts from a different number.
 FunctionIdentity._unique_ids = itertools.count(secrets.randbits(48))
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -51,18 +50,18 @@ def compiled(
 def compiled(
     function: Any = None, /, *, inside: bool = False, inlined: bool = False, innermost: bool = False
 ) -> Any:
-    """Compile a function at its first call, and keep the result on disk; the interpreter lock is released.
+    """Compile a function at its first call, and cache the result on disk; the kernel releases the GIL.
 
-    No `fastmath`: the same input gives the same bits every time. Division follows IEEE, it does not raise.
+    No `fastmath`: the same input always gives the same bits. Division follows IEEE and does not raise.
 
     Args:
         function: the kernel; without it, a decorator.
-        inside: only kernels call it. Of a small function the way in from Python, which it then does not
-            get, is half of what there is to compile; and it is kept as a part of those that call it.
-        inlined: as `inside`, and its code becomes part of its callers before they are compiled. For what
-            has one caller: what is linked instead is optimised anew at every level above.
-        innermost: as `inside`, and its machine code becomes part of its callers', whatever its size: where
-            a call costs as much as what is called.
+        inside: only kernels call it, so no entry point from Python is compiled, which for a small function is
+            half of the work; it is cached as part of its callers.
+        inlined: as `inside`, and its source is inlined into its callers before compilation. For functions
+            with one caller: linked ones would be optimised again at every level above.
+        innermost: as `inside`, and its machine code is always inlined, whatever its size: for functions
+            that cost no more than a call.
     """
     if function is None:
         return functools.partial(compiled, inside=inside, inlined=inlined, innermost=innermost)
@@ -81,7 +80,7 @@ def compiled(
 
 
 def _vectorised(compile_: Callable[..., Any], *args: Any) -> Any:
-    """Compile with sums that are written side by side in one vector; every one is still added up in order."""
+    """Compile with parallel sums combined into vector instructions; each sum still has a fixed order."""
     before = numba.config.SLP_VECTORIZE
     numba.config.SLP_VECTORIZE = 1
     try:
@@ -91,7 +90,7 @@ def _vectorised(compile_: Callable[..., Any], *args: Any) -> Any:
 
 
 class _Cache:
-    """numba's cache of a kernel, made when it is first asked: by then all that the kernel names is there."""
+    """numba's cache of a kernel, created on first use, when everything that the kernel names is defined."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -117,17 +116,17 @@ class _KernelCache(FunctionCache):
     _impl_class = _KernelFiles
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        # numba reads in its whole compiler first (a fifth of a second): needed only if there is work for it.
+        # numba would load its whole compiler first (a fifth of a second), needed only to compile.
         rtsys.initialize(target_context)
         return self._load_overload(sig, target_context) or super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        # Arguments that are named tuples go by the names of their classes; their fields are theirs to change.
+        # numba identifies named-tuple arguments by class name only; their fields may change.
         return (*super()._index_key(sig, codegen), tuple(_fields(sig)))
 
 
 class _Stamped:
-    """Where numba keeps a kernel, with our stamp."""
+    """numba's cache location of a kernel, with our stamp."""
 
     def __init__(self, locator: Any, function: FunctionType) -> None:
         self._locator = locator
@@ -166,7 +165,7 @@ def _stamp(function: FunctionType) -> str:
                 waiting.append(value.py_func)
             elif isinstance(value, FunctionType):
                 waiting.append(value)
-            elif isinstance(getattr(value, "_defn", None), FunctionType):  # an intrinsic of ours
+            elif isinstance(getattr(value, "_defn", None), FunctionType):  # one of our intrinsics
                 waiting.append(value._defn)
             elif isinstance(value, type):
                 files.add(getattr(sys.modules.get(value.__module__), "__file__", None) or value.__qualname__)
@@ -177,7 +176,7 @@ def _stamp(function: FunctionType) -> str:
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """What a function's code may mean by the names in it; of modules, what it may take from them."""
+    """The objects that a function's code may refer to by name, including members of modules."""
     names = set(_names(function.__code__))
     cells = function.__closure__ or ()
     scope = function.__globals__ | {
@@ -186,7 +185,7 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
     for name in names | set(function.__code__.co_freevars):
         value = scope.get(name)
         if isinstance(value, ModuleType):
-            # numpy's functions are numba's own code, and go by its version.
+            # numpy's functions are implemented by numba, whose version numba checks.
             if value.__name__.partition(".")[0] not in {"numpy", "math", "numba"}:
                 yield from ((n, getattr(value, n)) for n in names if hasattr(value, n))
         elif name in scope:
@@ -209,7 +208,7 @@ def _bytes_of(value: object) -> bytes:
 
 @functools.cache
 def _hash(path: str) -> bytes:
-    """Of a file's content; of its name where it cannot be read."""
+    """Hash of a file's content, or its name if it cannot be read."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).digest()
     except OSError:

@@ -1,4 +1,4 @@
-"""What a plant and its signals are called, and in which units: for messages, figures, tables and pages."""
+"""Names and units of a plant and its signals, for messages, figures, tables and pages."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ __all__ = ["UNDESCRIBED", "Description", "Quantity"]
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A signal or an inner state of a plant."""
+    """A signal or a state of a plant."""
 
     name: str
-    """How code and files call it."""
+    """Name in code and files."""
     text: str
-    """What it is, in a few words."""
+    """Short description."""
     unit: str = ""
     low: float = -math.inf
-    """Least value it can be given or can have."""
+    """Lowest possible value."""
     high: float = math.inf
 
     @property
     def decimals(self) -> int:
-        """Decimal places that tell a ten-thousandth of its span; three where it has none."""
+        """Decimal places that resolve a ten-thousandth of its span; three without a span."""
         span = self.high - self.low
         return min(9, max(0, 4 - math.floor(math.log10(span)))) if 0 < span < math.inf else 3
 
     @property
     def label(self) -> str:
-        """Name and unit, as on an axis; of a PWM in PWM the unit says all."""
+        """Name and unit, as on an axis; only the unit if both are equal, as for PWM."""
         if self.name.lower() == self.unit.lower():
             return self.unit
         return f"{self.name} / {self.unit}" if self.unit else self.name
@@ -42,22 +42,22 @@ class Description:
     plant: str
     """Name, such as peltier."""
     title: str
-    """What people call it."""
+    """Displayed name."""
     reference: Quantity
     output: Quantity
     input: Quantity
     disturbances: tuple[Quantity, ...] = ()
     states: tuple[Quantity, ...] = ()
-    """Inner states of a twin, in the order in which messages carry them."""
+    """States of a twin, in the order of messages."""
     structures: tuple[str, ...] = ()
-    """Which parts a model may take the plant to have, by name."""
+    """Names of the plant's structures."""
 
 
 UNDESCRIBED = Description(
     plant="",
     title="",
-    reference=Quantity("set-point", "what the output is to be"),
-    output=Quantity("output", "what is measured"),
-    input=Quantity("input", "what is commanded"),
+    reference=Quantity("set-point", "set-point of the output"),
+    output=Quantity("output", "measured output"),
+    input=Quantity("input", "commanded input"),
 )
-"""A plant that has not yet said what it is called."""
+"""Placeholder for a plant that has not published its description yet."""

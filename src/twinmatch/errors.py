@@ -1,10 +1,10 @@
-"""The root of every error this package raises on purpose.
+"""The base class of all errors that this package raises intentionally.
 
-    TwinmatchError            a user can mend it: the message names what is wrong, where, and what to do
-    └── <room>Error           one per room, next to the code that raises it
+    TwinmatchError            the user can fix it: the message says what is wrong, where, and what to do
+    └── <Package>Error        one per subpackage, next to the code that raises it
 
-Programs catch `TwinmatchError`, print its one line and exit with `EXIT_USER_ERROR`; anything else is
-a defect of ours and keeps its traceback.
+Programs catch `TwinmatchError`, print its message on one line and exit with `EXIT_USER_ERROR`; any other
+exception is a bug and keeps its traceback.
 """
 
 from __future__ import annotations
@@ -15,4 +15,4 @@ EXIT_USER_ERROR = 2
 
 
 class TwinmatchError(ValueError):
-    """Something outside the program is wrong and its owner can mend it."""
+    """A problem outside the program that the user can fix."""

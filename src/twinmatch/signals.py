@@ -1,4 +1,4 @@
-"""Samples and windows: the only data that travel between the rooms of this package.
+"""Samples and windows: the only data exchanged between the subpackages.
 
 A `Sample` is one tick of the control loop. At tick k the reference r[k], the output y[k] of the plant and
 its disturbances are read and the input u[k] is computed from them; u[k] then drives the plant until tick
@@ -24,11 +24,11 @@ KELVIN = 273.15
 """Zero Celsius in kelvin."""
 
 _NONE: FloatArray = np.empty((0, 0))
-"""Stands for the disturbances of a window that was given none."""
+"""Default for a window without disturbances."""
 
 
 class SignalError(TwinmatchError):
-    """Arrays that are no window: unequal lengths, not one-dimensional, not finite, no period."""
+    """Arrays that do not make a window: unequal lengths, not one-dimensional, not finite, invalid period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,12 @@ class Sample:
     input: float
     """Command u computed at this tick."""
     disturbances: tuple[float, ...] = ()
-    """Measured disturbances of the plant, in its order; the rig has none."""
+    """Measured disturbances, in the plant's order; the rig has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Consecutive samples as read-only float64 arrays of one length N."""
+    """Consecutive samples as read-only float64 arrays of length N."""
 
     reference: FloatArray
     """Set-point r, in the output's unit, shape (N,)."""
@@ -92,7 +92,7 @@ class Window:
             raise SignalError(msg)
 
     def _keep(self, name: str, values: FloatArray) -> None:
-        """Hold finite values as a read-only field."""
+        """Store finite values as a read-only field."""
         bad = np.argwhere(~np.isfinite(values))
         if bad.size:
             msg = (
@@ -112,12 +112,12 @@ class Window:
                 numbers of disturbances.
         """
         if not samples:
-            raise SignalError("window: there is no sample to gather")
+            raise SignalError("window: there is no sample; give at least one")
         indices = np.array([s.index for s in samples])
         gaps = np.flatnonzero(np.diff(indices) != 1)
         if gaps.size:
             before, after = indices[gaps[0]], indices[gaps[0] + 1]
-            msg = f"window: sample {after} follows sample {before}; a window has no gaps"
+            msg = f"window: sample {after} follows sample {before}; give consecutive samples"
             raise SignalError(msg)
         number = len(samples[0].disturbances)
         for sample in samples:
@@ -157,7 +157,7 @@ class Window:
         """
         if not self.first <= first <= last <= self.last:
             held = f"{self.first} to {self.last}"
-            msg = f"window: samples {first} to {last} asked of a window that holds {held}"
+            msg = f"window: samples {first} to {last} requested; it holds only {held}"
             raise SignalError(msg)
         span = slice(first - self.first, last - self.first + 1)
         return Window(
@@ -171,7 +171,7 @@ class Window:
 
 
 def not_one_loop(index: int, lengths: Sequence[int]) -> str:
-    """What is wrong with a sample that has so many references, outputs and inputs."""
+    """Error message for a sample with these numbers of references, outputs and inputs."""
     return (
         f"sample {index} has {lengths[0]} references, {lengths[1]} outputs and {lengths[2]} inputs; "
         "a twin runs one loop, with one of each (further measured inputs are disturbances)"
@@ -179,7 +179,7 @@ def not_one_loop(index: int, lengths: Sequence[int]) -> str:
 
 
 def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:
-    """The stretches of samples whose indices follow one another, in order."""
+    """Stretches of samples with consecutive indices, in order."""
     stretches = []
     begin = 0
     for k in range(1, len(samples) + 1):

@@ -1,6 +1,6 @@
-"""Units as plants, columns and people write them: from one to another, and what a unit measures.
+"""Units in common notations: conversion between them, and the quantity that a unit measures.
 
-A unit that no table knows (`PWM`, `steps`) is taken for a count of things, which is a plain number.
+An unknown unit (`PWM`, `steps`) counts as a plain number.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["Conversion", "Measure", "UnitError", "conversion", "measure"]
 
 _COLUMN_WORDS = {"C": "degC", "c": "degC", "°c": "degC", "F": "degF", "°f": "degF", "k": "K"}
-"""What stands in brackets behind a temperature's name, where a table of units has coulomb and farad."""
+"""Abbreviations of temperature units that pint would read as coulomb or farad."""
 _FAR = 2.0**20
-"""How far from zero the slope of a conversion is taken: the farther, the less an offset's digits matter."""
+"""Value at which the slope of a conversion is computed: large, so that rounding of offsets is negligible."""
 _TEMPERATURE = (("[temperature]", 1.0),)
 
 
@@ -28,28 +28,28 @@ class UnitError(TwinmatchError):
 
 
 class Conversion(NamedTuple):
-    """value · scale + offset is the value in the other unit."""
+    """Conversion of a value to another unit: value · scale + offset."""
 
     scale: float = 1.0
     offset: float = 0.0
 
 
 class Measure(NamedTuple):
-    """What a unit measures."""
+    """The quantity that a unit measures."""
 
     dimension: tuple[tuple[str, float], ...] = ()
     """Powers of mass, length, time and so on, by name; empty: a plain number."""
     factor: float = 1.0
-    """How many of the base unit one of it is."""
+    """Size of the unit in base units."""
     known: bool = True
-    """False if no table knows the unit: it is taken for a count."""
+    """False for an unknown unit, which counts as a plain number."""
     offset: bool = False
-    """Whether its zero is not the quantity's (°C, °F)."""
+    """Whether its zero differs from the quantity's (°C, °F)."""
 
 
 @lru_cache(maxsize=256)
 def measure(unit: str) -> Measure:
-    """What a unit measures; `W/(m² K)`, `kg m^2`, `°C` and `%` are understood."""
+    """The quantity that a unit measures; `W/(m² K)`, `kg m^2`, `°C` and `%` are understood."""
     try:
         parsed: Any = _registry().parse_units(_plain(unit))
         base = _registry().Quantity(1.0, parsed)
@@ -63,7 +63,7 @@ def measure(unit: str) -> Measure:
 
 @lru_cache(maxsize=256)
 def conversion(given: str, wanted: str) -> Conversion:
-    """From one unit to another.
+    """Conversion from one unit to another.
 
     Raises:
         UnitError: they measure different things.
@@ -93,6 +93,6 @@ def _plain(unit: str) -> str:
 
 @lru_cache(maxsize=1)
 def _registry() -> pint.UnitRegistry[Any]:
-    import pint  # noqa: PLC0415 (half a second that only who asks for units pays)
+    import pint  # noqa: PLC0415 (takes half a second; needed only for units)
 
     return pint.UnitRegistry()

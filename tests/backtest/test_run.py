@@ -85,7 +85,7 @@ def test_forecasts_through_a_fault_are_left_out(tmp_path: Path) -> None:
     tested = backtest(session, terms_from_files(session), TWIN_ONLY)
     assert tested.marked
     assert all(m.sample + m.horizon < 640 for m in tested.marked)
-    assert any("nobody foresees a fault" in note for note in tested.notes)
+    assert any("the plant had a fault" in note for note in tested.notes)
 
 
 def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_peer_that_could_not_answer_is_reported() -> None:
     whole = open_any(SHIPPED)
     session = replace(whole, samples=[*whole.samples[:700], *whole.samples[740:1000]])
     tested = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("arx",)))
-    assert any("not everybody could answer yet (ARX)" in note for note in tested.notes)
+    assert any("some forecasters lacked samples (ARX)" in note for note in tested.notes)
 
 
 def test_nothing_is_forecast_over_a_gap() -> None:

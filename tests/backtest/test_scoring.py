@@ -79,7 +79,7 @@ def test_a_forecast_of_what_came_has_no_error(count: int, seed: int) -> None:
 
 def test_samples_that_do_not_follow_the_forecast_are_refused() -> None:
     forecast = forecast_of(9, [50.0] * 5, [0.0] * 5)
-    with pytest.raises(BacktestError, match="made at sample 9 is judged from 12 on"):
+    with pytest.raises(BacktestError, match="made at sample 9 cannot be scored from 12 on"):
         marks(forecast, Window([50.0] * 5, [50.0] * 5, [0.0] * 5, first=12), 5.0, Peltier)
     with pytest.raises(BacktestError, match="10 s needs 10 samples; only 5"):
         marks(forecast, Window([50.0] * 20, [50.0] * 20, [0.0] * 20, first=10), 10.0, Peltier)

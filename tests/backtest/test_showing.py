@@ -85,10 +85,10 @@ def test_the_sentence_says_how_the_leader_did() -> None:
     marked = (one(LEADER, 2.0), one("ARX", 5.0), one("persistence", 9.0))
     assert sentences(Backtest("a", Peltier, 1.0, (10.0, 60.0), 0.9, marked)) == [
         "60 s ahead, the leader's temperature was off by less than 0.20 °C half of the time, and its band "
-        "held 93 % of the readings (90 % promised); ARX, the best of the others, erred 2.5 times as much."
+        "held 93 % of the readings (90 % expected); ARX, the best of the peers, had 2.5 times the error."
     ]
     worse = Backtest("a", Peltier, 1.0, (60.0,), 0.9, (one(LEADER, 2.0), one("ARX", 1.0)))
-    assert "erred less, 0.50 times as much." in sentences(worse)[0]
+    assert "had a smaller error, 0.50 times as large." in sentences(worse)[0]
 
 
 def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:

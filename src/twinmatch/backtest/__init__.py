@@ -1,9 +1,9 @@
-"""The report card of a twin: its forecasts against what came, beside what a user would take instead.
+"""Backtests: a twin's forecasts compared with the samples, beside those of simpler methods.
 
-`backtest_session` runs a session through the twin and asks everybody at every verdict and every minute; a
-`Backtest` holds how that came out. `marks` judges one forecast, `cards` sums up many. A `Peer` forecasts from
-the same samples and set-points as the twin and knows nothing else. `fidelity` aligns a twin's trace with the
-plant's, as others do.
+`backtest_session` runs a session through the twin and makes forecasts with all forecasters at every verdict
+and every minute; a `Backtest` holds the results. `marks` scores one forecast, `cards` summarise many. A
+`Peer` forecasts from the same samples and set-points as the twin and nothing else. `fidelity` aligns a twin's
+trace with the plant's, as in the literature.
 """
 
 from twinmatch.backtest.choices import Choices

@@ -1,4 +1,4 @@
-"""The forecast of an ARX model: what somebody with least squares and an afternoon would use."""
+"""Forecasts of an ARX model, a simple least-squares alternative to a twin."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["HIGHEST", "LEAST", "PER_ORDER", "Arx"]
 LEAST = 60
 HIGHEST = 10
 PER_ORDER = 15
-"""Samples that each further order takes; a short past is not fitted with a long memory."""
+"""Samples needed per order, so that a short past is not fitted with a high order."""
 
 
 class _Loop(NamedTuple):
@@ -29,13 +29,13 @@ class _Loop(NamedTuple):
 
     @property
     def rows(self) -> FloatArray:
-        """What y and u, one after the other, take from the past of y and u, shape (2, 2p)."""
+        """Coefficients of y and u on the past of y and u, shape (2, 2p)."""
         y, u = (np.concatenate([e.past[:, 0], e.past[:, 1]]) for e in self)
         return np.array([y, u + self.controller.direct[1] * y])
 
     @property
     def transition(self) -> FloatArray:
-        """Of the past of y and u, newest first, shape (2p, 2p)."""
+        """Transition matrix of the past of y and u, newest first, shape (2p, 2p)."""
         order = len(self.plant.past)
         matrix = np.eye(2 * order, k=-1)
         matrix[[0, order]] = self.rows
@@ -43,16 +43,16 @@ class _Loop(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Largest absolute eigenvalue; above 1 the forecast runs away."""
+        """Largest absolute eigenvalue; above 1 the forecast diverges."""
         return float(np.max(np.abs(np.linalg.eigvals(self.transition))))
 
 
 class Arx:
-    """Output and input on their past and the set-point's, fitted anew to all samples so far.
+    """Output and input regressed on their past and the set-point's, refitted to all samples so far.
 
-    The order is the one of least BIC among those whose loop is stable. The loop is simulated ahead with the
-    set-points to come and the drive's limits. The band is Gaussian: the variance of what the equations leave,
-    carried along the simulated path; the limiter passes the share of a deviation that lies within the limits
+    The order is the one of least BIC among those with a stable loop. The loop is simulated ahead with the
+    future set-points and the drive's limits. The band is Gaussian: the variance of the residuals, propagated
+    along the simulated path; the limiter passes the share of a deviation that lies within the limits
     (statistical linearisation).
     """
 
@@ -96,7 +96,7 @@ class Arx:
 
 
 def _chosen(loops: list[_Loop]) -> _Loop:
-    """The stable one of least BIC; where none is, the one that runs away most slowly."""
+    """The stable loop of least BIC; if none is stable, the one that diverges most slowly."""
     radii = [loop.radius for loop in loops]
     stable = [loop for loop, radius in zip(loops, radii, strict=True) if radius < 1.0]
     if not stable:

@@ -3,9 +3,9 @@
     y[k] = a₀ + Σ (a y[k−i] + b u[k−i] + c r[k−i]) + e           i = 1 … p
     u[k] = d₀ + f r[k] + g y[k] + Σ (the same of the past) + v
 
-A drive at its limit spoils the controller's equation. Those samples are kept all the same: without them it
-knows least of steps, and forecasts these worse. All orders up to the highest are fitted at once: the columns
-stand lag by lag, so that every lower order is the beginning of one triangular factor.
+A drive at its limit violates the controller's equation. Those samples are kept nevertheless: without them the
+fit has the least data on steps, and forecasts these worse. All orders up to the highest are fitted at once:
+the columns are ordered by lag, so that every lower order is a leading block of one triangular factor.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from twinmatch.signals import FloatArray
 __all__ = ["Equation", "equations", "input_equations"]
 
 _RIDGE = 1e-4
-"""Weight of a coefficient among residuals in units of the noise: it decides only what the data leave open,
-such as the share of a set-point that never moved."""
+"""Ridge weight of a coefficient, for residuals in units of the noise: it affects only what the data leave
+open, such as the coefficient of a set-point that never moved."""
 
 
 class Equation(NamedTuple):
-    """One of the two, at one order p."""
+    """One of the two equations, at one order p."""
 
     constant: float
     direct: FloatArray
-    """Of r[k] and y[k]; empty in the plant's equation."""
+    """Coefficients of r[k] and y[k]; empty in the plant's equation."""
     past: FloatArray
-    """Of y, u and, in closed loop, r, one row for each lag, shape (p, signals)."""
+    """Coefficients of past y, u and, in closed loop, r, one row per lag, shape (p, signals)."""
     variance: float
-    """Of what is left."""
+    """Variance of the residuals."""
     bic: float
     """Schwarz (1978), up to a constant: N ln V + m ln N with m coefficients."""
 
@@ -44,10 +44,10 @@ def equations(
     """The plant's and the controller's equation at every order from 1 to `highest`.
 
     Args:
-        reference: set-points r, shape (N,), as y in units of the output's noise and about some level.
+        reference: set-points r, shape (N,), like y in units of the output's noise and relative to a level.
         output: outputs y, shape (N,).
         entry: inputs u, shape (N,), in units of the drive's noise.
-        highest: order, at least 1 and less than N.
+        highest: highest order, at least 1 and less than N.
     """
     count = output.size - highest
     lags = [

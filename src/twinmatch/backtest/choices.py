@@ -1,4 +1,4 @@
-"""What a backtest is to test, and how often."""
+"""The choices of a backtest: horizons, interval and peers."""
 
 from __future__ import annotations
 
@@ -13,40 +13,40 @@ from twinmatch.forecasting import HORIZONS
 __all__ = ["Choices"]
 
 _EVERY: Final = 60.0
-"""Seconds between two forecasts, if nothing else is asked for."""
+"""Default time between two forecasts, s."""
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What is tested, and how often.
+    """Horizons, interval and peers of a backtest.
 
     Raises:
         BacktestError: there is no horizon, or no such peer.
     """
 
     every: float | None = None
-    """Seconds between two forecasts, beside those at every verdict; None: a minute, but at least a sample."""
+    """Time between two forecasts, s, besides those at every verdict; None: a minute, at least a sample."""
     horizons: tuple[float, ...] | None = None
-    """How far ahead, s; None: `HORIZONS`, without those that are shorter than a sample."""
+    """Horizons, s; None: `HORIZONS`, except those shorter than a sample."""
     peers: tuple[str, ...] = tuple(PEERS)
-    """Names of those who are asked beside the twin."""
+    """Names of the peers."""
 
     def __post_init__(self) -> None:
         if self.horizons == ():
             raise BacktestError("backtest: there is no horizon; give at least one, in seconds")
         unknown = [name for name in self.peers if name not in PEERS]
         if unknown:
-            raise BacktestError(f"no peer {unknown[0]!r}; there are {', '.join(PEERS)}")
+            raise BacktestError(f"backtest: no peer {unknown[0]!r}; choose from {', '.join(PEERS)}")
 
     def pace(self, period: float) -> float:
-        """Seconds between two forecasts, for samples that come every so many seconds."""
+        """Time between two forecasts, s, for this sample time, s."""
         return max(_EVERY, period) if self.every is None else self.every
 
     def ahead(self, period: float) -> tuple[float, ...]:
-        """The horizons from near to far, for samples that come every so many seconds.
+        """The horizons from near to far, for this sample time, s.
 
         Raises:
-            BacktestError: one that was asked for is shorter than a sample.
+            BacktestError: a requested horizon is shorter than a sample.
         """
         if self.horizons is None:
             return tuple(h for h in HORIZONS if h >= period) or (period,)

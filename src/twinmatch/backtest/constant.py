@@ -1,4 +1,4 @@
-"""The band somebody would draw who has a twin and its residuals, and no model of what is uncertain."""
+"""A band of constant width from a twin's residuals, without a model of the uncertainty."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ __all__ = ["with_constant_band"]
 def with_constant_band(
     forecast: Forecast, parameters: Parameters, past: Window, gains: PidGains | None
 ) -> Forecast:
-    """The same means with a band of one width, however far ahead.
+    """The same means with a band of one width at all horizons.
 
-    The band is what held its share of the residuals of the closed-loop twin over the whole past: measured
-    minus twin, of output and of input; or of the driven twin, of the output alone. On part of that past the
-    twin was matched, so that the band tends to be narrow; that is how such bands are made.
+    The band contains its share of the residuals of the closed-loop twin over the whole past (measured minus
+    twin, for output and input), or of the driven twin (output only). The twin was matched on part of that
+    past, so the band tends to be narrow; such bands are usually made so.
 
     Args:
-        forecast: what the twin says.
-        parameters: of that twin.
+        forecast: the twin's forecast.
+        parameters: parameters of that twin.
         past: all samples up to the forecast, at least four.
-        gains: of its controller; None for a loop that is not known.
+        gains: gains of its controller; None if the loop is not known.
     """
     twin = simulate_window(parameters, past, gains=gains)
     output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)

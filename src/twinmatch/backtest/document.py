@@ -12,9 +12,9 @@ __all__ = ["document"]
 
 
 def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
-    """Report cards and, if wanted, the marks of every forecast; NaN becomes None.
+    """Report cards and, optionally, the marks of every forecast; NaN becomes None.
 
-    Errors, ends, widths and scores are in units of the noise that stands beside them.
+    Errors, ends, widths and scores are in units of the noise in the same document.
     """
     plant = backtest.plant
     found: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""What can be wrong with a backtest."""
+"""The error of this package."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["BacktestError"]
 
 
 class BacktestError(TwinmatchError):
-    """A backtest that cannot be made: samples that do not fit a forecast, a peer that is not known."""
+    """A backtest that cannot be made: samples that do not fit a forecast, or an unknown peer."""

@@ -1,15 +1,13 @@
-"""How alike two traces are if one may be shifted against the other: alignment of their snapshots.
+"""Fidelity of a trace: alignment of a twin's readings with the plant's, allowing time shifts.
 
-The fidelity measure of Muñoz, Wimmer, Troya and Vallecillo, so that a twin can be put beside those that were
-published with it. Two readings within a tolerance are alike, by 1 − distance/tolerance; a pair that is not
-alike earns nothing. Readings of either trace may be left without a partner, which costs something for each
-such gap and something for each reading in it. Of all ways to walk through both traces in order the one that
-earns most is taken (Needleman and Wunsch 1970, with Gotoh's affine gaps of 1982). Told is what share of the
-readings found one alike, and how far apart those are.
+The fidelity measure of Muñoz, Wimmer, Troya and Vallecillo, for comparison with twins published with it. Two
+readings within a tolerance match, with the score 1 − distance/tolerance; other pairs score zero. Readings of
+either trace may stay unpaired, at a cost for each such gap and for each reading in it. The alignment with the
+highest score is computed (Needleman and Wunsch 1970, with Gotoh's affine gaps of 1982). The results are the
+share of readings that match and their mean distance.
 
-It forgives what comes too early or too late, and it does not weigh how far off the rest is: a twin that is
-wrong by 0.3 °C all the time and one that is wrong by 30 °C match alike. What a forecast is worth, `marks`
-says.
+The measure tolerates time shifts and ignores the size of larger errors: if neither is within the tolerance, a
+twin that is wrong by 0.3 °C and one that is wrong by 30 °C get the same score. `marks` scores forecasts.
 
 Source: IEEE Transactions on Software Engineering 2024, doi 10.1109/TSE.2024.3462978.
 """
@@ -30,25 +28,25 @@ from twinmatch.signals import FloatArray
 __all__ = ["Fidelity", "fidelity"]
 
 _PAIR, _TWIN, _PLANT = 0, 1, 2
-"""Last step of a walk: both move on, the twin alone, or the plant alone."""
+"""Last step of an alignment: both traces advance, the twin's alone, or the plant's alone."""
 _OPENING: Final = 1.0
 _EXTENDING: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Fidelity:
-    """What the best alignment of two traces comes to."""
+    """Result of the best alignment of two traces."""
 
     matched: float
-    """Readings that found one alike, as a share of the longer trace."""
+    """Number of matching pairs, as a share of the longer trace."""
     mean: float
     """Mean distance of these pairs, in the unit of the readings; NaN without any."""
     score: float
-    """What the alignment earned."""
+    """Score of the alignment."""
     gaps: int
-    """Stretches without a partner."""
+    """Number of unpaired stretches."""
     pairs: NDArray[np.int64]
-    """Places in twin and plant of all that were paired, alike or not, shape (P, 2)."""
+    """Indices in twin and plant of all pairs, matching or not, shape (P, 2)."""
 
 
 def fidelity(
@@ -59,38 +57,40 @@ def fidelity(
     opening: float = _OPENING,
     extending: float = _EXTENDING,
 ) -> Fidelity:
-    """Align what a twin said with what was measured.
+    """Align a twin's trace with the plant's.
 
     Args:
-        twin: shape (N,).
-        plant: shape (M,), in the same unit.
-        tolerance: distance below which two readings are alike, in that unit.
-        opening: what a gap costs, in pairs that are exactly alike.
-        extending: what each reading in it costs besides.
+        twin: readings of the twin, shape (N,).
+        plant: readings of the plant, shape (M,), in the same unit.
+        tolerance: distance below which two readings match, in that unit.
+        opening: cost of a gap; an exact pair scores 1.
+        extending: additional cost of each reading in it.
 
     Raises:
-        BacktestError: no readings, some that are not finite, or a tolerance or cost without meaning.
+        BacktestError: no readings, some that are not finite, or an invalid tolerance or cost.
     """
     a, b = np.asarray(twin, dtype=np.float64), np.asarray(plant, dtype=np.float64)
     for name, values in (("twin", a), ("plant", b)):
         if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-            raise BacktestError(f"fidelity: the trace of the {name} must be a row of finite readings")
+            raise BacktestError(
+                f"fidelity: the trace of the {name} is invalid; give a row of finite readings"
+            )
     if not (math.isfinite(tolerance) and tolerance > 0):
         raise BacktestError(f"fidelity: the tolerance is {tolerance}; it must be positive")
     if not (opening >= 0 and extending >= 0):
         raise BacktestError(f"fidelity: a gap costs {opening} and {extending}; neither may be negative")
     score, pairs, gaps = _aligned(a, b, tolerance, opening, extending)
     distance = np.abs(a[pairs[:, 0]] - b[pairs[:, 1]])
-    alike = distance < tolerance
-    mean = float(distance[alike].mean()) if alike.any() else math.nan
-    return Fidelity(int(alike.sum()) / max(a.size, b.size), mean, float(score), int(gaps), pairs)
+    matching = distance < tolerance
+    mean = float(distance[matching].mean()) if matching.any() else math.nan
+    return Fidelity(int(matching.sum()) / max(a.size, b.size), mean, float(score), int(gaps), pairs)
 
 
 @compiled
 def _aligned(
     a: FloatArray, b: FloatArray, tolerance: float, opening: float, extending: float
 ) -> tuple[float, NDArray[np.int64], int]:
-    """Score, pairs, shape (P, 2), and number of gaps of the best walk."""
+    """Score, pairs, shape (P, 2), and number of gaps of the best alignment."""
     n, m = a.size, b.size
     best = np.full((3, n + 1, m + 1), -np.inf)
     came = np.zeros((3, n + 1, m + 1), dtype=np.int8)

@@ -1,4 +1,4 @@
-"""The report card as a picture: errors and coverage by horizon, and some forecasts against what came."""
+"""The report card as a figure: errors and coverage by horizon, and some forecasts with the samples."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _LOOKS: Final = {
     HINDSIGHT: (MODEL, "*"),
 }
 _PEERS: Final = ((SET_POINT, "v"), ("#56B4E9", "D"), ("#E69F00", "P"))
-"""Of the peers, in the order in which they were asked."""
+"""Colours and markers of the peers, in order."""
 
 
 @styled
 def draw_backtest(backtest: Backtest) -> Figure:
-    """Errors and coverage of everybody by horizon; forecasts of the leader with their bands."""
+    """Errors and coverage of all forecasters by horizon; forecasts of the leader with their bands."""
     figure = new_figure(11, 9.5)
     grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 1.8, 1.2, 1.2))
     found = backtest.cards
@@ -64,14 +64,14 @@ def _looks(found: Sequence[Card]) -> dict[str, tuple[str, str]]:
 
 
 def _places(count: int) -> Sequence[float]:
-    """Beside one another around a horizon."""
+    """Horizontal offsets of the forecasters around a horizon."""
     return [(k - (count - 1) / 2) * 0.8 / count for k in range(count)]
 
 
 def _draw_errors(
     axes: Axes, found: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
 ) -> None:
-    """Median and, at the end of a line, what nine in ten are below."""
+    """Median, and a line up to the value below which nine in ten are."""
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415 — slow
 
     for (who, (colour, marker)), shift in zip(looks.items(), _places(len(looks)), strict=True):
@@ -91,7 +91,7 @@ def _draw_errors(
 def _draw_coverage(
     axes: Axes, backtest: Backtest, found: Sequence[Card], looks: dict[str, tuple[str, str]]
 ) -> None:
-    """Share of the samples in the band, of the output filled and of the input hollow."""
+    """Share of the samples in the band: output filled, input hollow."""
     for (who, (colour, marker)), shift in zip(looks.items(), _places(len(looks)), strict=True):
         own = [(backtest.horizons.index(c.horizon) + shift, c) for c in found if c.who == who]
         places = [place for place, _ in own]
@@ -99,8 +99,8 @@ def _draw_coverage(
         axes.plot(places, [100 * c.coverage_input for _, c in own], marker, color=colour, ms=6, mfc="white")
     axes.axhline(100 * backtest.confidence, color=MODEL, lw=1, ls="--")
     words = words_of(backtest.plant)
-    of_both = f"Held by the band: {words.output} filled, {words.input} hollow"
-    axes.set_title(f"Held by the band: {words.output}" if backtest.driven else of_both)
+    of_both = f"Coverage of the band: {words.output} filled, {words.input} hollow"
+    axes.set_title(f"Coverage of the band: {words.output}" if backtest.driven else of_both)
     axes.set_ylim(min(50.0, axes.get_ylim()[0]), 102.0)
     axes.set_ylabel("samples within the band / %")
     _name_horizons(axes, backtest.horizons)
@@ -112,7 +112,7 @@ def _name_horizons(axes: Axes, horizons: Sequence[float]) -> None:
 
 
 def _draw_came(output: Axes, entry: Axes, backtest: Backtest) -> None:
-    """The session as it came."""
+    """Draw the samples of the session."""
     for number, window in enumerate(backtest.came):
         hidden = "_" if number else ""
         if not backtest.driven:
@@ -125,14 +125,14 @@ def _draw_came(output: Axes, entry: Axes, backtest: Backtest) -> None:
                 drawstyle="steps-post",
                 label=f"{hidden}set-point",
             )
-        output.plot(window.time, window.output, color=PLANT, lw=1, label=f"{hidden}what came")
+        output.plot(window.time, window.output, color=PLANT, lw=1, label=f"{hidden}measured")
         entry.plot(window.time, window.input, color=PLANT, lw=0.8)
 
 
 def _draw_forecast(
     axes: tuple[Axes, Axes, Axes], forecast: Forecast, backtest: Backtest, *, first: bool
 ) -> None:
-    """What the leader had said before, band and mean, and the output's error within the band."""
+    """Draw a forecast of the leader, mean and band, and the output's error within the band."""
     output, left, entry = axes
     hidden = "" if first else "_"
     time = forecast.sample * backtest.period + forecast.time
@@ -156,9 +156,9 @@ def _dress(axes: tuple[Axes, Axes, Axes], backtest: Backtest) -> None:
         reach = float(backtest.shown[-1].time[-1])
         output.set_xlim(begin - 0.2 * reach, last + 1.1 * reach)
     whose = backtest.pictured or backtest.name
-    output.set_title(f"{whose}: what the leader had foretold")
+    output.set_title(f"{whose}: forecasts of the leader")
     output.set_ylabel(words.output_label)
-    left.set_ylabel(with_unit("came − forecast", words.output_unit))
+    left.set_ylabel(with_unit("measured − forecast", words.output_unit))
     left.axhline(0, color=SET_POINT, lw=0.6)
     entry.set_ylabel(words.input_label)
     entry.set_xlabel("time since the session began / s")

@@ -1,5 +1,4 @@
-"""Peers of a twin whose loop is not known: they foretell the output under the inputs that came, as it
-does."""
+"""Peers of a twin whose loop is not known: like it, they forecast the output under the actual inputs."""
 
 from __future__ import annotations
 
@@ -36,10 +35,10 @@ class OutputPersistence:
 
 
 class InputArx:
-    """The output on its past and the input's, fitted anew to all samples so far.
+    """The output regressed on its past and the input's, refitted to all samples so far.
 
-    The order is the one of least BIC among those that are stable. The band is Gaussian: the variance of what
-    the equation leaves, carried along.
+    The order is the one of least BIC among those that are stable. The band is Gaussian: the propagated
+    variance of the residuals.
     """
 
     name = "ARX"
@@ -67,14 +66,14 @@ class InputArx:
 
 
 def _chosen(found: list[Equation]) -> Equation:
-    """The stable one of least BIC; where none is, the one that runs away most slowly."""
+    """The stable equation of least BIC; if none is stable, the one that diverges most slowly."""
     radii = [float(np.abs(np.roots(np.append(1.0, -e.past[:, 0]))).max(initial=0.0)) for e in found]
     stable = [e for e, radius in zip(found, radii, strict=True) if radius < 1.0]
     return min(stable, key=lambda e: e.bic) if stable else found[int(np.argmin(radii))]
 
 
 def _mean(equation: Equation, output: FloatArray, entry: FloatArray, count: int) -> FloatArray:
-    """The output ahead, shape (count,); `entry` holds the inputs of the past and those ahead."""
+    """The future output, shape (count,); `entry` holds past and future inputs."""
     order = len(equation.past)
     held = output[-order:].tolist()
     known = output.size
@@ -86,7 +85,7 @@ def _mean(equation: Equation, output: FloatArray, entry: FloatArray, count: int)
 
 
 def _spread(equation: Equation, count: int) -> FloatArray:
-    """Standard deviation of the output ahead, shape (count,)."""
+    """Standard deviation of the future output, shape (count,)."""
     weights = np.zeros(count)
     for k in range(count):
         newest = weights[max(k - len(equation.past), 0) : k][::-1]

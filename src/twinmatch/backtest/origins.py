@@ -1,4 +1,4 @@
-"""When forecasts are made, and what became of them."""
+"""Origins: the samples at which forecasts are made, and the samples that follow."""
 
 from __future__ import annotations
 
@@ -18,47 +18,47 @@ __all__ = ["Origin", "ask", "mark", "origins", "regular", "stretches"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """A sample at which everybody is asked for a forecast."""
+    """A sample at which all forecasters make a forecast."""
 
     sample: int
     """Index of the newest sample that is known."""
     stretch: Window
-    """The unbroken samples around it."""
+    """The stretch without gaps that contains it."""
     count: int
-    """How many samples a forecast is made for: the longest horizon, or what the stretch still holds."""
+    """Length of the forecast, samples: the longest horizon, or the rest of the stretch."""
     driven: bool = False
-    """Whether the loop is not known, so that the inputs that came are given."""
+    """Whether the loop is not known, so that the actual inputs are given."""
 
     @property
     def past(self) -> Window:
-        """What is known."""
+        """The samples known at the origin."""
         return self.stretch.part(self.stretch.first, self.sample)
 
     @property
     def came(self) -> Window:
-        """What came, as long as the forecast."""
+        """The samples that followed, as many as forecast."""
         return self.stretch.part(self.sample + 1, self.sample + self.count)
 
     @property
     def ahead(self) -> FloatArray:
-        """What a forecast may know of what came: the set-points, or the inputs where the loop is not
+        """The future values that a forecast may use: the set-points, or the inputs if the loop is not
         known."""
         return self.came.input if self.driven else self.came.reference
 
     @property
     def disturbances(self) -> FloatArray | None:
-        """Those that came, from the newest sample on, shape (N + 1, d); None without any."""
+        """The actual disturbances from the newest sample on, shape (N + 1, d); None if there are none."""
         held = self.stretch.part(self.sample, self.sample + self.count).disturbances
         return held if held.size else None
 
 
 def stretches(samples: Sequence[Sample], period: float) -> tuple[Window, ...]:
-    """The unbroken stretches of a session as windows."""
+    """The stretches of a session without gaps, as windows."""
     return tuple(Window.from_samples(stretch, period) for stretch in unbroken(samples))
 
 
 def regular(held: Sequence[Window], every: float) -> list[int]:
-    """The samples at which so many seconds of a stretch are over, again and again.
+    """The samples at regular intervals, in seconds, within each stretch.
 
     Raises:
         BacktestError: `every` is shorter than one sample.
@@ -73,12 +73,12 @@ def regular(held: Sequence[Window], every: float) -> list[int]:
 def origins(
     held: Sequence[Window], samples: Iterable[int], horizons: Sequence[float], *, driven: bool = False
 ) -> list[Origin]:
-    """At these samples, where at least the nearest horizon can still be judged.
+    """The origins at these samples, if at least the nearest horizon can be scored.
 
     Args:
         held: the session's stretches.
-        samples: indices.
-        horizons: how far ahead, s, from near to far.
+        samples: indices of the samples.
+        horizons: horizons, s, from near to far.
         driven: whether the loop is not known.
 
     Raises:
@@ -97,7 +97,7 @@ def origins(
 
 
 def ask(peer: Peer, origin: Origin) -> Forecast | None:
-    """A peer's forecast; None where its past does not suffice."""
+    """A peer's forecast; None if its past is too short."""
     try:
         with one_thread():
             return peer.forecast(origin.past, origin.ahead)
@@ -115,7 +115,7 @@ def mark(
     plant: type[Plant],
     candidate: str = "",
 ) -> list[Marked]:
-    """A forecast judged at every horizon of which all samples came."""
+    """Score a forecast at every horizon for which all samples exist."""
     came = origin.came
     return [
         Marked(session, origin.sample, horizon, who, marks(forecast, came, horizon, plant), candidate)

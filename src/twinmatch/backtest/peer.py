@@ -1,4 +1,4 @@
-"""What every peer has in common: who else forecasts, from the same samples and set-points as the twin."""
+"""The interface of peers: other forecasters, with the same samples and set-points as the twin."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ __all__ = ["Peer", "banded", "enough"]
 
 
 class Peer(Protocol):
-    """Who forecasts without a twin."""
+    """A forecaster without a twin."""
 
     @property
     def name(self) -> str:
-        """How tables and figures call it."""
+        """Name in tables and figures."""
         ...
 
     def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
@@ -26,10 +26,10 @@ class Peer(Protocol):
 
         Args:
             past: all samples up to and including the newest; nothing else is known.
-            ahead: set-points of the samples to come, or inputs where the loop is not known, shape (N,).
+            ahead: future set-points, or inputs if the loop is not known, shape (N,).
 
         Raises:
-            ForecastError: the past does not suffice.
+            ForecastError: the past is too short.
         """
         ...
 
@@ -39,7 +39,7 @@ def enough(name: str, past: Window, least: int) -> None:
     ForecastError: the past has fewer samples than this.
     """
     if len(past) < least:
-        raise ForecastError(f"{name}: {len(past)} samples are too few for a forecast; it takes {least}")
+        raise ForecastError(f"{name}: {len(past)} samples are too few for a forecast; give at least {least}")
 
 
 def banded(
@@ -52,7 +52,7 @@ def banded(
     plant: type[Plant],
     confidence: float,
 ) -> Forecast:
-    """A peer's forecast; the input stays within the drive's limits, band and all."""
+    """A peer's forecast; the input and its band are clipped to the drive's limits."""
     return Forecast(
         sample=past.last,
         candidate=name,

@@ -1,4 +1,4 @@
-"""Who is asked beside the twin, by name."""
+"""The peers by name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["PEERS", "Absent", "peers"]
 PEERS: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(
     {"persistence": Persistence, "arx": Arx, "statsmodels": VectorAutoregression}
 )
-"""What makes each of them for a plant, by the name that people ask for it."""
+"""Constructors of the peers for a plant, by name."""
 
 
 _DRIVEN: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(
@@ -29,18 +29,18 @@ _DRIVEN: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(
 
 
 class Absent(NamedTuple):
-    """A peer that cannot be asked here."""
+    """A peer that is not available here."""
 
     name: str
     reason: str
-    """Why, and what helps."""
+    """Why, and what to do."""
 
 
 def peers(
     plant: type[Plant], names: Sequence[str] = tuple(PEERS), *, driven: bool = False
 ) -> tuple[list[Peer], list[Absent]]:
-    """The peers with these names, and those of them that are not installed, or, where the loop is not known
-    and everybody is given the inputs that came (`driven`), that foretell nothing but both signals of a loop.
+    """The peers with these names, and the unavailable ones: not installed, or, if the loop is not known and
+    the actual inputs are given (`driven`), able to forecast only both signals of a loop.
 
     Raises:
         BacktestError: there is no such peer.
@@ -49,9 +49,9 @@ def peers(
     absent: list[Absent] = []
     for name in names:
         if name not in PEERS:
-            raise BacktestError(f"no peer {name!r}; there are {', '.join(PEERS)}")
+            raise BacktestError(f"backtest: no peer {name!r}; choose from {', '.join(PEERS)}")
         if driven and name not in _DRIVEN:
-            both = "it foretells output and input of a loop; here the inputs are given"
+            both = "it forecasts output and input of a loop; here the inputs are given"
             absent.append(Absent(PEERS[name](plant).name, both))
             continue
         peer = (_DRIVEN if driven else PEERS)[name](plant)

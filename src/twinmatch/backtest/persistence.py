@@ -1,4 +1,4 @@
-"""The forecast that everything stays as it is."""
+"""The forecast of no change."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from twinmatch.signals import FloatArray, Window
 __all__ = ["Persistence"]
 
 _LEAST = 20
-"""Differences from which quantiles are taken; longer lags than the past has so many of are extrapolated."""
+"""Least number of differences for quantiles; longer lags, with fewer differences, are extrapolated."""
 _LAGS = 25
-"""Lags at which quantiles are taken; in between they are interpolated."""
+"""Number of lags at which quantiles are computed; in between they are interpolated."""
 
 
 class Persistence:
     """Output and input keep their newest values.
 
-    The band holds what the past differed by over as many samples: the quantiles of y[j+h] − y[j] over all
-    j so far, for every h. A lag that the past is too short for is given the widest one known, times the
-    root of the ratio of the lags, as for a random walk.
+    The band at h samples ahead is given by the quantiles of y[j+h] − y[j] over all past j. A lag for which
+    the past is too short gets the widest known one, times the root of the ratio of the lags, as for a random
+    walk.
     """
 
     name = "persistence"

@@ -1,4 +1,4 @@
-"""What a backtest came to, as other modules show it."""
+"""The result of a backtest."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ NEWEST: Final = "newest"
 CONSTANT: Final = "nominal, constant band"
 """The nominal twin's forecast with a band of one width, from its residuals so far."""
 TWINS: Final = (LEADER, NOMINAL, NEWEST, CONSTANT, HINDSIGHT)
-"""Who forecasts with a twin; everybody else is a peer."""
+"""Forecasters with a twin; all others are peers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Backtest:
-    """Forecasts of one session against what came, or of several together."""
+    """Scored forecasts of one session, or of several together."""
 
     name: str
     plant: type[Plant]
     period: float
-    """s."""
+    """Sample time, s."""
     horizons: tuple[float, ...]
-    """s, from near to far."""
+    """Horizons, s, from near to far."""
     confidence: float
     """Share of the samples that every band is to hold."""
     marked: tuple[Marked, ...]
-    """Every forecast at every horizon, of the origins at which all could answer."""
+    """Every forecast at every horizon, at the origins at which all forecasters could make one."""
     came: tuple[Window, ...] = ()
-    """The unbroken stretches of samples."""
+    """The samples, in stretches without gaps."""
     pictured: str = ""
-    """Name of the session that these are of; empty: this one's."""
+    """Name of the session with these samples; empty: this one's."""
     shown: tuple[Forecast, ...] = ()
-    """Forecasts of the leader, one after another, for a picture."""
+    """Consecutive forecasts of the leader, for a figure."""
     absent: tuple[Absent, ...] = ()
-    """Peers that could not be asked here."""
+    """Peers that are not available here."""
     notes: tuple[str, ...] = ()
-    """What was left out and why, in words."""
+    """Sentences on what was left out and why."""
 
     @property
     def cards(self) -> list[Card]:
@@ -55,17 +55,17 @@ class Backtest:
 
     @property
     def driven(self) -> bool:
-        """Whether the loop is not known and inputs were given, of which nothing is said then."""
+        """Whether the loop is not known and inputs were given; inputs are then not scored."""
         return any(one.marks.input is None for one in self.marked)
 
     @property
     def origins(self) -> int:
-        """At how many samples forecasts were made and judged at some horizon."""
+        """Number of samples at which forecasts were made and scored at some horizon."""
         return len({(one.session, one.sample) for one in self.marked})
 
 
 def over_all(found: Sequence[Backtest]) -> Backtest:
-    """Several sessions of one plant as one; every forecast counts the same."""
+    """Combine several sessions of one plant; every forecast has the same weight."""
     first, names = found[0], [each.name for each in found]
     marked: list[Marked] = []
     for number, each in enumerate(found, 1):

@@ -1,4 +1,4 @@
-"""A session through the twin, and everybody's forecasts against what came."""
+"""Runs a session through the twin, and scores all forecasts."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from twinmatch.twin.threads import one_thread
 __all__ = ["Listener", "backtest", "backtest_session", "graded", "halves"]
 
 
-class _Asked(NamedTuple):
-    """What every candidate knew at one sample, and who was who."""
+class _Outlooks(NamedTuple):
+    """The outlooks of all candidates at one sample, and their roles."""
 
     outlooks: dict[str, Outlook]
     who: dict[str, str]
-    """Name of the candidate by its part: leader, nominal, newest."""
+    """Name of the candidate by role: leader, nominal, newest."""
 
 
 @dataclass
 class Listener:
-    """Sits beside the twin while a session is judged, and keeps what its candidates know at some samples."""
+    """Records the outlooks of the twin's candidates at some samples while a session is judged."""
 
     wanted: frozenset[int]
-    """Samples at which that is kept, beside those of the verdicts."""
-    asked: dict[int, _Asked] = field(default_factory=dict)
+    """Samples at which outlooks are recorded, besides those of the verdicts."""
+    asked: dict[int, _Outlooks] = field(default_factory=dict)
     twin: Twin | None = None
 
     @classmethod
     def to(cls, samples: Sequence[Sample], period: float, choices: Choices) -> Listener:
-        """One for these samples.
+        """A listener for these samples.
 
         Raises:
             BacktestError: a horizon or the time between two forecasts is shorter than one sample.
@@ -56,7 +56,7 @@ class Listener:
         return cls(frozenset(regular(stretches(samples, period), choices.pace(period))))
 
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
-        """Take what one sample brought about."""
+        """Take the outcome of one sample."""
         self.twin = twin
         if not (outcome.verdicts or sample.index in self.wanted):
             return
@@ -68,10 +68,10 @@ class Listener:
             NEWEST: next((name for name in names if name not in structures), None),
         }
         parts = {part: name for part, name in who.items() if name in names}
-        self.asked[sample.index] = _Asked({name: forecaster.outlook(name) for name in names}, parts)
+        self.asked[sample.index] = _Outlooks({name: forecaster.outlook(name) for name in names}, parts)
 
     def spoilt(self, first: int, last: int) -> bool:
-        """Whether the plant was found to be at fault between two samples."""
+        """Whether the monitor found a fault of the plant between two samples."""
         monitor = self.twin.discriminator.monitor if self.twin else None
         return monitor is not None and monitor.fault_between(first, last) is not None
 
@@ -88,12 +88,12 @@ def backtest_session(
     """Test the twin on a session, an .mcap file or a recording.
 
     Args:
-        path: what to test on.
-        choices: how far ahead, how often, and against whom.
+        path: session, .mcap file or recording.
+        choices: horizons, interval and peers.
         config: file of parameters; without it the defaults.
-        candidates: file of candidates to begin with.
-        plant: name or file of the plant, where the session does not say it or it is in a file.
-        watch: called now and then.
+        candidates: file of initial candidates.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch: called with the progress.
 
     Raises:
         TwinmatchError: one of the files cannot be used, or a horizon is too short for the session.
@@ -105,7 +105,7 @@ def backtest_session(
 def backtest(
     session: Session, terms: Terms, choices: Choices | None = None, *, watch: Watch | None = None
 ) -> Backtest:
-    """Test the twin on a session, on these terms; see `backtest_session`."""
+    """Test the twin on a session with these settings; see `backtest_session`."""
     choices = choices or Choices()
     listener = Listener.to(session.samples, terms.settings.period, choices)
     first, second = halves(watch)
@@ -114,19 +114,21 @@ def backtest(
 
 
 def halves(watch: Watch | None) -> tuple[Watch | None, Watch | None]:
-    """Who is told of two works of equal length, one after the other, as of one."""
+    """Split a progress callback between two tasks of equal length, one after the other."""
     if watch is None:
         return None, None
-    told = watch
-    return (lambda done, total: told(done, 2 * total)), (lambda done, total: told(total + done, 2 * total))
+    report = watch
+    return (lambda done, total: report(done, 2 * total)), (
+        lambda done, total: report(total + done, 2 * total)
+    )
 
 
 def graded(
     judgement: Judgement, listener: Listener, choices: Choices, *, watch: Watch | None = None
 ) -> Backtest:
-    """Hold what a listener kept, and what the peers say, against what came.
+    """Score the recorded outlooks and the peers' forecasts.
 
-    A forecast whose path meets a fault of the plant is left out: nobody can foresee one.
+    Forecasts across a fault of the plant are left out: faults cannot be forecast.
     """
     plant, period, driven = (
         judgement.settings.plant,
@@ -168,12 +170,12 @@ class _Grading:
         self.marked: list[Marked] = []
         self.shown: list[Forecast] = []
         self.spoilt = 0
-        """Origins whose nearest horizon already met a fault."""
+        """Number of origins with a fault within the nearest horizon."""
         self.unasked = 0
-        """Origins at which there was no candidate."""
+        """Number of origins without a candidate."""
 
     def at(self, origin: Origin, others: Sequence[Peer]) -> None:
-        """Ask everybody who can answer, and judge the answers."""
+        """Make and score the forecasts of all available forecasters."""
         horizons = [h for h in self._horizons if not self._meets_fault(origin, h)]
         if not horizons:
             self.spoilt += 1
@@ -190,15 +192,17 @@ class _Grading:
 
         with one_thread():
             rows = origin.disturbances
-            said = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
+            forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
             for part, name in asked.who.items():
-                self.marked += add(part, said[name], name)
+                self.marked += add(part, forecasts[name], name)
             if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
-                self.marked += add(CONSTANT, self._constant(asked, said, origin.past), asked.who[NOMINAL])
+                self.marked += add(
+                    CONSTANT, self._constant(asked, forecasts, origin.past), asked.who[NOMINAL]
+                )
         self.marked += best_in_hindsight(
-            m for name, forecast in said.items() for m in add(name, forecast, name)
+            m for name, forecast in forecasts.items() for m in add(name, forecast, name)
         )
-        self.shown.append(said[asked.who[LEADER]])
+        self.shown.append(forecasts[asked.who[LEADER]])
         for peer in others:
             forecast = ask(peer, origin)
             if forecast is not None:
@@ -208,14 +212,14 @@ class _Grading:
         count = samples_within(horizon, self._judgement.settings.period)
         return self._listener.spoilt(origin.sample, origin.sample + count)
 
-    def _constant(self, asked: _Asked, said: dict[str, Forecast], past: Window) -> Forecast:
+    def _constant(self, asked: _Outlooks, forecasts: dict[str, Forecast], past: Window) -> Forecast:
         name = asked.who[NOMINAL]
         gains = self._judgement.settings.gains
-        return with_constant_band(said[name], asked.outlooks[name].parameters, past, gains)
+        return with_constant_band(forecasts[name], asked.outlooks[name].parameters, past, gains)
 
 
 def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
-    """Those that begin where the one before ends."""
+    """Select forecasts that begin where the one before ends."""
     found: list[Forecast] = []
     for forecast in forecasts:
         if not found or forecast.sample >= found[-1].sample + found[-1].time.size:
@@ -224,11 +228,11 @@ def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
 
 
 def _notes(asked: int, judged: set[int], grading: _Grading) -> Iterable[str]:
-    """What was left out and why."""
+    """Sentences on what was left out and why."""
     if grading.unasked:
         yield f"{grading.unasked} of {asked} forecasts could not be made: there was no candidate yet"
     if grading.spoilt:
-        yield f"{grading.spoilt} of {asked} forecasts are left out: nobody foresees a fault of the plant"
+        yield f"{grading.spoilt} of {asked} forecasts are left out: the plant had a fault"
     answered: dict[int, set[str]] = {}
     for one in grading.marked:
         answered.setdefault(one.sample, set()).add(one.who)
@@ -236,4 +240,4 @@ def _notes(asked: int, judged: set[int], grading: _Grading) -> Iterable[str]:
     short = [everybody - names for sample, names in answered.items() if sample not in judged]
     if short:
         names = ", ".join(sorted(set().union(*short) - {CONSTANT}))
-        yield f"{len(short)} of {asked} forecasts are left out: not everybody could answer yet ({names})"
+        yield f"{len(short)} of {asked} forecasts are left out: some forecasters lacked samples ({names})"

@@ -1,4 +1,4 @@
-"""How good one forecast was, once the samples have come.
+"""Scores of one forecast, once its samples are known.
 
 Everything is in units of the plant's noise, so that output and input can be counted together: an error of 1
 is as large as the noise of the readings (on the Peltier rig 0.1 °C and 7 counts).
@@ -19,19 +19,19 @@ from twinmatch.signals import FloatArray, Window
 __all__ = ["Marks", "SignalMarks", "interval_score", "marks", "samples_within"]
 
 _ROUNDING = 1e-9
-"""Relative error up to which a horizon counts as a whole number of samples."""
+"""Relative tolerance within which a horizon counts as a whole number of samples."""
 
 
 @dataclass(frozen=True, slots=True)
 class SignalMarks:
-    """Of one signal over the path up to a horizon, in units of its noise."""
+    """Scores of one signal over the path up to a horizon, in units of its noise."""
 
     rms: float
     """Root of the mean squared error of the mean."""
     end: float
-    """Error of the mean at the horizon itself: what came minus what was forecast."""
+    """Error at the horizon itself: measured minus forecast mean."""
     coverage: float
-    """Share of the samples that lay within the band, its edges included."""
+    """Share of the samples within the band, edges included."""
     width: float
     """Mean width of the band."""
     score: float
@@ -40,29 +40,29 @@ class SignalMarks:
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """Of a forecast up to a horizon."""
+    """Scores of a forecast up to a horizon."""
 
     output: SignalMarks
     input: SignalMarks | None
-    """None where it was given."""
+    """None if the input was given."""
 
     @property
     def error(self) -> float:
-        """Both signals together: root of the mean of their mean squared errors; or of the output alone."""
+        """Both signals together: root of the mean of their mean squared errors; or only the output's."""
         if self.input is None:
             return self.output.rms
         return math.sqrt((self.output.rms**2 + self.input.rms**2) / 2.0)
 
     @property
     def score(self) -> float:
-        """Both signals together: mean of their interval scores; or of the output alone."""
+        """Both signals together: mean of their interval scores; or only the output's."""
         if self.input is None:
             return self.output.score
         return (self.output.score + self.input.score) / 2.0
 
 
 def interval_score(low: FloatArray, high: FloatArray, came: FloatArray, confidence: float) -> FloatArray:
-    """What an interval costs once the value has come; its expectation is least for the true quantiles.
+    """Interval score of known values; its expectation is least for the true quantiles.
 
     S = (high − low) + 2/α (low − x)⁺ + 2/α (x − high)⁺ with α = 1 − confidence: Gneiting and Raftery,
     *Strictly Proper Scoring Rules, Prediction, and Estimation*, JASA 102 (2007), eq. 43.
@@ -70,7 +70,7 @@ def interval_score(low: FloatArray, high: FloatArray, came: FloatArray, confiden
     Args:
         low: lower ends, any shape.
         high: upper ends, the same shape.
-        came: values that came, the same shape.
+        came: actual values, the same shape.
         confidence: share of the values that the intervals are to hold, between 0 and 1.
 
     Returns:
@@ -86,35 +86,33 @@ def interval_score(low: FloatArray, high: FloatArray, came: FloatArray, confiden
 
 
 def samples_within(horizon: float, period: float) -> int:
-    """How many samples a horizon has, both in seconds.
+    """Number of samples in a horizon, for horizon and period in seconds.
 
     Raises:
-        BacktestError: it is shorter than one sample.
+        BacktestError: the horizon is shorter than one sample.
     """
     count = math.floor(horizon / period * (1.0 + _ROUNDING))
     if count < 1:
-        msg = (
-            f"backtest: a horizon of {horizon:g} s is shorter than one sample of {period:g} s; give a longer"
-        )
+        msg = f"backtest: a horizon of {horizon:g} s is shorter than one sample of {period:g} s; give more"
         raise BacktestError(msg)
     return count
 
 
 def marks(forecast: Forecast, came: Window, horizon: float, plant: type[Plant]) -> Marks:
-    """Judge the first `horizon` seconds of a forecast by the samples that came.
+    """Score the first `horizon` seconds of a forecast by the actual samples.
 
     Args:
-        forecast: what was said.
-        came: samples that begin with the one after `forecast.sample`; at least as many as the horizon has.
-        horizon: how much of the path is judged, s.
+        forecast: the forecast.
+        came: samples beginning with the one after `forecast.sample`; at least as many as the horizon has.
+        horizon: length of the path that is scored, s.
         plant: declares the noise of output and input.
 
     Raises:
-        BacktestError: the samples are others than the forecast is of, or one of both is too short.
+        BacktestError: the samples are not those of the forecast, or one of both is too short.
     """
     count = samples_within(horizon, came.period)
     if came.first != forecast.sample + 1:
-        msg = f"backtest: a forecast made at sample {forecast.sample} is judged from {came.first} on"
+        msg = f"backtest: a forecast made at sample {forecast.sample} cannot be scored from {came.first} on"
         raise BacktestError(msg)
     held = min(len(came), forecast.output.mean.size, forecast.input.mean.size)
     if held < count:

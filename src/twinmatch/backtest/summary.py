@@ -1,4 +1,4 @@
-"""Marks of many forecasts as the few figures of a report card."""
+"""Summary of the marks of many forecasts in the figures of a report card."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twinmatch.signals import FloatArray
 __all__ = ["HINDSIGHT", "Card", "Marked", "best_in_hindsight", "cards", "common"]
 
 HINDSIGHT = "best in hindsight"
-"""Whoever of the candidates did best, which nobody could know before."""
+"""Name for the best candidate of each forecast, known only in hindsight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +24,16 @@ class Marked:
     sample: int
     """Index of the newest sample it was made from."""
     horizon: float
-    """How far ahead, s."""
+    """Horizon, s."""
     who: str
     """Name of the forecaster."""
     marks: Marks
     candidate: str = ""
-    """Name of the twin that was asked; empty for a peer."""
+    """Name of the candidate; empty for a peer."""
 
     @property
     def place(self) -> tuple[str, int, float]:
-        """What it forecast; the same for all who were asked the same."""
+        """Session, sample and horizon; equal for comparable forecasts."""
         return self.session, self.sample, self.horizon
 
 
@@ -43,21 +43,21 @@ class Card:
 
     who: str
     horizon: float
-    """s."""
+    """Horizon, s."""
     count: int
-    """Forecasts that were judged."""
+    """Number of scored forecasts."""
     median: float
-    """Of the errors over the path, both signals together."""
+    """Median of the errors over the path, both signals together."""
     nine_in_ten: float
-    """Nine in ten of these errors are below."""
+    """Value below which nine in ten of these errors are."""
     ratio: float
-    """Mean of the errors, each divided by that of the best in hindsight; NaN if nobody tells that."""
+    """Mean of the errors, each divided by that of the best in hindsight; NaN without it."""
     end_output: float
     """Median size of the output's error at the horizon itself."""
     end_input: float
     """NaN where inputs were given, as for coverage and width."""
     coverage_output: float
-    """Share of all output samples that lay within the band."""
+    """Share of all output samples within the band."""
     coverage_input: float
     width_output: float
     """Median over the forecasts of the band's mean width."""
@@ -67,10 +67,10 @@ class Card:
 
 
 def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
-    """Of every origin and horizon the forecast with the least error, under the name `HINDSIGHT`.
+    """The forecast with the least error for every origin and horizon, under the name `HINDSIGHT`.
 
     Args:
-        marked: forecasts of candidates. Of equal ones the first is taken.
+        marked: forecasts of candidates; of equal ones the first is taken.
     """
     best: dict[tuple[str, int, float], Marked] = {}
     for one in marked:
@@ -80,7 +80,7 @@ def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
 
 
 def common(marked: Sequence[Marked]) -> list[Marked]:
-    """Only what every forecaster was judged at, so that all are compared on the same samples."""
+    """Only the forecasts that every forecaster made, so that all are compared on the same samples."""
     names = {one.who for one in marked}
     asked: dict[tuple[str, int, float], set[str]] = {}
     for one in marked:
@@ -91,7 +91,7 @@ def common(marked: Sequence[Marked]) -> list[Marked]:
 def cards(marked: Sequence[Marked]) -> list[Card]:
     """The report cards: forecasters in the order in which they first appear, horizons from near to far.
 
-    One session gives its own, several together give those over all: every forecast counts the same.
+    Marks of several sessions give the cards over all: every forecast has the same weight.
     """
     best = {one.place: one.marks.error for one in marked if one.who == HINDSIGHT}
     groups: dict[str, dict[float, list[Marked]]] = {}
@@ -136,6 +136,6 @@ def _card(
 
 
 def _pair(figures: FloatArray) -> tuple[float, float]:
-    """Of output and input; NaN for an input that was given."""
+    """Figures of output and input; NaN for a given input."""
     output, entry = [*figures.tolist(), float("nan")][:2]
     return output, entry

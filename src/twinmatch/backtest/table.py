@@ -1,4 +1,4 @@
-"""Report cards as tables of text and as sentences: for the terminal and the report alike."""
+"""Report cards as text tables and as sentences, for the terminal and the report."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["at_horizon", "cells", "columns", "sentences", "tables"]
 
 
 _OF_INPUT = (5, 7, 9)
-"""Which columns are left out where inputs were given."""
+"""Columns that are left out if inputs were given."""
 
 
 def columns(plant: type[Plant], *, driven: bool = False) -> tuple[str, ...]:
-    """The names of what `cells` gives."""
+    """The column names for `cells`."""
     w = words_of(plant)
     if w.output_unit == w.input_unit:
         called = (f" {w.output}", f" {w.input}")
@@ -64,13 +64,13 @@ def cells(card: Card, plant: type[Plant], *, driven: bool = False) -> tuple[str,
 
 
 def at_horizon(cards: Sequence[Card], horizon: float) -> list[Card]:
-    """Those of one horizon, in their order."""
+    """The cards of one horizon, in order."""
     return [card for card in cards if card.horizon == horizon]
 
 
 def tables(backtest: Backtest) -> list[Table]:
-    """One table for each horizon at which something was judged."""
-    from rich.table import Table  # noqa: PLC0415 — only who prints needs it
+    """One table for each horizon with scored forecasts."""
+    from rich.table import Table  # noqa: PLC0415 — needed only for printing
 
     found = []
     for horizon in backtest.horizons:
@@ -89,7 +89,7 @@ def tables(backtest: Backtest) -> list[Table]:
 
 
 def sentences(backtest: Backtest) -> list[str]:
-    """What the cards say of the leader, in plain words; one sentence for each horizon."""
+    """Sentences on the leader's results, one for each horizon."""
     w, noise = words_of(backtest.plant), backtest.plant.output.noise
     found = []
     for horizon in backtest.horizons:
@@ -101,23 +101,23 @@ def sentences(backtest: Backtest) -> list[str]:
             f"{horizon:g} s ahead, the leader's {w.output} was off by less than "
             f"{number(own.end_output * noise, backtest.plant.output.decimals + 1)} {w.output_unit}".rstrip()
             + f" half of the time, and its band held {100 * own.coverage_output:.0f} % of the readings"
-            f" ({100 * backtest.confidence:.0f} % promised)"
+            f" ({100 * backtest.confidence:.0f} % expected)"
         )
         peers = [card for who, card in held.items() if who not in TWINS]
         if peers:
             best = min(peers, key=lambda card: card.median)
-            text += f"; {best.who}, the best of the others, {_compared(best.median, own.median)}"
+            text += f"; {best.who}, the best of the peers, {_compared(best.median, own.median)}"
         found.append(f"{text}.")
     return found
 
 
 def _compared(theirs: float, ours: float) -> str:
-    """How an error compares with ours."""
+    """Compare a peer's error with ours."""
     if not ours or not theirs:
         return "cannot be compared with it"
     ratio = theirs / ours
     if ratio >= 1.05:
-        return f"erred {number(ratio, 1)} times as much"
+        return f"had {number(ratio, 1)} times the error"
     if ratio <= 0.95:
-        return f"erred less, {number(ratio, 2)} times as much"
-    return "erred as much"
+        return f"had a smaller error, {number(ratio, 2)} times as large"
+    return "had the same error"

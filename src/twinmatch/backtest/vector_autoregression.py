@@ -1,11 +1,11 @@
-"""The forecast of a vector autoregression of `statsmodels`: what somebody at home with time series would use.
+"""Forecasts of a vector autoregression of `statsmodels`, the standard tool for time series.
 
-Of what `statsmodels` offers, an able user ends up with `VAR` and the set-point as an exogenous series. The
-two signals of a loop drive one another, which `VAR` has; `AutoReg` and `SARIMAX`, with one signal each, have
-not. In `SARIMAX` the way from set-point to output must be written as delayed set-points besides, and a loop
-rings for longer than these can be counted. `VARMAX` has both signals, but finds its coefficients by maximum
-likelihood through a Kalman filter, which takes minutes for an hour. `VAR` is least squares: it is
-fitted anew for every forecast, so that there is nothing to extend or to append.
+Of the models in `statsmodels`, `VAR` with the set-point as exogenous series fits best. The two signals of a
+loop act on each other, which `VAR` models and `AutoReg` and `SARIMAX`, with one signal each, do not.
+`SARIMAX` also needs the response to the set-point as delayed set-points, and a loop rings for longer than a
+practical number of these. `VARMAX` has both signals, but estimates its coefficients by maximum likelihood
+with a Kalman filter, which takes minutes for an hour of samples. `VAR` uses least squares and is refitted for
+every forecast.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ __all__ = ["VectorAutoregression"]
 _LEAST = 120
 _HIGHEST = 8
 _SET_POINTS = 8
-"""Delayed set-points, beside the newest."""
+"""Number of delayed set-points besides the newest."""
 
 
 class VectorAutoregression:
-    """Output and input on their past, with the set-point and its past given, by `statsmodels`.
+    """Output and input regressed on their past and on the set-point and its past, by `statsmodels`.
 
-    The order is the one of least BIC. The band is Gaussian, from the covariance that `statsmodels` carries
-    along; the input is cut off at the drive's limits, of which `VAR` knows nothing.
+    The order is the one of least BIC. The band is Gaussian, from the covariance propagated by `statsmodels`;
+    the input is clipped to the drive's limits, which `VAR` does not model.
     """
 
     name = "statsmodels VAR"
@@ -42,10 +42,10 @@ class VectorAutoregression:
 
     @staticmethod
     def missing() -> str:
-        """Why it cannot be asked, and what helps; empty: it can."""
+        """Why it is not available, and what to do; empty if it is."""
         if importlib.util.find_spec("statsmodels") is not None:
             return ""
-        return "statsmodels is not installed; pip install 'twinmatch[backtest]' brings it"
+        return "statsmodels is not installed; run pip install 'twinmatch[backtest]'"
 
     def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
         """Forecast one sample for each set-point ahead; see `Peer`.
@@ -64,7 +64,7 @@ class VectorAutoregression:
         reference = (np.concatenate([past.reference, ahead]) - level[0]) / noise[0]
         exogenous = _delayed(reference)
         try:
-            with np.errstate(all="ignore"):  # what overflows is found below
+            with np.errstate(all="ignore"):  # overflows are detected below
                 fitted: Any = VAR(endogenous, exog=exogenous[: len(past)]).fit(_HIGHEST, ic="bic")
                 found = fitted.forecast_interval(
                     endogenous[-max(fitted.k_ar, 1) :],
@@ -77,7 +77,7 @@ class VectorAutoregression:
                 f"{self.name}: statsmodels cannot fit {len(past)} samples: {error}"
             ) from error
         if not np.all(np.isfinite(found)):
-            raise ForecastError(f"{self.name}: the fit to {len(past)} samples runs away")
+            raise ForecastError(f"{self.name}: the fit to {len(past)} samples diverges; give more samples")
         bands = [Band(*(level[j] + noise[j] * x[:, j] for x in found)) for j in range(2)]
         return banded(
             self.name,
@@ -91,7 +91,7 @@ class VectorAutoregression:
 
 
 def _delayed(reference: FloatArray) -> FloatArray:
-    """The set-point now and at each of the samples before; before the first it stood as it did then."""
+    """The set-point now and at the samples before; before the first it is constant."""
     shifted = [
         np.concatenate([np.full(lag, reference[0]), reference])[: reference.size]
         for lag in range(_SET_POINTS + 1)

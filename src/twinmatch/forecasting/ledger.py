@@ -1,6 +1,6 @@
 """Code length of every candidate's forecasts so far, in characters.
 
-The paper's information gain is the number of characters that a model saves in writing down the data to which
+The paper's information gain is the number of characters that a model saves when writing the data to which
 it was fitted. Here it is computed on data that no model has seen: a forecast gives a probability density for
 a reading, and minus the density's logarithm to base ten, for the decimals with which readings are written, is
 the length of the reading in digits, given the forecast (Dawid's prequential principle, 1984; Rissanen's
