@@ -116,7 +116,7 @@ def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsy
     assert picture.stat().st_size > 10_000
 
 
-def test_what_came_is_held_against_it(session: Path, capsys: Any) -> None:
+def test_it_is_compared_with_the_measurements(session: Path, capsys: Any) -> None:
     assert main(["forecast", str(session), "--at", "600"]) == 0
     assert "what came in the next 59 s, under the same set-points: off by 0." in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""Many sessions at once: the same results as one by one, bad ones passed over, runs that continue."""
+"""Many sessions at once: the same results as one by one, bad ones skipped, runs that continue."""
 
 from __future__ import annotations
 

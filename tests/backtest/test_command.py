@@ -49,7 +49,7 @@ def test_horizons_pace_and_peers_can_be_chosen(still: Path, tmp_path: Path) -> N
     assert "there was no candidate yet" in done.stdout
 
 
-def test_a_session_that_cannot_be_used_is_passed_over(still: Path, tmp_path: Path) -> None:
+def test_a_session_that_cannot_be_used_is_skipped(still: Path, tmp_path: Path) -> None:
     done = run_twinmatch("backtest", still, tmp_path / "absent.mat", "--peers", "persistence")
     assert done.returncode == 3
     assert len(done.stderr.strip().splitlines()) == 1

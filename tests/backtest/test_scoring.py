@@ -48,7 +48,7 @@ def test_no_interval_costs_less_than_the_quantiles(
 
 
 @pytest.mark.parametrize("confidence", [0.0, 1.0, float("nan")])
-def test_a_confidence_that_is_none_is_refused(confidence: float) -> None:
+def test_an_impossible_confidence_is_refused(confidence: float) -> None:
     with pytest.raises(BacktestError, match="must lie between 0 and 1"):
         interval_score(np.zeros(1), np.ones(1), np.zeros(1), confidence)
 
@@ -69,7 +69,7 @@ def test_marks_count_in_units_of_the_noise() -> None:
 
 
 @given(st.integers(1, 30), st.integers(0, 100))
-def test_a_forecast_of_what_came_has_no_error(count: int, seed: int) -> None:
+def test_a_forecast_of_the_measurements_has_no_error(count: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     y, u = random.normal(50.0, 20.0, count), random.uniform(-255.0, 255.0, count)
     found = marks(forecast_of(0, y, u), Window(y, y, u, first=1), float(count), Peltier)

@@ -68,7 +68,7 @@ def test_of_several_lines_the_newest_counts(pipe: tuple[int, BinaryIO]) -> None:
         b"1 20 1.5\n",
     ],
 )
-def test_a_line_that_is_none_is_left_out(
+def test_an_invalid_line_is_left_out(
     pipe: tuple[int, BinaryIO], line: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     source, leader = FollowedSource(pipe[0]), pipe[1]

@@ -87,7 +87,7 @@ def test_a_killed_server_is_found_again(camera: Callable[..., CameraProgram]) ->
         assert client.status.errors["ThermalEndError"] == 1
 
 
-def test_this_computer_only_unless_told_otherwise(camera: Callable[..., CameraProgram]) -> None:
+def test_this_computer_only_by_default(camera: Callable[..., CameraProgram]) -> None:
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", 5580))
@@ -107,7 +107,7 @@ def test_a_taken_port(camera: Callable[..., CameraProgram]) -> None:
 
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:", ":5580", "127.0.0.1:99999", "127.0.0.1:http"])
-def test_an_address_that_is_none(camera: Callable[..., CameraProgram], listen: str) -> None:
+def test_an_invalid_address(camera: Callable[..., CameraProgram], listen: str) -> None:
     server = camera("emulated", "--plate", "60", listen=listen)
     assert server.process.wait() == 2
     assert len(server.process.lines) == 1

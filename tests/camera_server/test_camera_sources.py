@@ -103,7 +103,7 @@ def test_a_damaged_recording(tmp_path: Path) -> None:
 # --- emulated ------------------------------------------------------------------------------------
 
 
-def test_nonsense_on_the_feed_is_reported_and_passed_over(
+def test_nonsense_on_the_feed_is_reported_and_skipped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "plate.sock"

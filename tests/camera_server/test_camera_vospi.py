@@ -70,7 +70,7 @@ def test_a_frame_among_discard_packets() -> None:
     assert second.image[0, 79] == 31000
 
 
-def test_discard_packets_within_a_frame_are_passed_over() -> None:
+def test_discard_packets_within_a_frame_are_skipped() -> None:
     packets = frame_packets()
     assert len(feed(Assembler(), [*packets[:30], DISCARD, DISCARD, *packets[30:]])) == 1
 

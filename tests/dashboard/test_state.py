@@ -83,7 +83,7 @@ def test_a_late_row_of_the_session_before_does_no_harm() -> None:
 
 
 def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None:
-    """Told one by one as they come, or looked at together afterwards: the same words and spans."""
+    """Reported one by one as they come, or read together afterwards: the same words and spans."""
     assert len(judged.verdicts) > 5
     state = DashboardState()
     for verdict in judged.verdicts:

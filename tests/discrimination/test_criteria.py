@@ -61,7 +61,7 @@ def test_more_parameters_for_the_same_loss_never_help(v: float, n_p: int, n: int
 
 @pytest.mark.parametrize("criterion", [naic, aic, bic, mdl, mdl_as_printed, naic_as_printed])
 @pytest.mark.parametrize("bad", [-1e-9, math.nan, math.inf])
-def test_a_loss_that_is_none_is_refused(criterion: object, bad: float) -> None:
+def test_an_impossible_loss_is_refused(criterion: object, bad: float) -> None:
     assert callable(criterion)
     with pytest.raises(DiscriminationError, match=f"the loss is {bad}"):
         criterion(bad, 3, 100)

@@ -113,7 +113,7 @@ def test_a_simulator_that_ends_at_once_is_quoted(tmp_path: Path) -> None:
         VirtualArduino(program(tmp_path / "simulator", "echo no image >&2"))
 
 
-def test_an_image_that_is_none(tmp_path: Path) -> None:
+def test_an_invalid_image(tmp_path: Path) -> None:
     parts = boards.tools()
     if isinstance(parts, str):
         pytest.skip(parts)

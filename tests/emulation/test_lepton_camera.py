@@ -129,7 +129,7 @@ def test_an_image_does_not_depend_on_how_often_the_camera_was_asked_before() -> 
 
 
 @pytest.mark.parametrize("plate", [float("nan"), float("inf")])
-def test_a_temperature_that_is_none(plate: float) -> None:
+def test_an_impossible_temperature(plate: float) -> None:
     with pytest.raises(LeptonError, match="only a finite temperature can be seen"):
         EmulatedLepton().expose(plate, 0.0, 0)
 

@@ -55,7 +55,7 @@ def test_who_forecasts_better_saves_more_and_persistence_saves_nothing() -> None
 
 
 def test_a_boast_does_not_pay() -> None:
-    """The width is what came before, so a single large error after many small ones costs dearly."""
+    """The width follows from earlier errors, so a single large error after many small ones costs dearly."""
     steady = drawn(1.0, 100, 1)
     calm = np.append(drawn(0.31, 99, 1), 40.0 * NOISE[:, None], axis=1)
     ledger = entered({PERSISTENCE: drawn(5.0, 100, 2), "steady": steady, "calm": calm}, kept=0.9)

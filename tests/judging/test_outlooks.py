@@ -1,4 +1,4 @@
-"""What is known at a sample of what comes next: nothing of what came after it."""
+"""What is known at a sample of the samples after it: nothing."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Pros
     assert np.abs(other.output - held.output).max() > 1.0  # the load matters
 
 
-def test_the_band_holds_what_came(session: Session, known: dict[int, Prospect]) -> None:
+def test_the_band_covers_the_measurements(session: Session, known: dict[int, Prospect]) -> None:
     """The load keeps changing, slowly; within two seconds it moves the speed by less than its noise."""
     reference = [s.reference for s in session.samples[LAST + 1 : LAST + 41]]
     forecast = known[LAST].outlook.forecast(reference)

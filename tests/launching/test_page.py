@@ -55,7 +55,7 @@ def parsed(*words: str) -> Page:
 @pytest.mark.parametrize(
     "words", [("--control",), ("--dashboard", "70000"), ("--dashboard", "-1"), ("--dashboard", "x")]
 )
-def test_options_that_make_no_sense_are_refused(words: tuple[str, ...]) -> None:
+def test_options_that_contradict_each_other_are_refused(words: tuple[str, ...]) -> None:
     with pytest.raises(SystemExit) as left:
         parsed(*words)
     assert left.value.code == 2

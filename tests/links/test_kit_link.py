@@ -69,7 +69,7 @@ def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 100.5])
-def test_a_command_that_is_none_never_reaches_it(kit: BenchKit, link: KitLink, value: float) -> None:
+def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink, value: float) -> None:
     """The package itself makes 100 % of what is not a number."""
     link.drive(50.0, 0.0)
     with pytest.raises(KitError, match="0 to 100 % is possible"):
@@ -117,7 +117,7 @@ def test_the_cable_is_pulled(kit: BenchKit, link: KitLink) -> None:
     assert link.drive(10.0, 0.0)[2] == 10.0
 
 
-def test_rubbish_between_two_questions_is_passed_over(kit: BenchKit, link: KitLink) -> None:
+def test_rubbish_between_two_questions_is_skipped(kit: BenchKit, link: KitLink) -> None:
     for _ in range(5):
         kit.say(b"\xff\x00 99.9\r\n12")
         time.sleep(0.02)

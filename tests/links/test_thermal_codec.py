@@ -387,12 +387,12 @@ def test_an_image_cannot_be_changed() -> None:
         [1],
     ],
 )
-def test_an_image_that_is_none(image: Any) -> None:
+def test_an_invalid_image(image: Any) -> None:
     with pytest.raises(FrameFieldError, match=r"the image (is|has shape)"):
         Exposure(image=image, stamp=0, resolution=0.01, frame_counter=0)
 
 
-def test_a_flat_field_that_is_none() -> None:
+def test_an_invalid_flat_field() -> None:
     with pytest.raises(FrameFieldError, match="flat_field is 3"):
         make_frame((2, 3), flat_field=3)
 

@@ -55,7 +55,7 @@ def test_a_rectangle_lies_within_the_image(image: np.ndarray, data: st.DataObjec
 
 
 @pytest.mark.parametrize("box", [(-1, 0, 1, 1), (0, -1, 1, 1), (0, 0, 0, 1), (0, 0, 1, 0)])
-def test_a_rectangle_that_is_none(box: tuple[int, int, int, int]) -> None:
+def test_an_invalid_rectangle(box: tuple[int, int, int, int]) -> None:
     with pytest.raises(RegionError, match="start at 0 or later and hold a pixel"):
         Region(*box)
 

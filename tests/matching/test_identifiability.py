@@ -1,4 +1,4 @@
-"""What a match says about itself: which parameters to believe, which combination, which step next."""
+"""What a match reports about itself: which parameters are determined, which combination, which step next."""
 
 from __future__ import annotations
 

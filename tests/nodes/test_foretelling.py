@@ -169,7 +169,7 @@ def test_a_discriminator_that_was_killed_answers_again(
     assert ask().success
 
 
-def test_questions_that_make_no_sense_are_answered_in_one_line(
+def test_invalid_questions_are_answered_in_one_line(
     start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """And the next one is answered; what went wrong with a question is not a fault of the node."""

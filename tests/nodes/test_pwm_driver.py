@@ -114,7 +114,7 @@ def stand_in() -> Iterator[Bench]:
     made.close()
 
 
-def test_a_command_is_repeated_and_its_effect_told(bench: Bench) -> None:
+def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
     bench.until(lambda: bench.told)
     assert bench.told[0][0] is not None
     assert bench.told[0][0].flags == Flags.NONE  # a fresh board was cleared, and is not driven

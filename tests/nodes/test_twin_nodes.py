@@ -149,7 +149,7 @@ def test_simulator_says_once_what_plant_it_is(start: Callable[..., Any], listene
 def test_sample_of_another_plant_is_an_error_on_diagnostics(
     start: Callable[..., Any], listener: Any, steps: list[Sample]
 ) -> None:
-    """It is passed over, and one line says why; what comes after is taken."""
+    """It is skipped, and one line says why; later messages are taken."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     states = listener.hear(TwinState, "twin/state", EVERYTHING)

@@ -120,7 +120,7 @@ def test_the_criterion_tables_hold_the_verdict_and_the_best_is_bold(page: Elemen
                     assert ("best" in cell.classes) is (value == best)
 
 
-def test_the_forecasts_stand_beside_what_came_and_beside_the_peers(page: Element, shipped: Report) -> None:
+def test_the_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, shipped: Report) -> None:
     tested = shipped.judged.tested
     tables = tables_of(page)
     for horizon in tested.horizons:
@@ -134,7 +134,7 @@ def test_the_forecasts_stand_beside_what_came_and_beside_the_peers(page: Element
         assert line in page.text
 
 
-def test_what_it_forecast_stands_beside_what_came(page: Element, shipped: Report) -> None:
+def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Report) -> None:
     samples = {s.index: s for s in shipped.judged.judgement.samples}
     shown = {f.sample: f for f in shipped.judged.tested.shown}
     rows = grid(tables_of(page)["What it foretold, and what came"])

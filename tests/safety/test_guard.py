@@ -65,7 +65,7 @@ def test_clearing_needs_new_inputs_before_anything_passes() -> None:
     assert guard.output(0.7) == 50.0
 
 
-def test_the_first_fault_is_the_one_told() -> None:
+def test_the_first_fault_is_the_one_reported() -> None:
     guard = armed()
     guard.temperature(200.0, 0.5)
     guard.trip(FaultKind.DRIVER, "later", 0.6)

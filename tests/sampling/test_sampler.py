@@ -95,7 +95,7 @@ def test_without_a_reference_it_is_one_that_says_nothing() -> None:
     assert {s.reference for s in samples} == {20.0}
 
 
-def test_disturbances_are_in_the_plants_order_and_what_is_not_told_has_its_usual_value() -> None:
+def test_disturbances_are_in_the_plants_order_and_unmapped_ones_have_their_default() -> None:
     signals = {**SIGNALS, "room": Limits(), "load": Limits()}
     sampler = Sampler(signals, 1.0, disturbances={"load": 0.0, "sun": 7.0, "room": 20.0})
     samples = run(sampler, [(0.0, "room", 19.0), (0.0, "load", 3.0), *loop(5)], 6.0)

@@ -1,4 +1,4 @@
-"""Bags of others as sessions: both storages, types of their own, and what cannot be used told in one line."""
+"""Other people's bags as sessions: both storages, their own types, and one line on what cannot be used."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def test_the_metadata_list_another_file(tmp_path):
     check_whole(folder, 60)
 
 
-def test_an_empty_last_file_is_passed_over(tmp_path):
+def test_an_empty_last_file_is_skipped(tmp_path):
     folder = record(tmp_path / "run")
     (folder / "run_1.mcap").touch()
     assert "run_1.mcap is empty" in repair_session(folder).faults

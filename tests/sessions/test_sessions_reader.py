@@ -250,7 +250,7 @@ def test_qos_of_older_and_of_discovered_profiles():
 @pytest.mark.parametrize(
     "text", ["", "[]", "7", "- 7", "- {depth: 1}", "[", "- {reliability: x, durability: y, depth: 1}"]
 )
-def test_qos_that_makes_no_sense_falls_back(text):
+def test_invalid_qos_falls_back(text):
     assert parse_qos(text) == Qos()
 
 

@@ -191,7 +191,7 @@ def record(opcode: int, body: bytes) -> bytes:
         (record(0x90, b"private") + record(0, b""), "the file is damaged at byte 24: no record begins there"),
     ],
 )
-def test_records_that_make_no_sense_are_said(tmp_path, tail, fault):
+def test_invalid_records_are_reported(tmp_path, tail, fault):
     assert scan(tmp_path / "x.mcap", MAGIC + tail) == (0, fault)
 
 

@@ -192,7 +192,7 @@ RIGHT = {
 def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     """The first name that is reported for a lasting change, and how many samples after it.
 
-    "early" is one told before; "nothing" if none is, and "suspected" if only that.
+    "early" is one reported before; "nothing" if none is, and "suspected" if only that.
     """
     start = int(np.random.default_rng(seed).integers(500, 900))
     samples, _ = run(profile(seed + 1000, 1900), Break(kind, start), rig=some_rig(seed), seed=seed)
@@ -208,7 +208,7 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
 
 def confusion(runs: int, kinds: tuple[str, ...] = SLOW_KINDS) -> list[str]:
     """What is reported for every kind of change: rows are what is broken, columns what it was called."""
-    lines = [f"{'changed':12s} right in {IN_TIME} s | median, worst | told (of {runs} runs)"]
+    lines = [f"{'changed':12s} right in {IN_TIME} s | median, worst | reported (of {runs} runs)"]
     for kind in kinds:
         told = [names_told(kind, seed) for seed in range(runs)]
         names = Counter(name for name, _ in told)
@@ -233,7 +233,7 @@ def false_alarms(hours: int) -> str:
 
 def main() -> None:
     runs, hours = (int(a) for a in (*sys.argv[1:], "40", "100")[:2])
-    print("broken          length | onset med max | visible med max | cleared | before | told")
+    print("broken          length | onset med max | visible med max | cleared | before | reported")
     cases = [("drive-lost", n) for n in (10, 20, 60, 1_000_000)]
     cases += [(kind, n) for kind in ("supply*0.5", "supply*0.6") for n in (60, 1_000_000)]
     cases += [("sensor-frozen", n) for n in (12, 30, 1_000_000)]

@@ -16,7 +16,7 @@ class BenchKit:
     def __init__(self, folder: Path) -> None:
         self.shown = {1: 25.0, 2: 24.0}
         self.highest = 0.0
-        """The most that heater 1 was ever told, %."""
+        """The largest command to heater 1, %."""
         self.board = KitBoard(folder / "ttyACM0", lambda number: self.shown[number])
         self._ending = threading.Event()
         self._lock = threading.Lock()

@@ -60,7 +60,7 @@ def test_a_quiet_plant_is_fitted_again_when_the_fit_is_old() -> None:
     assert held.held[0].last == 950
 
 
-def test_a_plant_that_has_changed_is_fitted_to_what_came_since() -> None:
+def test_a_plant_that_has_changed_is_fitted_to_later_samples() -> None:
     held, heavy = contenders(), RIG.replace(heat_capacity=45.0)
     held.push(recorded(RIG, 6), excited=True)
     held.renew(1000)

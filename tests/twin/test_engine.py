@@ -32,7 +32,7 @@ def drive_lost_for_a_while(at: int = 550, again: int = 570, ticks: int = 1410) -
 
 @pytest.fixture(scope="module")
 def story() -> Iterator[tuple[list[Outcome], list[Any]]]:
-    """What came of that run, and the rival of every match."""
+    """The outcome of that run, and the rival of every match."""
     rivals: list[Any] = []
     real = twinmatch.twin.matcher.match
 

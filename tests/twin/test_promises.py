@@ -1,4 +1,4 @@
-"""What was forecast, and what came of it."""
+"""Forecasts, and how they came true."""
 
 from __future__ import annotations
 

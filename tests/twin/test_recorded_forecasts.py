@@ -1,4 +1,4 @@
-"""What the whole twin forecasts on recorded healthy hours, against what came.
+"""What the whole twin forecasts on recorded healthy hours, against the measurements.
 
 The limits are promises, not records: bands that promise 90 % hold 87 to 94 % over all hours and 78 % in each;
 the leader is worse than the best in hindsight by 4 % at most in the mean; the ν-gap of two candidates goes

@@ -14,7 +14,7 @@ from twinmatch.twin import Twin, TwinSettings
 
 
 def foretold(window: Window, settings: TwinSettings, at: int, count: int) -> tuple[Twin, FloatArray]:
-    """A twin that has seen the samples up to one, and what came minus what it forecasts after it."""
+    """A twin that has seen the samples up to one, and the measurements minus its forecast after it."""
     twin = Twin(settings)
     for k in range(at + 1):
         twin.push(

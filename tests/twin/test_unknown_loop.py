@@ -79,7 +79,7 @@ def test_the_band_holds_what_it_promises(judged: Judgement) -> None:
 
 @pytest.mark.parametrize("kind", list(RECORDINGS))
 def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
-    """Forecasts of the leader five minutes ahead, against what came of the same plant another day.
+    """Forecasts of the leader five minutes ahead, against the same plant on another day.
 
     For the first hour bands are too wide, since a twin that has not been held against anything yet is not
     trusted; then they hold about nine readings in ten.

@@ -45,7 +45,7 @@ def around(*, reference: Sequence[float], missing: int | None = None) -> Fan:
     return fan(told, recorded(reference, missing=missing), 1.0)
 
 
-def test_what_came_is_held_against_it() -> None:
+def test_it_is_compared_with_the_measurements() -> None:
     found = around(reference=[60.0] * 40)
     assert (found.past.last, found.came.first, found.came.last) == (10, 11, 20)  # type: ignore[union-attr]
     np.testing.assert_allclose(found.error, 0, atol=1e-12)

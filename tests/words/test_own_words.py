@@ -39,7 +39,7 @@ def said(capsys: Capture, *words: object) -> str:
     return printed.out + printed.err
 
 
-def test_a_replay_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_a_replay_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     out, picture = tmp_path / "out.json", tmp_path / "out.svg"
     text = said(capsys, "replay", shown.folder, "--config", shown.config, "--json", out, "--figure", picture)
     shown.speaks_of_itself(text)
@@ -47,7 +47,7 @@ def test_a_replay_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capt
     assert re.search("drive-lost|sensor-frozen", text)
 
 
-def test_a_forecast_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_a_forecast_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "out.json"
     asked = ("--at", 1000, "--horizon", 10, "--json", out)
     text = said(capsys, "forecast", shown.folder, "--config", shown.config, *asked)
@@ -55,12 +55,12 @@ def test_a_forecast_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Ca
     shown.speaks_of_itself(out.read_text("utf-8"), '"y"')
 
 
-def test_a_backtest_speaks_of_the_plant(shown: Shown, capsys: Capture) -> None:
+def test_a_backtest_uses_the_plants_words(shown: Shown, capsys: Capture) -> None:
     text = said(capsys, "backtest", shown.folder, "--config", shown.config, "--horizon", 5)
     shown.speaks_of_itself(text)
 
 
-def test_a_report_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_a_report_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "report.html"
     text = said(capsys, "report", shown.folder, "--config", shown.config, "-o", out)
     shown.speaks_of_itself(text, str(out))
@@ -92,7 +92,7 @@ def lettering(document: Document) -> str:
     )
 
 
-def test_a_page_speaks_of_the_plant(shown: Shown) -> None:
+def test_a_page_uses_the_plants_words(shown: Shown) -> None:
     session = read_session(shown.folder)
     judged = judge(session, terms_from_files(session, shown.config))
     state = DashboardState()
@@ -125,6 +125,6 @@ def test_a_viewer_is_given_axes_with_the_plants_words(shown: Shown) -> None:
     assert {topic for topic in topics if not topic.startswith("/rig_a/")} == {"/diagnostics", "/rosout"}
 
 
-def test_an_archive_speaks_of_the_plant(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_an_archive_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     text = said(capsys, "replay", shown.folder, "--config", shown.config, "--out", tmp_path / "archive")
     shown.speaks_of_itself(text, shown.plant.output.unit)
