@@ -119,8 +119,8 @@ def _measure(runs: int, minutes: float) -> str:
     ends = f"{np.median(closed):.0f}, {max(closed):.0f} s" if closed else "–"
     rest = ", ".join(f"{n} {name}" for name, n in other.most_common()) or "nothing"
     return (
-        f"open for {minutes:g} min: {len(told)} of {runs} reported, {delays}; over after {ends}; {early} before"
-        f"; else {rest}"
+        f"open for {minutes:g} min: {len(told)} of {runs} reported, {delays}; "
+        f"over after {ends}; {early} before; else {rest}"
     )
 
 
