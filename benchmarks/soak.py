@@ -94,7 +94,7 @@ class Soak:
 
     def __init__(self, options: argparse.Namespace, folder: Path) -> None:
         self.readings: list[tuple[float, str, float, float]] = []
-        """Plant time, s; process; MB resident; MB of them that are no pages of files or shared memory."""
+        """Plant time, s; process; MB resident; MB of them that are not pages of files or shared memory."""
         self.lines: list[str] = []
         self.elapsed = 0.0
         self.speed = 0.0

@@ -184,7 +184,7 @@ def test_gap_is_an_error_on_diagnostics(
         ("matcher", ["-p", "sed:=3"], "matcher: there is no parameter sed; did you mean seed?"),
         ("matcher", ["-p", "seed:=-3"], "matcher: parameter seed is -3; allowed is 0 to"),
         ("discriminator", ["-p", "candidates:=/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
-        ("twin_simulator", ["-p", "schedule.span:=700", "-p", "schedule.capacity:=600"], "must grow"),
+        ("twin_simulator", ["-p", "schedule.span:=700", "-p", "schedule.capacity:=600"], "increasing order"),
         ("twin_simulator", ["-p", "recent:=[]"], "a parameter is empty"),
     ],
 )
