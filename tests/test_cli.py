@@ -371,7 +371,7 @@ def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Pa
         seen.append(done)
 
     with pytest.raises(KeyboardInterrupt):
-        judge(session, terms_from_files(session), told=told)
+        judge(session, terms_from_files(session), on_outcome=told)
     assert seen == [1]
 
 

@@ -118,7 +118,10 @@ def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsy
 
 def test_it_is_compared_with_the_measurements(session: Path, capsys: Any) -> None:
     assert main(["forecast", str(session), "--at", "600"]) == 0
-    assert "what came in the next 59 s, under the same set-points: off by 0." in capsys.readouterr().out
+    assert (
+        "compared with the next 59 s of measurements, under the same set-points: error 0."
+        in capsys.readouterr().out
+    )
 
 
 PROFILES = {

@@ -56,10 +56,10 @@ class Twice(Plant, name="twice"):
     ("structure", "message"),
     [
         ("plain", ""),
-        ("ratio", "no data can tell b and a apart, only b/a is seen"),
-        ("product", "no data can tell b and a apart, only b·a is seen"),
-        ("growing", "c, a and b can grow together without being seen, only their ratios are"),
-        ("unseen", "nothing that is measured depends on unseen, which is free"),
+        ("ratio", "no data can determine b and a separately, only b/a"),
+        ("product", "no data can determine b and a separately, only b·a"),
+        ("growing", "no data can determine c, a and b separately, only their ratios"),
+        ("unseen", "the output does not depend on unseen, which is free"),
     ],
 )
 def test_what_no_data_can_tell_apart_is_named(structure: str, message: str) -> None:
@@ -96,17 +96,17 @@ HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%",
     [
         ([HOT], None, "the output goes from .* beyond its span -10 to 120"),
         ([HOT], None, "state block goes from .* beyond its span 0 to 110"),
-        ([], 500.0, "all has settled .* before the next sample comes"),
-        ([("default=100.0", "default=10000.0")], None, "capacity begins at 10000, outside its bounds "
+        ([], 500.0, "its slowest time constant, .* s, is below the period of 500 s"),
+        ([("default=100.0", "default=10000.0")], None, "default of capacity, 10000, is outside its bounds "
             "10 to 1000"),
         ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures')], None,
          "parameter extra: no structure depends on it"),
         ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures'),
-          ('free=("gain", ', 'free=("gain", "extra", ')], None, "extra is free, but the equations .* "
-              "do not have it"),
+          ('free=("gain", ', 'free=("gain", "extra", ')], None, "extra is free, but does not occur in "
+              "the equations"),
         ([('loss = Parameter(unit="W/K", default=1.0, bounds=(0.1, 10.0), positive=True)',
            'loss = Parameter(unit="W/K", default=1.0, bounds=(-10.0, 10.0))'),
-          ('free=("gain", ', 'free=("loss", ')], None, "within the bounds it cannot be run at"),
+          ('free=("gain", ', 'free=("loss", ')], None, "cannot be simulated at"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_reported(
@@ -134,8 +134,8 @@ def test_the_command_says_it_and_its_exit_code_too(tmp_path: Path) -> None:
     wrong = ('free=("gain", "capacity")', 'free=("gain", "capacity", "loss")')
     found = run_twinmatch("check-plant", plant_file(tmp_path, "checked_found", wrong))
     assert found.returncode == 1
-    assert "can grow together without being seen" in found.stdout
-    assert "→ take one of them out of `free`" in found.stdout
+    assert "separately, only their ratios" in found.stdout
+    assert "→ remove one of them from `free`" in found.stdout
     broken = run_twinmatch(
         "check-plant", plant_file(tmp_path, "checked_broken", ("self.loss *", "self.los *"))
     )

@@ -43,7 +43,7 @@ def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
         (
             'unit="J/K", default=100',
             'unit="J", default=100',
-            "the rate of block: comes out in s.*, needs °C per second",
+            "the rate of block: has the unit s.*, but needs °C per second",
         ),
         (
             'loss = Parameter(unit="W/K"',
@@ -53,7 +53,7 @@ def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
         (
             'capacity = Parameter(unit="J/K"',
             'capacity = Parameter(unit="kJ/K"',
-            "comes out in 0.001 times °C per",
+            "has 0.001 times the unit °C per",
         ),
         ('State(unit="°C"', 'State(unit="K"', "block is in K and room in °C|room is in °C and block in K"),
         (
@@ -61,12 +61,12 @@ def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
             "start={self.block: self.temperature**2}",
             "the start of block",
         ),
-        ("output=self.block", "output=self.block * self.loss", "the output: comes out in W, needs °C"),
+        ("output=self.block", "output=self.block * self.loss", "the output: has the unit W, but needs °C"),
         ("self.loss * (self.block - self.room)", "self.loss * (self.block**4 - self.room**4)", "a power of"),
         (
             "self.loss * (self.block - self.room)",
             "self.loss * (self.block - self.room) * __import__('sympy').exp(self.block)",
-            "taken of something in K",
+            "has the unit K",
         ),
     ],
 )

@@ -69,7 +69,7 @@ def test_gain_and_lag_are_in_reach_of_the_truth(
 def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no column is mapped to input"):
         propose(read_table(lagged(tmp_path, 1.0, 20.0, 1.0)), parse_map(MAP[:2]))
-    with pytest.raises(AddingError, match="a plant's name has small letters"):
+    with pytest.raises(AddingError, match="not a valid name; use small letters"):
         files_of("My Plant", example())
 
 

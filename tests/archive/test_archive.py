@@ -35,7 +35,7 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
     result = run_twinmatch("replay", archive_folder, "--jobs", 2, "--out", out, "--json", table)
     assert result.returncode == 3, result.stderr
     assert len(result.stderr.splitlines()) == 1
-    assert "passed over" in result.stderr
+    assert "skipped" in result.stderr
     assert "bad.csv" in result.stderr
     assert "2 sessions judged" in result.stdout
 
@@ -93,7 +93,7 @@ def test_progress_counts_every_session_once(tmp_path: Path) -> None:
     bad[1].touch()
     seen: list[tuple[int, int]] = []
     passed = []
-    archive = judge_archive(bad, watch=lambda *at: seen.append(at), passed_over=passed.append)
+    archive = judge_archive(bad, watch=lambda *at: seen.append(at), on_skip=passed.append)
     assert seen[-1] == (2, 2)
     assert [done for done, _ in seen] == sorted({done for done, _ in seen})
     assert list(archive.failed) == passed
@@ -147,7 +147,7 @@ def test_a_session_elsewhere_has_to_be_the_same(tmp_path: Path) -> None:
     assert "on worker tcp://10.0.0.7:41" in absent.error
     assert "same path" in absent.error
     path.touch()
-    assert "something else than here on worker" in judge(job, " on worker tcp://10.0.0.7:41").error
+    assert "differs on worker" in judge(job, " on worker tcp://10.0.0.7:41").error
     assert "changed" in judge(job).error
 
 

@@ -49,7 +49,7 @@ def test_a_failed_write_leaves_the_old_result(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ArchiveError, match="no results can be kept there"):
+    with pytest.raises(ArchiveError, match="the folder for results cannot be created"):
         Store(tmp_path / "file")
 
 

@@ -27,12 +27,12 @@ def test_it_prints_its_address_and_stays_on_this_machine(page_process: Callable[
 
 
 @pytest.mark.parametrize(
-    ("options", "able"), [((), "but command nothing"), (("--control",), "and command the plant")]
+    ("options", "able"), [((), "read this page"), (("--control",), "read this page and command the plant")]
 )
 def test_an_open_page_says_so(page_process: Callable[..., Any], options: tuple[str, ...], able: str) -> None:
     page = page_process("--address", "0.0.0.0", *options)
     assert page.url
-    assert f"PAGE OPEN: whoever reaches 0.0.0.0 may read this page {able}" in page.text
+    assert f"PAGE OPEN: anyone who can reach 0.0.0.0 may {able};" in page.text
 
 
 @pytest.mark.parametrize(

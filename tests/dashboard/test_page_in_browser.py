@@ -249,7 +249,7 @@ def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
     with browser.sized(width, height):
         browser.wait_for(lambda: browser.run(FITS), "a page that fits")
         seen = browser.run(ON_SCREEN)
-        for answer in ("leader, the twin", "health of the plant", "what to do", "closed-loop twin / °C"):
+        for answer in ("leader, the twin", "plant health", "what to do", "closed-loop twin / °C"):
             assert answer in seen, answer
         assert browser.run(FAINT) == []
         assert browser.warnings() == []
@@ -272,7 +272,7 @@ def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
         if found == "Help" and "what it means, what to do" not in browser.text:
             browser.keys(Keys.ENTER)
     assert wanted <= reached, wanted - reached
-    assert "The plant does what no twin explains." in browser.text
+    assert "No twin explains the plant's behaviour." in browser.text
     assert browser.run(FAINT) == []
     browser.run("document.getElementById('help').open = false")
 
@@ -313,7 +313,7 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
     def missed() -> bool:
         _ask(browser, "50", "")
         time.sleep(0.5)
-        return "the discriminator is not there" in browser.text
+        return "the discriminator is not running" in browser.text
 
     browser.wait_for(missed, "a word of it")
     assert browser.warnings() == []
@@ -426,10 +426,10 @@ def test_control_asks_the_controller_and_the_bridge(
             time.sleep(1.0)
             return answer in browser.text
 
-        browser.wait_for(lambda: asked("42.5", "asked for 42.5 °C"), "the answer")
+        browser.wait_for(lambda: asked("42.5", "requested 42.5 °C"), "the answer")
         browser.wait_for(lambda: browser.column("output", 2, "reference")[-1:] == [42.5], "the set-point")
         browser.wait_for(
-            lambda: asked("180", "180 °C was not asked for: allowed is 0 to 100 °C"), "the refusal"
+            lambda: asked("180", "180 °C not set: the controller allows 0 to 100 °C"), "the refusal"
         )
         assert browser.column("output", 2, "reference")[-1] == 42.5
         browser.click("Output off")

@@ -55,7 +55,7 @@ def test_a_fault_a_doubt_and_a_structure_are_said(judged: Judgement) -> None:
     told = words(panels.reasons(verdict, 1.0))
     assert "the plant shows fan failed since sample 300" in told
     assert "hardly" in told
-    assert "structure of the plant in the twins: sink" in told
+    assert "structure that the samples justify: sink" in told
 
 
 def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
@@ -78,7 +78,7 @@ def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
 def test_before_anything_came_it_says_so() -> None:
     state = DashboardState()
     assert "waiting for the first sample" in words(panels.status(state, 0.0))
-    assert "no verdict has come yet" in words(panels.reasons(None, 1.0))
+    assert "no verdict yet" in words(panels.reasons(None, 1.0))
     assert words(panels.family_table(None, every=False)) == [
         "There is no candidate yet: no match has been admitted."
     ]
@@ -91,10 +91,10 @@ def test_silence_and_trouble_are_in_the_first_line() -> None:
     state = DashboardState()
     state.push_sample(Sample(12, 0, 50.0, 49.0, 3.0), 100.0)
     state.push_health("matcher: health", 0, "working", {}, 100.0)
-    assert words(panels.status(state, 101.0)) == ["sample 12, 12 s", "1 node is well"]
-    assert words(panels.status(state, 160.0)) == ["no sample for 60 s", "1 of 1 nodes need a look"]
+    assert words(panels.status(state, 101.0)) == ["sample 12, 12 s", "1 node is OK"]
+    assert words(panels.status(state, 160.0)) == ["no sample for 60 s", "1 of 1 nodes need attention"]
     state.push_health("matcher: health", 2, "trouble", {}, 160.0)
-    assert "1 of 1 nodes need a look" in words(panels.status(state, 160.0))
+    assert "1 of 1 nodes need attention" in words(panels.status(state, 160.0))
     assert words(panels.nodes(state.roster, 160.0)) == ["matcher", "error", "trouble"]
 
 
@@ -103,7 +103,7 @@ def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None
     state = DashboardState()
     state.push_drive(Drive(0.0, 0.0, f"stopped: {evil}"))
     state.push_health(f"{evil}: health", 2, evil, {"rate": "1", "paused": "no", "position": evil}, 0.0)
-    state.tell(False, evil)
+    state.notify(False, evil)
     last = judged.verdicts[-1]
     named = replace(last.candidates[0], name=evil)
     verdict = replace(last, reason=evil, nominal=evil, candidates=(named,), fault=evil, certainty=evil)
@@ -139,18 +139,18 @@ def test_the_first_screen_says_what_to_do(judged: Judgement) -> None:
     assert "play a recorded session" in what_to_do(state)
     for sample in judged.samples:
         state.push_sample(sample, 100.0)
-    assert "step and stay" in what_to_do(state)
+    assert "hold it for some minutes" in what_to_do(state)
     last = judged.verdicts[-1]
     reason = "the drive does nothing: look at drive, wires and supply"
     for level, advice in (
-        (TrustLevel.TRUSTED, "Nothing needs doing. Ask the leader"),
-        (TrustLevel.DOUBTFUL, "Do not rely on what is foretold"),
+        (TrustLevel.TRUSTED, "Nothing. Ask the leader"),
+        (TrustLevel.DOUBTFUL, "Do not rely on forecasts"),
         (TrustLevel.FAULT, "Look at drive, wires and supply. Do not rely"),
-        (TrustLevel.UNKNOWN, "step and stay"),
+        (TrustLevel.UNKNOWN, "hold it for some minutes"),
     ):
         state.push_verdict(replace(last, level=level, reason=reason))
         assert what_to_do(state).startswith(advice) or advice in what_to_do(state), level
-    assert "no fault seen" in " ".join(words(first_screen(state)))
+    assert "no fault found" in " ".join(words(first_screen(state)))
     state.push_verdict(replace(last, level=TrustLevel.FAULT, fault="drive-lost", fault_since=600))
     assert "✕ drive lost" in words(first_screen(state))
     state.push_drive(Drive(0.0, 0.0, "board: gone"))
@@ -168,7 +168,7 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
     state.push_health("player", 0, "ended: all 13 messages were taken", {**player, "ended": "True"}, 101.0)
     state.push_health("matcher", 1, "no sample for 6 s", {}, 106.0)
     for now in (107.0, 400.0):
-        state.roster.look(now)
+        state.roster.expire(now)
         assert words(panels.status(state, now)) == [
             "sample 12, 12 s",
             "the replay has ended: 13.0 s of 13.0 s",
@@ -178,7 +178,7 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
         assert "no sample" not in told
         assert "the replay has ended" in what_to_do(state)
     state.push_health("matcher", 2, "trouble", {}, 401.0)  # an error is its own all the same
-    assert "1 of 2 nodes need a look" in words(panels.status(state, 401.0))
+    assert "1 of 2 nodes need attention" in words(panels.status(state, 401.0))
     state.push_sample(Sample(0, 0, 1.0, 2.0, 3.0), 500.0)
     assert not any("ended" in w for w in words(panels.status(state, 500.0)))
 
@@ -188,7 +188,7 @@ def test_a_player_whose_last_word_was_lost_has_ended_at_the_end_only() -> None:
         state = DashboardState()
         values = {"rate": "50", "paused": "False", "position": position, "ended": "False"}
         state.push_health("player", 0, "playing", values, 100.0)
-        state.roster.look(110.0)
+        state.roster.expire(110.0)
         assert state.roster.player is None
         assert (state.roster.ended is not None) is ended
 

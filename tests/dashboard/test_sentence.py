@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from twinmatch.dashboard import DashboardState
-from twinmatch.dashboard.sentence import say
+from twinmatch.dashboard.sentence import update_sentence
 from twinmatch.judging.judgement import Judgement
 from twinmatch.twin import TwinSettings
 from twinmatch.views import sentence
@@ -24,7 +24,7 @@ def filled(judged: Judgement, leave_out: range = range(0)) -> DashboardState:
 def test_at_the_end_it_is_the_terminals(judged: Judgement) -> None:
     settings = TwinSettings()
     state = filled(judged)
-    say(state, settings.gains)
+    update_sentence(state, settings.gains)
     assert state.sentence == sentence(judged.summary)
     assert judged.summary.leader in state.sentence
     assert judged.summary.nominal in state.sentence
@@ -33,7 +33,7 @@ def test_at_the_end_it_is_the_terminals(judged: Judgement) -> None:
 def test_missing_samples_do_not_disturb_it(judged: Judgement) -> None:
     settings = TwinSettings()
     state = filled(judged, leave_out=range(5, 9))
-    say(state, settings.gains)
+    update_sentence(state, settings.gains)
     assert state.sentence.startswith("Leader")
     assert judged.summary.leader in state.sentence
 
@@ -47,5 +47,5 @@ def test_without_candidates_nothing_is_said(judged: Judgement, verdicts: int) ->
     for verdict in judged.verdicts[:verdicts]:
         assert verdict.leader is verdict.nominal is None
         state.push_verdict(verdict)
-    say(state, settings.gains)
+    update_sentence(state, settings.gains)
     assert state.sentence == ""

@@ -73,7 +73,9 @@ def test_pages_of_other_sites_may_not_speak_to_it(server: PageServer, origin: st
 
 def test_a_port_that_is_taken_is_one_clear_line(server: PageServer) -> None:
     port = int(server.url.rsplit(":", 1)[1].strip("/"))
-    with pytest.raises(DashboardError, match=f"127.0.0.1:{port} cannot be used: .*give another with --port"):
+    with pytest.raises(
+        DashboardError, match=f"127.0.0.1:{port} cannot be used: .*choose another with --port"
+    ):
         PageServer("127.0.0.1", port, fill)
 
 

@@ -130,7 +130,7 @@ def test_an_error_on_diagnostics_is_reported_once_however_its_figures_grow() -> 
         state.push_health("matcher: health", 2, f"no sample for {k}.5 s", {}, float(k))
     state.push_health("matcher: health", 0, "working", {}, 6.0)
     titles = [e.title for e in reversed(state.events.newest_first())]
-    assert titles == ["matcher reports an error", "matcher is well again"]
+    assert titles == ["matcher reports an error", "matcher has recovered"]
 
 
 def test_the_player_is_known_by_what_it_reports_and_goes_when_it_falls_silent() -> None:
@@ -140,9 +140,9 @@ def test_the_player_is_known_by_what_it_reports_and_goes_when_it_falls_silent() 
     player = state.roster.player
     assert player is not None
     assert (player.rate, player.paused, player.position) == (50.0, True, "12.0 s of 300.0 s")
-    state.roster.look(13.0)
+    state.roster.expire(13.0)
     assert state.roster.player is not None
-    state.roster.look(15.0)
+    state.roster.expire(15.0)
     assert state.roster.player is None
 
 

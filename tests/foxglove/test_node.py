@@ -252,7 +252,7 @@ def test_it_ends_cleanly_while_somebody_looks(
 def test_an_open_server_says_so(serve: Callable[..., Any]) -> None:
     server = serve("--address", "0.0.0.0")
     assert server.url
-    assert "FOXGLOVE OPEN: whoever reaches 0.0.0.0 may read this graph but command nothing" in server.text
+    assert "FOXGLOVE OPEN: anyone who can reach 0.0.0.0 may read this graph;" in server.text
 
 
 @pytest.mark.parametrize(

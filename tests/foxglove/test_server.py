@@ -81,7 +81,7 @@ def test_another_kind_of_time_is_another_session_that_begins_with_what_was_said_
     viewer.subscribe("/a")
     viewer.wait(lambda: server.viewers == 1, "the subscription")
     server.send("/a", number(1.0), 10)
-    server.begin_anew(5)
+    server.reset(5)
     viewer.wait(lambda: len(set(viewer.sessions)) == 2 and viewer.times, "another session")
     assert viewer.times == [5]
     server.repeat(5)
@@ -107,7 +107,9 @@ def test_a_viewer_that_does_not_keep_up_loses_the_oldest_and_holds_nobody_back(
 
 def test_a_port_that_is_taken_is_one_clear_line(server: GraphServer) -> None:
     port = int(server.url.rsplit(":", 1)[1])
-    line = rf"^foxglove: 127\.0\.0\.1:{port} cannot be used: Address already in use; give another with --port"
+    line = (
+        rf"^foxglove: 127\.0\.0\.1:{port} cannot be used: Address already in use; choose another with --port"
+    )
     with pytest.raises(FoxgloveError, match=line):
         GraphServer("rig", "127.0.0.1", port)
 

@@ -157,7 +157,7 @@ def test_a_sample_that_is_missing_is_named(tmp_path: Path) -> None:
 def test_a_session_without_any_candidate_says_so(tmp_path: Path) -> None:
     reference = np.full(200, 30.0)
     session = stored(samples_of(Window(reference, reference, reference / 2)), tmp_path / "still")
-    with pytest.raises(ForecastError, match="nor at any later one: no match was accepted"):
+    with pytest.raises(ForecastError, match="or later, since no match was accepted"):
         prospects(session, Terms(TwinSettings()), [150])
 
 

@@ -187,7 +187,7 @@ def test_sentences_may_be_worded_better_by_a_later_version(record: Callable[...,
     found = verify_session(record(word))
     assert found.identical
     assert found.notes == (
-        "sentences are worded differently by this version, and were not compared: reason, suggestion",
+        "this version words some texts differently; they were not compared: reason, suggestion",
     )
 
 
@@ -208,13 +208,13 @@ def test_other_parameters_give_other_verdicts(record: Callable[..., Path]) -> No
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"change": lambda _, scores: scores.clear()}, "holds no verdicts on /twin/model_score"),
+        ({"change": lambda _, scores: scores.clear()}, "has no verdicts on /twin/model_score"),
         (
             {"nodes": ("/matcher",)},
             "the parameters of /discriminator were not recorded; give them with --config",
         ),
-        ({"family": None}, "candidates of family.yaml, which were not recorded; give them with --candidates"),
-        ({"family": ""}, "which were not recorded"),
+        ({"family": None}, "from family.yaml, were not recorded; give them with --candidates"),
+        ({"family": ""}, "were not recorded"),
     ],
 )
 def test_what_cannot_be_verified_is_said(

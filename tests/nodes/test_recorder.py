@@ -324,7 +324,7 @@ def test_too_little_room_is_one_line(start: Callable[..., Process], tmp_path: Pa
         "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=900000000.0"
     )
     assert process.wait() == 2
-    assert "recording run: will not begin" in process.text
+    assert "recording run: not started" in process.text
     assert not (tmp_path / "run").exists()
 
 
@@ -359,7 +359,7 @@ main()
 
     wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
     assert process.wait() == 2
-    assert "make room or choose another folder" in process.text
+    assert "free some disk space or choose another folder" in process.text
     assert "Traceback" not in process.text
     session = read_session(tmp_path / "run")
     assert len(session.samples) > 5
@@ -396,7 +396,7 @@ main()
     wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
     assert process.wait() == 2
     assert "recording run: stopped after" in process.text
-    assert "9 MB are free on the disk and 10 MB have to stay" in process.text
+    assert "9 MB are free on the disk, but 10 MB must stay free" in process.text
     session = read_session(tmp_path / "run")
     assert session.notes == []
     assert len(session.samples) > 5

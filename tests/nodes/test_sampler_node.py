@@ -172,7 +172,7 @@ def test_stamps_of_a_clock_that_is_behind_are_reported(beside: Beside) -> None:
             {"paced_by": "timr"},
             "parameter paced_by is 'timr'; allowed is one of: reference, output, input, timer",
         ),
-        ({"input": "/oven/heater; gain=3"}, "'gain' is not known; there are unit, scale and offset"),
+        ({"input": "/oven/heater; gain=3"}, "unknown setting 'gain'; there are unit, scale and offset"),
         ({"max_age__room": "3.0"}, "there is no parameter max_age.room"),
         ({"types": "'/oven/heater lab_msgs/msg/Drive'"}, "lab_msgs/msg/Drive is not installed here"),
     ],

@@ -29,7 +29,7 @@ def test_report_and_figures_are_written_and_named(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (["absent.mcap"], ["absent.mcap", "does not exist"]),
-        ([SHIPPED, "-o", "no/such/report.html"], ["there is no folder no/such"]),
+        ([SHIPPED, "-o", "no/such/report.html"], ["the folder no/such does not exist"]),
         ([SHIPPED, "-o", "."], ["is a folder"]),
         ([SHIPPED, "--config", "absent.yaml"], ["absent.yaml", "cannot be read"]),
         (["noise.mat"], ["noise.mat"]),

@@ -35,7 +35,7 @@ def test_it_prints_on_numbered_a4_pages(shipped: Report, tmp_path: Path) -> None
         assert (width, height) == pytest.approx((210, 297), abs=1)
         assert f"{number} / {len(pages)}" in page.extract_text()
     text = " ".join(" ".join(page.extract_text().split()) for page in pages)
-    for title in ("In plain words", "2. Health over time", "3. What comes next", "6. Which model order"):
+    for title in ("Summary", "2. Health over time", "3. What comes next", "6. Which model order"):
         assert title in text
     pixels = sum(len(page.images) for page in pages)
     assert pixels <= 2, "but for the heat map and its colour bar pictures stay drawings, sharp at any size"

@@ -75,7 +75,7 @@ def test_the_recorded_parameters_are_used_and_the_verdicts_agree(record: Callabl
     assert report.judged.identical is True
     text = report.html()
     assert "the same, bit for bit" in text
-    assert "those that were recorded with the session" in text
+    assert "those recorded with the session" in text
 
 
 def test_a_session_with_verdicts_is_judged_once(
@@ -97,12 +97,12 @@ def test_a_session_with_verdicts_is_judged_once(
 
 def test_verdicts_that_differ_are_reported_with_the_first_difference(record: Callable[..., Path]) -> None:
     def spoil(score: Any) -> None:
-        score.reason = "invented"
+        score.nominal = "invented"
 
     judged = judge(record(spoil))
     assert judged.identical is False
     assert "differ from the recorded ones" in judged.recorded
-    assert "reason was recorded as 'invented'" in judged.recorded
+    assert "nominal was recorded as 'invented'" in judged.recorded
 
 
 def test_verdicts_that_cannot_be_compared_are_reported_too(record: Callable[..., Path]) -> None:

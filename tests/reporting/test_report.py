@@ -137,7 +137,7 @@ def test_the_forecasts_stand_beside_the_measurements_and_the_peers(page: Element
 def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Report) -> None:
     samples = {s.index: s for s in shipped.judged.judgement.samples}
     shown = {f.sample: f for f in shipped.judged.tested.shown}
-    rows = grid(tables_of(page)["What it foretold, and what came"])
+    rows = grid(tables_of(page)["Forecasts of the leader, and the measurements"])
     assert len(rows) == min(6, len(shown))
     for row in rows:
         forecast = shown[int(row[0].text)]  # one sample a second
@@ -152,7 +152,7 @@ def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Rep
         )
         held = (forecast.output.low <= came) & (came <= forecast.output.high)
         assert row[6].text == f"{100 * held.mean():.0f} %"
-    assert "foretold" in shipped.pictures
+    assert "leader_forecasts" in shipped.pictures
 
 
 def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: Report) -> None:
@@ -234,7 +234,7 @@ def test_the_report_says_how_it_was_made(page: Element) -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d[+-]\d\d:\d\d", rows["made"])
     assert rows["numpy"] == np.__version__
     assert {"twinmatch", "Python", "scipy", "numba"} <= set(rows)
-    parameters = next(t for c, t in tables_of(page).items() if c.startswith("Every parameter"))
+    parameters = next(t for c, t in tables_of(page).items() if c.startswith("All parameters"))
     shown = {r[0].text: r[1].text for r in grid(parameters)}
     assert shown["schedule.stride"] == "60"
     assert shown["pid.proportional"] == "38.57"
@@ -268,9 +268,9 @@ def simulated(reference: np.ndarray, **changes: float) -> Window:
 @pytest.mark.parametrize(
     ("reference", "words"),
     [
-        (np.full(3, 30.0), "No set-point step was found"),
-        (np.full(200, 40.0), "No set-point step was found"),
-        (np.repeat([30.0, 50.0], 45), "No set-point step was found"),
+        (np.full(3, 30.0), "There was no set-point step"),
+        (np.full(200, 40.0), "There was no set-point step"),
+        (np.repeat([30.0, 50.0], 45), "There was no set-point step"),
     ],
     ids=["three samples", "no step", "too short"],
 )
@@ -301,7 +301,7 @@ def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> No
     assert told
     assert not any(v.match == ADMITTED for v in told)
     assert "match refused" in tables_of(document)["What happened"].text
-    assert f"of {len(told)} window" in next(document.all("main")).text
+    assert f"of {len(told)} match" in next(document.all("main")).text
     assert "indices step from" in next(document.all("main")).text
 
 
@@ -314,7 +314,7 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
         writer.writerows(zip(window.time, window.reference, window.output, window.input, strict=True))
     report = make_report(path)
     assert report.nominal is not None
-    assert "holds no recorded verdicts" in report.html()
+    assert "has no recorded verdicts" in report.html()
     assert [f.name for f in report.provenance.files] == ["bench.csv"]
 
 
@@ -357,5 +357,5 @@ def test_what_cannot_be_written_is_one_message(shipped: Report, tmp_path: Path) 
     (tmp_path / "file").write_text("")
     with pytest.raises(TwinmatchError, match="cannot be written"):
         shipped.write(tmp_path / "no" / "report.html")
-    with pytest.raises(TwinmatchError, match="cannot be made"):
+    with pytest.raises(TwinmatchError, match="cannot be created"):
         write_pictures(shipped.pictures, tmp_path / "file" / "figures", "png")

@@ -105,7 +105,7 @@ def test_a_given_candidate_has_no_intervals(shipped: Report) -> None:
     score = verdict_of(shipped).candidates[0]
     rows = {row[0].text: row for row in nominal_table(score, None).rows}
     assert rows["α"][2].text == f"{1000 * score.parameters['seebeck']:.1f}"
-    assert rows["α"][6].text == "given"
+    assert rows["α"][6].text == "candidate file"
     assert rows["α"][5].text == "–"
 
 
@@ -119,7 +119,7 @@ def test_open_intervals_are_shown_as_open(shipped: Report) -> None:
     open_ended = replace(nominal.match, intervals=ends, believed=("seebeck",))
     rows = {row[0].text: row for row in nominal_table(nominal.score, open_ended).rows}
     assert rows["K"][5].text == "−∞ to 0.600"
-    assert rows["K"][6].text == "fitted, hardly determined"
+    assert rows["K"][6].text == "fitted, poorly determined"
     assert rows["α"][6].text == "fitted, well determined"
 
 

@@ -156,7 +156,7 @@ def test_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
 def test_headers_of_another_clock_are_reported_and_not_used(tmp_path: Path, plant: Path) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(), behind=500.0)
     found = map_bag(source, parse_map(MAP), find_plant(str(plant)))
-    assert any("headers are of another clock (/rack by 500" in note for note in found.notes)
+    assert any("headers have another clock (/rack by 500" in note for note in found.notes)
     assert found.samples[0].stamp == round((START + 500.03) * 1e9)
 
 
@@ -174,7 +174,7 @@ def test_headers_of_another_clock_are_reported_and_not_used(tmp_path: Path, plan
         (["output=/ra ck", "input=/heater"], "names no topic"),
         (
             ["time=/rack:header", "output=/room:temperature", "input=/heater"],
-            "a bag's times are those of its",
+            "a bag has the times of its messages",
         ),
     ],
 )

@@ -76,7 +76,9 @@ def test_verdicts_are_compared_in_what_both_forms_have() -> None:
     """Whether they are the same to the last bit is a matter of versions; like is compared with like."""
     found = verify_session(SESSION)
     assert (found.samples, found.verdicts, found.matches) == (360, 6, 1)
-    assert found.notes[0].startswith("recorded in another form; only what both forms have was compared")
+    assert found.notes[0].startswith(
+        "recorded in another form; fields that only one form has were not compared"
+    )
     assert " parameters.structure" in found.notes[0]
     for renamed in ("rms_y", "rms_u", "residual", " parameters.heat_capacity", "starts"):
         assert renamed not in found.notes[0]

@@ -112,7 +112,7 @@ def test_a_file_made_by_hand_is_read(tmp_path):
         (2, -4, r"has the shape \(2, -4\); it needs 4 columns"),
         (-2, -4, r"has the shape \(-2, -4\); it needs 4 columns"),
         (-(2**31), 4, "has the shape"),
-        (2**31 - 1, 4, "has 2147483647 rows; cut it into parts of 10000000"),
+        (2**31 - 1, 4, "has 2147483647 rows; split it into parts of 10000000"),
         (1, 4, "is truncated or damaged"),
     ],
 )

@@ -94,17 +94,17 @@ def test_a_recording_that_knows_its_date_keeps_it(tmp_path: Path, heated: type[P
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        (["output=T1", "heater=on"], r"no column is mapped to time; write --map time=COLUMN"),
+        (["output=T1", "heater=on"], r"no column is mapped to time; add --map time=COLUMN"),
         ([*MAP, "reference=set"], r"has no column 'set'; it has 't', 'T1'"),
         ([*MAP, "rom=room"], r"plant block_mapped has no signal 'rom'; .*output \(temperature\).*room"),
         ([*MAP, "output=T1"], "output is given twice"),
         ([*MAP, "input=on"], "heater and input are the same signal"),
         (["time"], "write SIGNAL=COLUMN"),
-        (["time=t; unit=V", *MAP[1:]], "is in V, no unit of time"),
+        (["time=t; unit=V", *MAP[1:]], "is in V, not a unit of time"),
         (["time=t", "output=T1; unit=V", *MAP[2:]], "'T1' is in V, the plant's output in °C"),
         (["time=t", "output=T1; scale=much", *MAP[2:]], "scale is 'much'; give a number"),
         (["time=t", "output=T1; scale=0", *MAP[2:]], "scale is 0"),
-        (["time=t", "output=T1; per=2", *MAP[2:]], "'per' is not known; there are unit, scale and offset"),
+        (["time=t", "output=T1; per=2", *MAP[2:]], "unknown setting 'per'; there are unit, scale and offset"),
         (["time=t", "output=T1; offset=273.15", *MAP[2:]], r"line 2: output is 293.15 °C \(and in 3 more\), "
          r"beyond the span of its output, -10 to 120; if the column is in K, write 'output=COLUMN; unit=K'"),
         (["time=t", "output=T1", "input=on; scale=255"], r"line 3: input is 255 % .*'input=COLUMN; scale="),
@@ -123,7 +123,7 @@ def test_maps_that_do_not_fit_are_explained(
     [
         (CSV.replace(",20,", ",cold,"), "line 2: 'T1' is 'cold', which is not a number"),
         (CSV.replace("2,22,", "9,22,").replace("3,23", "10,23"), "a gap of 8 s after line 3"),
-        (CSV.replace("t,T1,T2,on,room\n", ""), "the first line has to name the columns"),
+        (CSV.replace("t,T1,T2,on,room\n", ""), "the first line must name the columns"),
         ("Logger 7\n" + CSV, "line 2: has 5 cells, but line 1 has 1 column names"),
         ("a,b\n", "has 1 lines"),
     ],
@@ -203,12 +203,12 @@ def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[1", "is no YAML file"),
+        ("[1", "is not valid YAML"),
         ("output: T", "has no section 'columns'"),
-        ("columns: {output: T}\nplants: x", "plants is not known"),
-        ("columns: {output: 3}", "is 3; name a column"),
+        ("columns: {output: T}\nplants: x", "unknown entry plants"),
+        ("columns: {output: 3}", "is 3; give the title of a column"),
         ("columns: {output: {column: T, scale: x}}", "scale is 'x'"),
-        ("columns: {output: []}", "names no column"),
+        ("columns: {output: []}", "the column is missing"),
         ("period: -1\ncolumns: {output: T}", "period is -1"),
     ],
 )

@@ -118,7 +118,7 @@ def test_only_the_metadata_are_missing(tmp_path):
 def test_the_metadata_list_another_file(tmp_path):
     folder = record(tmp_path / "run", finish=True)
     (folder / "run_0.mcap").rename(folder / "other_0.mcap")
-    assert repair_session(folder).faults == ("metadata.yaml lists other files than there are",)
+    assert repair_session(folder).faults == ("metadata.yaml does not list the files that exist",)
     check_whole(folder, 60)
 
 
@@ -146,7 +146,7 @@ def test_of_a_damaged_session_the_original_is_kept(tmp_path):
         assert reader.message_count == found.messages
     assert repair_session(folder).faults == ()
     (folder / "metadata.yaml").unlink()
-    with pytest.raises(SessionError, match=r"run\.broken is in the way"):
+    with pytest.raises(SessionError, match=r"run\.broken of an earlier repair exists"):
         repair_session(folder)
 
 
@@ -168,13 +168,16 @@ def test_a_repair_that_was_interrupted_is_done_again(tmp_path):
     ("prepare", "message"),
     [
         (lambda _: None, "does not exist"),
-        (lambda path: path.mkdir(), "the folder holds no MCAP file"),
-        (lambda path: path.touch(), "is a file; give the folder it is in"),
+        (lambda path: path.mkdir(), "the folder has no MCAP file"),
+        (lambda path: path.touch(), "is a file; give its folder"),
         (
             lambda path: (path.mkdir(), (path / "run_0.mcap").touch()),
-            "run_0.mcap is empty.*; not one message",
+            "run_0.mcap is empty.*; no message",
         ),
-        (lambda path: (path.mkdir(), (path / "a.mcap").write_text("no such thing")), "begins otherwise"),
+        (
+            lambda path: (path.mkdir(), (path / "a.mcap").write_text("no such thing")),
+            "does not begin like an MCAP file",
+        ),
     ],
 )
 def test_what_is_not_a_session_is_said(tmp_path, prepare, message):
@@ -211,7 +214,7 @@ def test_a_copy_that_is_not_whole_does_not_take_the_place(tmp_path, monkeypatch)
         (copy / "metadata.yaml").unlink()
 
     monkeypatch.setattr(repairing, "_write", write_no_metadata)
-    with pytest.raises(SessionError, match=r"the repaired copy is not whole \(metadata.yaml is missing"):
+    with pytest.raises(SessionError, match=r"the repaired copy has faults \(metadata.yaml is missing"):
         repair_session(folder)
     assert content(folder) == before
     assert [p.name for p in tmp_path.iterdir()] == ["run"]

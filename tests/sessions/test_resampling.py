@@ -40,7 +40,7 @@ def test_the_period_is_the_mean_of_steps_that_lost_no_row():
     assert found.period == 3.0
     assert len(found.bridged) == 2
     assert found.columns["y"] == pytest.approx(found.time)
-    assert "rows are missing in 2 places" in found.sentence
+    assert "rows are missing at 2 places" in found.sentence
 
 
 def test_a_slow_clock_is_kept_and_a_shaky_one_rounded():
@@ -81,9 +81,9 @@ def test_a_straight_reading_stays_straight_within_the_rows(steps, slope):
         ([0, 3, 3, 6], 1.0, {"y": "reading"}, None, "does not advance from 3 s in row 2 to 3 s in row 3"),
         ([0, 3, 6, 9], np.nan, {"y": "reading"}, None, "y in row 1 is nan; give a finite number"),
         ([0], 1.0, {"y": "reading"}, None, "has 1 rows; at least two"),
-        ([0, 3, 6], 1.0, {}, None, "say for column y which it is of: reading, held, set"),
-        ([0, 3, 6], 1.0, {"y": "reading"}, 0.5, "a period of 0.5 s is asked for; its rows are 3 s apart"),
-        ([0, 3, 6], 1.0, {"y": "reading"}, np.nan, "a period of nan s is asked for"),
+        ([0, 3, 6], 1.0, {}, None, "the kind of column y is missing; give one of reading, held, set"),
+        ([0, 3, 6], 1.0, {"y": "reading"}, 0.5, "a period of 0.5 s does not fit rows 3 s apart"),
+        ([0, 3, 6], 1.0, {"y": "reading"}, np.nan, "a period of nan s does not fit"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_put_on_a_clock_is_refused_in_words(time, y, kinds, period, words):

@@ -113,18 +113,18 @@ def changed(row: int, column: int, value: float) -> np.ndarray:
         (matrix() * [60, 1, 1, 1], r"pwm in row 1 \(and in 10 more\) is -300"),
         (changed(2, 1, -273.16), "temperature in row 3 is -273.16, which is below absolute zero"),
         (changed(2, 3, -500), "reference in row 3 is -500"),
-        (changed(5, 2, 5.5), "1.5 s pass from row 5 to row 6, elsewhere 1 s"),
+        (changed(5, 2, 5.5), "1.5 s from row 5 to row 6, elsewhere 1 s"),
         (changed(5, 2, 4.0), "time does not advance from 4 s in row 5 to 4 s in row 6"),
         (changed(5, 2, 3.0), "time does not advance from 4 s in row 5 to 3 s in row 6"),
-        (np.delete(matrix(), [9, 10], axis=0), "3 s pass from row 9 to row 10, elsewhere 1 s"),
+        (np.delete(matrix(), [9, 10], axis=0), "3 s from row 9 to row 10, elsewhere 1 s"),
         (matrix(1), "has 1 rows; at least two"),
         (matrix(0), "has 0 rows; at least two"),
         (matrix()[:, :3], r"simout has the shape \(20, 3\); it needs 4 columns"),
         (np.zeros((5, 4, 2)), r"simout has the shape \(5, 4, 2\)"),
-        (matrix() + 0j, "is no matrix of real numbers"),
-        (scipy.sparse.csc_matrix(matrix()), "is no matrix of real numbers"),
-        ({"time": matrix()}, "is no matrix of real numbers"),
-        ("text", "is no matrix of real numbers"),
+        (matrix() + 0j, "is not a matrix of real numbers"),
+        (scipy.sparse.csc_matrix(matrix()), "is not a matrix of real numbers"),
+        ({"time": matrix()}, "is not a matrix of real numbers"),
+        ("text", "is not a matrix of real numbers"),
     ],
 )
 def test_matrices_that_cannot_be_used_are_explained(tmp_path, rows, message):
@@ -148,7 +148,7 @@ def test_a_truncated_mat_file_is_never_read_as_whole(tmp_path, compress):
     for cut in range(0, len(content), 97):
         path.write_bytes(content[:cut])
         with pytest.raises(
-            RecordingError, match=r"is truncated or damaged|is no MATLAB file|has no matrix simout"
+            RecordingError, match=r"is truncated or damaged|is not a MATLAB file|has no matrix simout"
         ):
             read_recording(path)
 
@@ -171,7 +171,7 @@ def test_a_damaged_mat_file_gives_our_error_or_numbers(tmp_path_factory, damage,
 @pytest.mark.parametrize("content", [b"", b"garbage", bytes(500), b"MATLAB 5", os.urandom(0) + b"\xff" * 900])
 def test_a_file_that_is_not_a_mat_file_is_refused(tmp_path, content):
     (tmp_path / "run.mat").write_bytes(content)
-    with pytest.raises(RecordingError, match="is no MATLAB file of version 5"):
+    with pytest.raises(RecordingError, match="is not a MATLAB file of version 5"):
         read_recording(tmp_path / "run.mat")
 
 
@@ -191,21 +191,21 @@ def test_a_newer_mat_file_says_how_to_save_it(tmp_path):
             "has no column reference and no column temperature; its first line has 'time', 'pwm'",
         ),
         (CSV.replace("pwm", "power"), "has no column pwm; its first line has 'time', 'reference', 'temp"),
-        (CSV.replace("pwm", "y"), "columns 'temperature' and 'y' are both the temperature"),
+        (CSV.replace("pwm", "y"), "columns 'temperature' and 'y' are both temperature"),
         (
             CSV.replace("temperature", "temperature (K)"),
-            r"column 'temperature \(K\)': temperature is needed in °C",
+            r"column 'temperature \(K\)': give temperature in °C",
         ),
-        (CSV.replace("time", "time [ms]"), r"column 'time \[ms\]': time is needed in s"),
-        (CSV.replace("pwm", "pwm [%]"), "pwm is needed in steps of −255 to 255"),
+        (CSV.replace("time", "time [ms]"), r"column 'time \[ms\]': give time in s"),
+        (CSV.replace("pwm", "pwm [%]"), "give pwm in steps of −255 to 255"),
         (CSV.replace("26,2", "x,2"), "temperature in line 3 is 'x', which is not a number"),
         (CSV.replace("\n1,30,26,2", "\n\n1,30,,2"), "temperature in line 4 is ''"),
         (CSV.replace("1,30,26,2", "1,30"), "temperature in line 3 is ''"),
         (CSV.replace("26,2", "nan,2"), "temperature in line 3 is nan, which is not a finite number"),
         (CSV.replace("\n1,30", "\n\n1,30").replace(",3.5", ",256"), "pwm in line 5 is 256"),
-        (CSV.replace("\n2,31", "\n9,31"), "8 s pass from line 3 to line 4, elsewhere 1 s"),
+        (CSV.replace("\n2,31", "\n9,31"), "8 s from line 3 to line 4, elsewhere 1 s"),
         ("time,reference,temperature,pwm\n", "has 0 rows; at least two"),
-        (CSV.splitlines()[0] + "\n" + "1" * 200_000 + ",1,1,1\n", "is no table"),
+        (CSV.splitlines()[0] + "\n" + "1" * 200_000 + ",1,1,1\n", "cannot be read as a table"),
         (CSV.replace("26,2", "26,'2,5'").replace(",", ";").replace("'2;5'", "2,5"), "pwm in line 3 is '2,5'"),
     ],
 )
@@ -216,7 +216,7 @@ def test_tables_that_cannot_be_used_are_explained(tmp_path, text, message):
 
 def test_a_csv_that_is_not_text_is_refused(tmp_path):
     (tmp_path / "run.csv").write_bytes(b"\xff\xfe\x00garbage")
-    with pytest.raises(RecordingError, match="is no text in UTF-8"):
+    with pytest.raises(RecordingError, match="is not UTF-8 text"):
         read_recording(tmp_path / "run.csv")
 
 
@@ -225,7 +225,7 @@ def test_paths_that_are_not_recordings_are_refused(tmp_path):
         read_recording(tmp_path / "run.mat")
     with pytest.raises(RecordingError, match="is a folder"):
         read_recording(tmp_path)
-    with pytest.raises(RecordingError, match=r"a recording's name ends in \.mat or \.csv, not in '\.txt'"):
+    with pytest.raises(RecordingError, match=r"has the suffix '\.txt'; a recording has \.mat or \.csv"):
         read_recording(table(tmp_path / "run.txt", CSV))
 
 

@@ -51,8 +51,8 @@ def test_full_names_of_parts_are_understood(tmp_path):
     [
         ("rig_msgs/msg/Ghost", "the definition of rig_msgs/msg/Ghost is not installed; looked in /nowhere"),
         ("rig_msgs/msg/Frame", "the definition of rig_msgs/msg/Pixel is not installed"),
-        ("../../etc/passwd", "is no message type"),
-        ("rig_msgs/srv/Ask", "is no message type"),
+        ("../../etc/passwd", "is not a message type"),
+        ("rig_msgs/srv/Ask", "is not a message type"),
     ],
 )
 def test_what_is_not_installed_is_named(tmp_path, kind, message):

@@ -66,19 +66,19 @@ def test_of_two_rigs_one_has_to_be_named(tmp_path):
     a, b = (SAMPLE._replace(name=f"/{rig}/plant/sample") for rig in "ab")
     folder = record(tmp_path / "run", (a, run(5)), (b, run(7)))
     with pytest.raises(
-        SessionError, match=r"several rigs \(/a/plant/sample, /b/plant/sample\); name the topic"
+        SessionError, match=r"several rigs \(/a/plant/sample, /b/plant/sample\); give the topic"
     ):
         read_session(folder)
     assert len(read_session(folder, topic="/b/plant/sample").samples) == 7
     with pytest.raises(
-        SessionError, match=r"/c/plant/sample of type .* is not in it; it has /a/plant/sample, /b"
+        SessionError, match=r"has no topic /c/plant/sample of type .*; it has /a/plant/sample, /b"
     ):
         read_session(folder, topic="/c/plant/sample")
 
 
 def test_samples_under_another_name_are_used_only_when_named(tmp_path):
     folder = record(tmp_path / "run", (SAMPLE._replace(name="/loop"), run(5)))
-    with pytest.raises(SessionError, match="a topic ending in plant/sample"):
+    with pytest.raises(SessionError, match="has no topic ending in plant/sample"):
         read_session(folder)
     assert len(read_session(folder, topic="/loop").samples) == 5
 
@@ -88,7 +88,7 @@ def test_a_session_of_something_else_lists_what_it_has(tmp_path):
         for name in ("/speed", "/plant/sample"):
             writer.add_topic(Topic.of(name, FLOAT64, Qos()))
             writer.write(name, encode_float64(1.0), 0)
-    with pytest.raises(SessionError, match="LoopSample is not in it; it has /plant/sample, /speed"):
+    with pytest.raises(SessionError, match="LoopSample; it has /plant/sample, /speed"):
         read_session(tmp_path / "car")
 
 
@@ -108,7 +108,7 @@ def test_a_gap_is_noted(tmp_path):
     session = read_session(record(tmp_path / "run", (SAMPLE, samples)))
     assert session.samples == samples
     assert session.period == 1.0
-    assert session.notes == ["the samples' indices step from 9 to 12: windows begin anew there"]
+    assert session.notes == ["the samples' indices step from 9 to 12: windows start over there"]
     with pytest.raises(SignalError, match="sample 12 follows sample 9"):
         session.window()
 
@@ -118,7 +118,7 @@ def test_many_gaps_are_counted(tmp_path):
     session = read_session(record(tmp_path / "run", (SAMPLE, samples)))
     assert session.notes == [
         "the samples' indices step from 3 to 10, from 13 to 20, from 23 to 30 and 2 more: "
-        "windows begin anew there"
+        "windows start over there"
     ]
 
 
@@ -148,13 +148,13 @@ def test_a_message_too_short_is_refused(tmp_path):
 def test_missing_paths_and_other_things_are_refused(tmp_path):
     with pytest.raises(SessionError, match="does not exist"):
         read_session(tmp_path / "nothing")
-    with pytest.raises(SessionError, match="the folder holds no MCAP file"):
+    with pytest.raises(SessionError, match="the folder has no MCAP file"):
         read_session(tmp_path)
     (tmp_path / "empty.mcap").touch()
     with pytest.raises(SessionError, match="the file is empty"):
         read_session(tmp_path / "empty.mcap")
     (tmp_path / "notes.txt").write_text("dear diary")
-    with pytest.raises(SessionError, match="is no session"):
+    with pytest.raises(SessionError, match="is not a session"):
         read_session(tmp_path / "notes.txt")
 
 
@@ -201,7 +201,7 @@ def test_a_file_torn_before_its_first_sample_says_so(tmp_path):
     file = folder / "run_0.mcap"
     file.write_bytes(file.read_bytes()[:40])
     with pytest.raises(
-        SessionError, match=r"session run; run_0\.mcap: the file is truncated: a topic ending in"
+        SessionError, match=r"session run; run_0\.mcap: the file is truncated: has no topic ending in"
     ):
         read_session(folder)
 

@@ -87,7 +87,7 @@ def test_a_file_without_messages_does_not_widen_the_span(tmp_path):
 
 def test_a_nearly_full_disk_is_not_begun_on(tmp_path):
     with pytest.raises(
-        DiskFullError, match="will not begin, 20 MB are free on the disk and 50 MB have to stay"
+        DiskFullError, match="not started: 20 MB are free on the disk, but 50 MB must stay free"
     ):
         Recording(tmp_path / "run", RecordingLimits(50.0), free=lambda _: 20_000_000)
     assert not (tmp_path / "run").exists()
@@ -96,7 +96,7 @@ def test_a_nearly_full_disk_is_not_begun_on(tmp_path):
 def test_it_stops_in_time_and_leaves_a_whole_session(tmp_path):
     rooms = itertools.chain([90_000_000] * 5, itertools.repeat(49_000_000))
     recording = Recording(tmp_path / "run", RecordingLimits(50.0), free=lambda _: next(rooms))
-    with pytest.raises(DiskFullError, match="stopped after 50 messages, 49 MB are free"):
+    with pytest.raises(DiskFullError, match="stopped after 50 messages: 49 MB are free"):
         fill(recording, 500)
     session = read_session(tmp_path / "run")
     assert len(session.samples) == 50
@@ -107,7 +107,7 @@ def test_it_stops_in_time_and_leaves_a_whole_session(tmp_path):
 
 
 def test_the_room_is_that_of_the_disk(tmp_path):
-    with pytest.raises(DiskFullError, match="have to stay"):
+    with pytest.raises(DiskFullError, match="must stay free"):
         Recording(tmp_path / "not" / "yet" / "there", RecordingLimits(1e12))
 
 

@@ -84,12 +84,12 @@ def test_every_cut_gives_the_messages_before_it(tmp_path, whole):
 
 def test_a_cut_within_the_first_bytes_is_not_a_session(tmp_path, whole):
     for cut in range(1, len(MAGIC)):
-        with pytest.raises(SessionError, match="is no session"):
+        with pytest.raises(SessionError, match="is not a session"):
             scan(tmp_path / "x.mcap", whole[:cut])
 
 
 def test_a_cut_behind_the_messages_is_distinguished(tmp_path, whole):
-    assert scan(tmp_path / "x.mcap", whole[:-1]) == (COUNT, "the file is truncated behind its last message")
+    assert scan(tmp_path / "x.mcap", whole[:-1]) == (COUNT, "the file is truncated after its last message")
 
 
 @given(st.data())
@@ -99,7 +99,7 @@ def test_one_wrong_byte_never_gives_a_wrong_sample(tmp_path_factory, whole, data
     wrong[place] ^= data.draw(st.integers(1, 255))
     path = tmp_path_factory.getbasetemp() / "wrong.mcap"
     if place < len(MAGIC):
-        with pytest.raises(SessionError, match="is no session"):
+        with pytest.raises(SessionError, match="is not a session"):
             scan(path, bytes(wrong))
     else:
         count, fault = scan(path, bytes(wrong))
@@ -111,7 +111,7 @@ def test_garbage_is_refused_or_read_as_nothing(tmp_path_factory, garbage):
     assume(not garbage.startswith(MAGIC))
     path = tmp_path_factory.getbasetemp() / "garbage.mcap"
     path.write_bytes(garbage)
-    with pytest.raises(SessionError, match=r"is no session|the file is empty"):
+    with pytest.raises(SessionError, match=r"is not a session|the file is empty"):
         read_session(path)
     path.write_bytes(MAGIC + garbage)
     with pytest.raises(SessionError, match="has no topics"):

@@ -46,11 +46,11 @@ def test_a_session_file_opens_whatever_its_name(tmp_path):
     ("name", "content", "message"),
     [
         ("a.mcap", b"", "the file is empty"),
-        ("a.mcap", b"garbage", "is no session"),
-        ("a.mat", b"garbage", "is no MATLAB file"),
+        ("a.mcap", b"garbage", "is not a session"),
+        ("a.mat", b"garbage", "is not a MATLAB file"),
         ("a.csv", b"garbage", "has no column time"),
         ("a.txt", b"garbage", r"is neither a session \(folder or \.mcap\) nor a recording \(\.mat, \.csv\)$"),
-        ("a", b"MATLAB 5.0 MAT-file, x", r"a MATLAB file needs the ending \.mat"),
+        ("a", b"MATLAB 5.0 MAT-file, x", r"a MATLAB file needs the suffix \.mat"),
     ],
 )
 def test_what_is_neither_is_refused(tmp_path, name, content, message):
@@ -65,7 +65,7 @@ def test_missing_paths_are_named(tmp_path):
     (tmp_path / "file.csv").write_text(CSV)
     with pytest.raises(SessionError, match="cannot be read"):
         open_any(tmp_path / "file.csv" / "deeper")
-    with pytest.raises(SessionError, match="the folder holds no MCAP file"):
+    with pytest.raises(SessionError, match="the folder has no MCAP file"):
         open_any(tmp_path)
 
 

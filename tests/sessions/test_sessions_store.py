@@ -117,13 +117,13 @@ def test_only_sessions_are_overwritten(tmp_path):
     folder = tmp_path / "home"
     folder.mkdir()
     (folder / "thesis.tex").write_text("years of work")
-    with pytest.raises(SessionError, match="something else than a session"):
+    with pytest.raises(SessionError, match="is not a session and will not be"):
         write_session(folder, hour(3), overwrite=True)
     (tmp_path / "file").write_text("x")
-    with pytest.raises(SessionError, match="something else than a session"):
+    with pytest.raises(SessionError, match="is not a session and will not be"):
         write_session(tmp_path / "file", hour(3), overwrite=True)
     (tmp_path / "link").symlink_to(write_session(tmp_path / "run", hour(3)))
-    with pytest.raises(SessionError, match="something else than a session"):
+    with pytest.raises(SessionError, match="is not a session and will not be"):
         write_session(tmp_path / "link", hour(3), overwrite=True)
     assert (folder / "thesis.tex").read_text() == "years of work"
 
@@ -138,7 +138,7 @@ def test_the_replaced_session_comes_back_when_the_new_one_cannot_move(tmp_path, 
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", refuse)
-    with pytest.raises(SessionError, match="cannot be put in its place"):
+    with pytest.raises(SessionError, match="cannot be moved to its destination"):
         write_session(folder, hour(20), overwrite=True)
     assert len(read_session(folder).samples) == 10
     assert names(tmp_path) == ["run"]
@@ -158,7 +158,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("samples", "message"),
     [
-        ([], "there is no sample"),
+        ([], "has no samples"),
         ([Sample(0, 0, 1.0, 2.0, 3.0), Sample(2, 2, 1.0, 2.0, 3.0)], "sample 2 follows sample 0"),
         ([Sample(5, 0, 1.0, float("nan"), 3.0)], "output of sample 5 is nan"),
         ([Sample(5, -1, 1.0, 2.0, 3.0)], "negative time"),

@@ -128,7 +128,7 @@ def test_an_existing_folder_is_refused(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(SessionError, match="the folder cannot be made"):
+    with pytest.raises(SessionError, match="the folder cannot be created"):
         SessionWriter(tmp_path / "file" / "run")
 
 
@@ -171,7 +171,7 @@ def test_a_full_disk_is_said_once_and_what_was_written_is_kept(tmp_path):
     writer.add_topic(SAMPLE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
-        with pytest.raises(SessionError, match="make room or choose another folder"):
+        with pytest.raises(SessionError, match="free some disk space or choose another folder"):
             record_flushing(writer)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

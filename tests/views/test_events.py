@@ -63,8 +63,8 @@ def test_a_new_leader_is_reported() -> None:
     story += [replace(story[1], sample=180, leader=name) for name in ("a", "a", "b")]
     found = [e for e in events(story) if e.kind is EventKind.LEADER]
     assert [(e.title, e.why) for e in found] == [
-        ("a leads", "the first to foretell"),
-        ("b leads", "its forecasts are worth more than those of a"),
+        ("a leads", "the first with forecasts"),
+        ("b leads", "its forecasts are better than those of a"),
     ]
 
 
@@ -94,10 +94,8 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
     assert (found[0].title, found[0].why) == ("match admitted", "matched on these samples")
     assert (found[3].title, found[3].why) == ("match refused", "on its bound")
     assert found[7].title == "50 °C dismissed"
-    assert "output 3.0 and control 0.5 half widths of the band from what was foretold" in found[5].why
-    assert found[6] == Event(
-        260, EventKind.FAULT, "fault: drive-lost", "why it is so (it shows since sample 255)"
-    )
+    assert "output 3.0 and control 0.5 half band widths from the forecast" in found[5].why
+    assert found[6] == Event(260, EventKind.FAULT, "fault: drive-lost", "why it is so (since sample 255)")
 
 
 def test_the_fate_of_a_match_is_the_verdicts_word() -> None:
@@ -106,7 +104,7 @@ def test_the_fate_of_a_match_is_the_verdicts_word() -> None:
         verdict(200, TrustLevel.TRUSTED), match=REFUSED, reason="no models identified for candidate 50 °C"
     )
     assert match_word(report(200, Status.ACCEPTED), [told]) == "refused"
-    assert match_word(report(200, Status.BOUNDS_HIT), [told]) == "refused: a parameter ran into its bound"
+    assert match_word(report(200, Status.BOUNDS_HIT), [told]) == "refused: a parameter reached its bound"
     assert match_word(report(200, Status.ACCEPTED), []) == ""
     joined = replace(told, match=ADMITTED)
     assert match_word(report(200, Status.ACCEPTED), [joined]) == "admitted"

@@ -136,7 +136,7 @@ def test_the_end_is_notes_leader_nominal_structure_and_the_sentence() -> None:
         lines[1] == "The leader is the twin to ask what comes next, the nominal one the centre of the family."
     )
     assert lines[2] == "Certainty: 50 °C is the only candidate."
-    assert lines[3].startswith("Structure: the samples pay for sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
+    assert lines[3].startswith("Structure: the samples justify sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
     assert lines[3].endswith(", L 5.00 A).")
     assert lines[4] == sentence(summary)
     assert closing_lines(summary, None) == [lines[0], lines[4]]

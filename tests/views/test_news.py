@@ -1,4 +1,4 @@
-"""Which verdicts are worth a line."""
+"""Which verdicts say something new."""
 
 from __future__ import annotations
 

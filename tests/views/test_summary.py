@@ -46,8 +46,8 @@ SUMMARY = Summary(
         ),
         (
             {"leader": SINK.model.structure_name, "parameters": SINK, "nominal": None, "order": None},
-            "Leader: sink with mass; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: nobody, "
-            "no match stands.",
+            "Leader: sink with mass; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: none, "
+            "no valid match.",
         ),
         (
             {"leader": "50 °C", "nominal": "sink with mass", "order": ""},
@@ -56,7 +56,7 @@ SUMMARY = Summary(
         ),
         (
             {"level": TrustLevel.DOUBTFUL},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: what comes lies "
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: measurements lie "
             "outside the bands (it held between 25 and 92 °C).",
         ),
         (
@@ -66,7 +66,7 @@ SUMMARY = Summary(
         ),
         (
             {"level": TrustLevel.FAULT, "fault": "unexplained", "range": None, "fit_y": math.nan},
-            "Nominal: 70 °C set; orders 22221; do not trust it now: the plant does what no twin explains.",
+            "Nominal: 70 °C set; orders 22221; do not trust it now: no twin explains the plant's behaviour.",
         ),
         (
             {"range": None},
@@ -74,7 +74,7 @@ SUMMARY = Summary(
         ),
         (
             {"nominal": None, "level": TrustLevel.UNKNOWN},
-            "No nominal twin: 5 verdicts, but no match stands. The loop needs set-point steps of a few "
+            "No nominal twin: 5 verdicts, but no valid match. The loop needs set-point steps of a few "
             "degrees, some minutes apart.",
         ),
         (

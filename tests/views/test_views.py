@@ -74,7 +74,7 @@ def test_news_are_what_was_identified_or_changed() -> None:
         verdict(TrustLevel.FAULT, stands=True),
     ]
     assert [story.index(v) for v in news(story)] == [0, 2, 2, 5]
-    assert News().worth_telling(story[3])
+    assert News().is_new(story[3])
 
 
 def test_lines_have_no_colour_in_a_pipe() -> None:

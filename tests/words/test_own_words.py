@@ -21,7 +21,7 @@ from tests.words.conftest import Shown
 from twinmatch.cli import main
 from twinmatch.dashboard import DashboardState, TwinRow
 from twinmatch.dashboard.page import Page
-from twinmatch.dashboard.sentence import say
+from twinmatch.dashboard.sentence import update_sentence
 from twinmatch.foxglove.layout import layout
 from twinmatch.judging.judgement import judge
 from twinmatch.judging.terms import terms_from_files
@@ -109,7 +109,7 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
         state.push_twin(sample.index, TwinRow(**{name: getattr(twin, name) for name in TwinRow._fields}))
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
-    say(state, judged.settings.gains)
+    update_sentence(state, judged.settings.gains)
     page.update()
     text = lettering(document) + document.title
     shown.speaks_of_itself(text, shown.plant.title, *shown.words, f"plant − twin / {shown.words[1]}")

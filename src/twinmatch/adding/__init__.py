@@ -1,7 +1,7 @@
-"""Adding a plant: a first file of it, written from a table of its signals, and what is wrong with one.
+"""Adding a plant: writing a first plant file from a table of its signals, and checking plant files.
 
-`propose` reads spans, noise, sample time and a first gain and lag off a table; `files_of` writes the plant,
-its test and its configuration; `check_plant` says in plain words what a plant file lacks.
+`propose` estimates spans, noise, sampling period, gain and lag from a table; `files_of` writes the plant, its
+test and its configuration; `check_plant` reports what is wrong with a plant file and what to do.
 """
 
 from twinmatch.adding.check import check_plant

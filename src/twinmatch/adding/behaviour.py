@@ -1,4 +1,4 @@
-"""What a plant does at its defaults and all over the bounds of its parameters."""
+"""Checks of a plant's behaviour at its defaults and within the bounds of its parameters."""
 
 from __future__ import annotations
 
@@ -14,33 +14,31 @@ __all__ = ["in_bounds", "misdeclared", "pace", "ranges"]
 
 _POINTS: Final = 24
 _MANY_STEPS: Final = 40
-"""Steps per sample above which a plant is slow to run: a hundred windows of a thousand samples take a
+"""With more steps per sample a plant is slow to simulate: a hundred windows of a thousand samples take a
 minute."""
 
 
 def misdeclared(model: Model) -> list[Finding]:
-    """Numbers of one structure that contradict one another."""
+    """Contradictory declarations of one structure."""
     found = []
     place = f"structure {model.structure_name!r}"
     for name in model.structure.free:
         if name not in model.declared:
-            what = f"{place}: {name} is free, but the equations with its parts do not have it"
-            found.append(
-                Finding(what, f"leave {name} out of `free`, or name the part that brings it in `parts`")
-            )
+            what = f"{place}: {name} is free, but does not occur in the equations with the structure's parts"
+            found.append(Finding(what, f"remove {name} from `free`, or add the part that uses it to `parts`"))
             continue
         (low, high), value = model.declared[name].bounds, model.defaults[name]
         if not low <= value <= high:
-            what = f"{place}: {name} begins at {value:g}, outside its bounds {low:g} to {high:g}"
+            what = f"{place}: the default of {name}, {value:g}, is outside its bounds {low:g} to {high:g}"
             found.append(Finding(what, "widen the bounds, or correct the default (or `fixed`)"))
     return found
 
 
 def ranges(model: Model) -> list[Finding]:
-    """Whether output and states stay where the file says they live, at the defaults.
+    """Whether output and states stay within their spans, at the defaults.
 
     Raises:
-        PlantError: the plant cannot be run there.
+        PlantError: the plant cannot be simulated there.
     """
     parameters = model.parameters()
     trial = trial_for(parameters)
@@ -50,11 +48,11 @@ def ranges(model: Model) -> list[Finding]:
     low, high = float(run.output.min()), float(run.output.max())
     if low < y.span[0] or high > y.span[1]:
         what = (
-            f"{model.title}: at its defaults and over the drive's range the output goes from {low:.4g} to "
+            f"{model.title}: with the defaults, over the drive's range, the output goes from {low:.4g} to "
             f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}"
         )
         found.append(
-            Finding(what, "widen `span` of the output, or look at default values and units of the parameters")
+            Finding(what, "widen `span` of the output, or check default values and units of the parameters")
         )
     states = begin(parameters, trial.output)
     least, most = states.copy(), states.copy()
@@ -68,21 +66,21 @@ def ranges(model: Model) -> list[Finding]:
                 f"{model.title}: state {name} goes from {least[k]:.4g} to {most[k]:.4g}, beyond its span "
                 f"{span[0]:g} to {span[1]:g}"
             )
-            found.append(Finding(what, "widen `span` of the state: the simulation's steps are made for it"))
+            found.append(Finding(what, "widen `span` of the state: it determines the simulation's step"))
     return found
 
 
 def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
-    """Time constants against the sample time, in s.
+    """Compare time constants and sampling period, s.
 
     Raises:
-        PlantError: the plant cannot be run at its defaults.
+        PlantError: the plant cannot be simulated at its defaults.
     """
     parameters = model.parameters()
     lags = time_constants(parameters)
     place = f"structure {model.structure_name!r}"
     if not lags.size:
-        return [], ["nothing settles by itself (an integrator)"]
+        return [], ["there is no finite time constant (an integrator)"]
     listed = ", ".join(f"{lag:.3g} s" for lag in lags)
     notes = [f"time constants at the defaults: {listed}"]
     if period is None:
@@ -92,24 +90,24 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
         steps = parameters.steps(period)
     except PlantError as error:
         return [
-            Finding(f"{place}: {error}", "give the fast part no state of its own, or sample faster")
+            Finding(f"{place}: {error}", "replace the fast state by its steady-state value, or sample faster")
         ], notes
     if steps > _MANY_STEPS:
         what = (
             f"{place}: its shortest time constant, {lags[0]:.3g} s, needs {steps} steps per "
             f"sample of {period:g} s"
         )
-        todo = "replace the fast state by what it settles to, or narrow the spans of the states"
+        todo = "replace the fast state by its steady-state value, or narrow the spans of the states"
         found.append(Finding(what, todo))
     if lags[-1] < period:
-        what = f"{place}: all has settled ({lags[-1]:.3g} s) before the next sample comes ({period:g} s)"
-        found.append(Finding(what, "sample faster, or look at the units of the parameters (s, not min)"))
+        what = f"{place}: its slowest time constant, {lags[-1]:.3g} s, is below the period of {period:g} s"
+        found.append(Finding(what, "sample faster, or check the units of the parameters (s, not min)"))
     return found, notes
 
 
 def in_bounds(model: Model) -> list[Finding]:
-    """Whether the plant can be run wherever a match may go: at points spread over the bounds."""
-    from scipy.stats import qmc  # noqa: PLC0415 (half a second that only this check pays)
+    """Whether the plant can be simulated within the bounds, at points spread over them."""
+    from scipy.stats import qmc  # noqa: PLC0415 (takes half a second, used only here)
 
     free = [name for name in model.structure.free if name in model.declared]
     if not free:
@@ -131,19 +129,19 @@ def in_bounds(model: Model) -> list[Finding]:
             continue
         span = np.ptp(model.plant.output.span)
         if float(np.abs(run.output).max()) > 1e4 * span:
-            bad.append((where, f"its output runs away to {np.abs(run.output).max():.2g}"))
+            bad.append((where, f"its output diverges to {np.abs(run.output).max():.2g}"))
     if not bad:
         return []
     where, why = bad[0]
     what = (
-        f"structure {model.structure_name!r}: within the bounds it cannot be run at {len(bad)} of {_POINTS} "
-        f"points, such as {where}: {why}"
+        f"structure {model.structure_name!r}: cannot be simulated at {len(bad)} of {_POINTS} points within "
+        f"the bounds, such as {where}: {why}"
     )
-    return [Finding(what, "narrow the bounds to what such a plant can have")]
+    return [Finding(what, "narrow the bounds to values that are physically possible")]
 
 
 def _within(model: Model, name: str, part: float) -> float:
-    """A value between the bounds: even in ratios where they are positive and far apart."""
+    """A value between the bounds: on a logarithmic scale where they are positive and far apart."""
     low, high = model.declared[name].bounds
     if low > 0 and high > 10 * low:
         return float(low * (high / low) ** part)

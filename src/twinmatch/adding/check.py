@@ -1,4 +1,4 @@
-"""Everything that can be said of a plant file without data."""
+"""All checks of a plant file that need no data."""
 
 from __future__ import annotations
 
@@ -14,32 +14,31 @@ __all__ = ["check_plant"]
 
 
 def check_plant(plant: type[Plant], period: float | None = None) -> CheckedPlant:
-    """What is wrong with a plant, in words.
+    """Check a plant.
 
     Args:
         plant: the plant.
-        period: sample time it is to be run with, s; that of its loop if it has one, else what depends on it
-            is
-            not looked at.
+        period: sampling period, s; by default that of its loop. Without either, checks that depend on it are
+            skipped.
     """
     if period is None and plant.loop is not None:
         period = plant.loop.period
     findings: dict[str, Finding] = {}
     notes: list[str] = []
     try:
-        for found, said in _steps(plant, period):
+        for found, remarks in _steps(plant, period):
             findings |= {one.what: one for one in found}
-            notes += [note for note in said if note not in notes]
+            notes += [note for note in remarks if note not in notes]
     except PlantError as error:
         return CheckedPlant(plant.title, tuple(findings.values()), tuple(notes), str(error))
     return CheckedPlant(plant.title, tuple(findings.values()), tuple(notes))
 
 
 def _steps(plant: type[Plant], period: float | None) -> Iterator[tuple[list[Finding], list[str]]]:
-    looked = Dimensions(plant)
+    dimensions = Dimensions(plant)
     for parts in dict.fromkeys(structure.parts for structure in plant.structures.values()):
-        looked.look(parts)
-    yield list(looked.findings.values()), _unit_notes(looked)
+        dimensions.check(parts)
+    yield list(dimensions.findings.values()), _unit_notes(dimensions)
     yield _unused(plant), []
     for name in plant.structures:
         model = plant.model(name)
@@ -50,18 +49,15 @@ def _steps(plant: type[Plant], period: float | None) -> Iterator[tuple[list[Find
         yield in_bounds(model), []
 
 
-def _unit_notes(looked: Dimensions) -> list[str]:
+def _unit_notes(dimensions: Dimensions) -> list[str]:
     notes = []
-    if looked.unknown_units:
+    if dimensions.unknown_units:
+        notes.append(f"unknown units are treated as plain numbers: {', '.join(dimensions.unknown_units)}")
+    if dimensions.unchecked:
+        listed = ", ".join(sorted(dimensions.unchecked))
         notes.append(
-            f"units that no table knows are taken for plain numbers: {', '.join(looked.unknown_units)}"
-        )
-    if looked.unchecked:
-        listed = ", ".join(sorted(looked.unchecked))
-        notes.append(
-            f"the units of what these numbers multiply were not checked: {listed}. Declared as a "
-            f"Parameter that is "
-            "in no `free`, a number has a unit"
+            f"units were not checked where these numbers multiply: {listed}. To give such a number a unit, "
+            "declare it as a Parameter that is in no `free`"
         )
     return notes
 

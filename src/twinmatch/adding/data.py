@@ -1,4 +1,4 @@
-"""What a recording says about a plant, and what the gate says about the recording."""
+"""Checks of a plant against a recording of it."""
 
 from __future__ import annotations
 
@@ -26,28 +26,26 @@ from twinmatch.twin import MatchReport
 __all__ = ["check_data", "data_for"]
 
 _FAR: Final = 3.0
-"""Factor between the noise that is declared and that of the readings from which on one of them is doubted."""
+"""If declared and measured noise differ by more than this factor, that is a finding."""
 _TODO: Final = {
     Status.NO_EXCITATION: "record steps of the input (or the set-point) that move the output far "
     "above its noise",
-    Status.NOT_EXPLAINED: "the equations lack something the plant does: look where the residuals are "
-    "(twinmatch "
-    "replay --figure), add a part, or correct `noise` if it is far too small",
-    Status.DID_NOT_CONVERGE: "begin nearer: better defaults, or `starts` in the structure",
-    Status.BOUNDS_HIT: "widen the bounds if such a value is possible, else fix that parameter",
-    Status.NOT_IDENTIFIABLE: "fix what the data do not show (take it out of `free`), or record a "
-    "richer experiment: "
-    "more levels, longer than the slowest time constant",
-    Status.NOT_BETTER: "nothing is wrong: what stood before predicts as well",
+    Status.NOT_EXPLAINED: "an effect is missing in the equations: see where the residuals are large "
+    "(twinmatch replay --figure), add a part, or correct `noise` if it is far too small",
+    Status.DID_NOT_CONVERGE: "start closer: give better defaults, or `starts` in the structure",
+    Status.BOUNDS_HIT: "widen the bounds if such a value is possible, otherwise fix that parameter",
+    Status.NOT_IDENTIFIABLE: "fix the parameter that the data do not determine (remove it from `free`), or "
+    "record a richer experiment: more levels, longer than the slowest time constant",
+    Status.NOT_BETTER: "nothing is wrong: the previous candidate predicts equally well",
 }
 
 
 def data_for(path: Path, plant: type[Plant], map_file: Path | None = None) -> Session:
-    """A recording as a session of the plant; a table needs a map unless its columns are called as the
-    signals.
+    """Read a recording as a session of the plant; a table needs a map unless its columns have the names of
+    the signals.
 
     Raises:
-        TwinmatchError: it cannot be used.
+        TwinmatchError: the recording cannot be used.
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or map_file is not None:
         given = read_map(map_file) if map_file is not None else ColumnMap()
@@ -58,10 +56,10 @@ def data_for(path: Path, plant: type[Plant], map_file: Path | None = None) -> Se
 
 
 def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
-    """What is told by a recording of the plant.
+    """Check the plant against a recording: noise, duration, and results of the matches.
 
     Raises:
-        TwinmatchError: it cannot be judged.
+        TwinmatchError: the recording cannot be judged.
     """
     terms = terms_from_files(session)
     judgement = judge(session, terms)
@@ -70,18 +68,16 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
     findings, notes = [], []
     declared = plant.output.noise
     notes.append(
-        f"{session.name}: {y.size} samples, one every {session.period:g} s; scatter of a reading {noise:g}"
+        f"{session.name}: {y.size} samples, one every {session.period:g} s; measured noise {noise:g}"
     )
     if not declared / _FAR <= noise <= declared * _FAR:
-        what = f"noise of the output is declared as {declared:g}; the readings scatter by {noise:g}"
-        findings.append(Finding(what, "correct `noise`: it weighs everything that is said about the fit"))
+        what = f"the noise of the output is declared as {declared:g}, but measured as {noise:g}"
+        findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
     lags = time_constants(terms.settings.start)
     if lags.size and y.size * session.period < 2 * lags[-1]:
-        what = (
-            f"the recording lasts {y.size * session.period:g} s, less than two of the slowest time constant"
-        )
+        what = f"the recording lasts {y.size * session.period:g} s, less than twice the slowest time constant"
         findings.append(
-            Finding(f"{what} ({lags[-1]:.3g} s)", "record longer, or look at that parameter's default")
+            Finding(f"{what} ({lags[-1]:.3g} s)", "record longer, or check the default of that parameter")
         )
     findings += _of_matches(judgement.matches)
     notes += _accepted(judgement.matches)
@@ -90,7 +86,7 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
 
 def _of_matches(matches: tuple[MatchReport, ...]) -> list[Finding]:
     if not matches:
-        what = "no window could be matched: nothing moved far enough, or for long enough"
+        what = "no window could be matched: the signals did not move far enough, or not for long enough"
         return [Finding(what, _TODO[Status.NO_EXCITATION])]
     accepted = sum(report.match.accepted for report in matches)
     if accepted:
@@ -99,7 +95,7 @@ def _of_matches(matches: tuple[MatchReport, ...]) -> list[Finding]:
     findings = []
     for status, number in counted.most_common(2):
         first = next(report.match for report in matches if report.match.status is status)
-        what = f"the gate refused {number} of {len(matches)} matches as {status.value}: {first.reason}"
+        what = f"{number} of {len(matches)} matches were refused as {status.value}: {first.reason}"
         todo = f"{first.suggestion} " if first.suggestion else ""
         findings.append(Finding(what, f"{todo}{_TODO.get(status, '')}".strip()))
     return findings
@@ -116,6 +112,6 @@ def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
         if name in last.parameters and math.isfinite(error)
     )
     return [
-        f"the gate accepted {len(good)} of {len(matches)} matches; the last: {values}; fit {last.fit.y:.1%}",
+        f"{len(good)} of {len(matches)} matches were accepted; the last: {values}; fit {last.fit.y:.1%}",
         last.determined,
     ]

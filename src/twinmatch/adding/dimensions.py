@@ -1,9 +1,9 @@
-"""Whether the two sides of a plant's equations measure the same.
+"""Dimensional check of a plant's equations.
 
-Every quantity has the unit that its declaration says; a rate has to come out in the state's unit per second,
-the output in its own, a start in its state's. A number in a sum takes the unit of its neighbours (273.15),
-and a whole number or simple fraction in a product is plain (½, 2). Any other number in a product may stand
-for a quantity with a unit (an area, 255 counts): what it multiplies is then not checked, and that is noted.
+Every quantity has its declared unit; a rate must have the state's unit per second, the output its own unit,
+an initial value the state's. A number in a sum takes the unit of the other terms (273.15), and a whole number
+or simple fraction in a product is dimensionless (½, 2). Any other number in a product may have a hidden unit
+(an area, 255 counts): such a product is not checked, with a note.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SAME = 1e-6
 
 
 class _Unit(NamedTuple):
-    """What a part of an equation comes out in."""
+    """Unit of an expression."""
 
     powers: Mapping[str, Fraction]
     factor: float | None
@@ -32,34 +32,34 @@ class _Unit(NamedTuple):
 
 
 _Known = _Unit | None
-"""None: a number, or something a number with a unit of its own has entered."""
+"""None: a number, or an expression with a number that may have a hidden unit."""
 
 
 class Dimensions:
-    """Looks at the equations of one plant, part by part."""
+    """Checks the equations of one plant, one combination of parts at a time."""
 
     def __init__(self, plant: type[Plant]) -> None:
         """Look up every declared unit."""
         self.findings: dict[str, Finding] = {}
-        """By their words, so that what several structures share is said once."""
+        """By text, so that findings shared by several structures appear once."""
         self.unchecked: set[str] = set()
-        """Numbers that hide a unit."""
+        """Numbers that may have a hidden unit."""
         self._plant = plant
         self._symbols = {getattr(plant(), name): d for name, d in plant.declarations.items()}
         self._units = {s: measure(d.unit) for s, d in self._symbols.items()}
 
     @property
     def unknown_units(self) -> list[str]:
-        """Units that no table knows."""
+        """Declared units that are not known."""
         return sorted({self._symbols[s].unit for s, found in self._units.items() if not found.known})
 
-    def look(self, parts: frozenset[str]) -> None:
+    def check(self, parts: frozenset[str]) -> None:
         """Check the equations with these parts.
 
         Raises:
-            PlantError: they cannot be used.
+            PlantError: the equations cannot be used.
         """
-        import sympy  # noqa: PLC0415 (a second that only this check pays)
+        import sympy  # noqa: PLC0415 (takes a second, used only here)
 
         written = written_equations(self._plant(), parts)
         second = measure("s")
@@ -87,15 +87,15 @@ class Dimensions:
         if found is None or not expression.free_symbols:
             return
         if not _alike(found, wanted):
-            what = f"{place}: comes out in {_words(found)}, needs {words}"
-            todo = "look for a factor that is missing or doubled, and for a wrong unit in a declaration"
-            self._tell(what, todo)
+            what = f"{place}: has the unit {_words(found)}, but needs {words}"
+            todo = "look for a missing or duplicate factor, and for a wrong unit in a declaration"
+            self._add(what, todo)
         elif _scaled(found, wanted):
             ratio = (found.factor or 1.0) / (wanted.factor or 1.0)
-            what = f"{place}: comes out in {ratio:g} times {words}"
-            self._tell(what, "bring the declared units to one scale (s, not min; W, not kW), or multiply")
+            what = f"{place}: has {ratio:g} times the unit {words}"
+            self._add(what, "declare units of one scale (s, not min; W, not kW), or multiply")
 
-    def _tell(self, what: str, todo: str) -> None:
+    def _add(self, what: str, todo: str) -> None:
         self.findings.setdefault(what, Finding(what, todo))
 
     def _unit(self, place: str, expression: Any) -> _Known:  # noqa: PLR0911 (one for each kind)
@@ -119,10 +119,8 @@ class Dimensions:
         for argument in expression.args:
             found = self._unit(place, argument)
             if found is not None and found.powers:
-                what = f"{place}: {_short(expression)} is taken of something in {_words(found)}"
-                self._tell(
-                    what, "divide by a quantity of that unit first: such a function takes plain numbers"
-                )
+                what = f"{place}: the argument of {_short(expression)} has the unit {_words(found)}"
+                self._add(what, "divide by a quantity of that unit: the argument must be a plain number")
         return _Unit({}, 1.0)
 
     def _product(self, place: str, expression: Any) -> _Known:
@@ -144,8 +142,8 @@ class Dimensions:
             for part in (base, exponent):
                 unit = self._unit(place, part)
                 if unit is not None and unit.powers:
-                    self._tell(
-                        f"{place}: in {_short(expression)} a power has the unit {_words(unit)}",
+                    self._add(
+                        f"{place}: in {_short(expression)} base or exponent has the unit {_words(unit)}",
                         "make base and exponent plain numbers",
                     )
             return _Unit({}, 1.0)
@@ -154,7 +152,7 @@ class Dimensions:
                 f"{place}: {_short(expression)} takes a power of {base}, which is in "
                 f"{self._symbols[base].unit}"
             )
-            self._tell(what, f"count it from absolute zero first: ({base} + 273.15) in kelvin")
+            self._add(what, f"convert it to absolute temperature first: ({base} + 273.15) in kelvin")
         if found is None:
             return None
         return _times(
@@ -171,21 +169,18 @@ class Dimensions:
             first, other = known[0]
             if not _alike(unit, other):
                 what = (
-                    f"{place}: {_short(part)} is in {_words(unit)}, added to or compared with "
-                    f"{_short(first)} "
-                    f"in {_words(other)}"
+                    f"{place}: {_short(part)} in {_words(unit)} is added to or compared with "
+                    f"{_short(first)} in {_words(other)}"
                 )
-                self._tell(what, "look for a factor that is missing in one of the two, and at their units")
+                self._add(what, "look for a missing factor in one of the two, and check their units")
             elif _scaled(unit, other):
                 ratio = (unit.factor or 1.0) / (other.factor or 1.0)
-                what = (
-                    f"{place}: {_short(part)} is in {ratio:g} times the unit of {_short(first)}, in one sum"
-                )
-                self._tell(what, "declare both in units of one scale, or multiply one of them")
+                what = f"{place}: {_short(part)} has {ratio:g} times the unit of {_short(first)}, in one sum"
+                self._add(what, "declare both in units of one scale, or multiply one of them")
         return known[0][1] if known else None
 
     def _zeros(self, place: str, terms: list[tuple[Any, Any]], *, numbers: bool) -> None:
-        """Temperatures that are counted from different zeros, in one sum."""
+        """Find temperatures with different zeros in one sum."""
         if numbers:
             return
         counted = {True: 0, False: 0}
@@ -200,7 +195,7 @@ class Dimensions:
             what = (
                 f"{place}: {a} is in {self._symbols[a].unit} and {b} in {self._symbols[b].unit}, in one sum"
             )
-            self._tell(what, "bring them to one zero: °C + 273.15 is K")
+            self._add(what, "convert them to one zero: °C + 273.15 is K")
 
 
 def _unit_of(found: Measure) -> _Unit:
@@ -232,7 +227,7 @@ def _scaled(one: _Unit, other: _Unit) -> bool:
 
 
 def _plain(number: Any) -> bool:
-    """Whether a factor is but a number: whole and small, or a simple fraction."""
+    """Whether a factor is dimensionless: a small whole number, or a simple fraction."""
     try:
         value = Fraction(float(number)).limit_denominator(12)
     except (TypeError, OverflowError):
@@ -241,7 +236,7 @@ def _plain(number: Any) -> bool:
 
 
 def _terms(expression: Any) -> list[tuple[Any, Any]]:
-    """Symbols that stand alone in a sum, with their signs."""
+    """Symbols that are terms of a sum by themselves, with their signs."""
     return list(_alone(expression))
 
 
@@ -265,7 +260,7 @@ _BASE = {
 
 
 def _words(unit: _Unit) -> str:
-    """A unit in base units, or the name of a usual one."""
+    """Name of a common unit, otherwise the unit in base units."""
     for name in ("W", "J", "V", "Ω", "N", "Pa", "W/K", "J/K", "K/s", "N m", "V/K", "W/m²", "m³/s", "C", "F"):
         if dict(_unit_of(measure(name)).powers) == dict(unit.powers):
             return name

@@ -1,4 +1,4 @@
-"""What can be wrong when a plant is added."""
+"""Errors of adding a plant."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["AddingError"]
 
 
 class AddingError(TwinmatchError):
-    """A name no plant can have, or a file that is there already."""
+    """The name is not valid for a plant, or a file exists already."""

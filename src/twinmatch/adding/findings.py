@@ -1,4 +1,4 @@
-"""What a check of a plant found, in words."""
+"""Findings of a plant check."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["CheckedPlant", "Finding"]
 
 
 class Finding(NamedTuple):
-    """Something that is wrong, and what to do about it."""
+    """A fault, and what to do about it."""
 
     what: str
     todo: str
@@ -17,16 +17,16 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class CheckedPlant:
-    """All that was found."""
+    """Result of a check."""
 
     title: str
     findings: tuple[Finding, ...] = ()
     notes: tuple[str, ...] = ()
-    """What is no mistake but good to know."""
+    """Remarks that are not faults."""
     unusable: str = ""
-    """Why the plant cannot be run at all; empty: it can."""
+    """Why the plant cannot be simulated at all; empty: it can."""
 
     @property
     def exit_code(self) -> int:
-        """0: nothing was found; 1: something was; 2: the plant cannot be used."""
+        """0: no findings; 1: findings; 2: the plant cannot be used."""
         return 2 if self.unusable else 1 if self.findings else 0

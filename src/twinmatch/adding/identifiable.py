@@ -1,10 +1,9 @@
-"""Whether any data could tell a structure's free parameters apart.
+"""Structural identifiability of a structure's free parameters.
 
-The exact tangents of a simulated experiment say how the output moves with each parameter. If a combination of
-parameters leaves it where it is, at every one of some points of the parameter space, no recording will ever
-determine that combination: the file asks for more than the output shows. One point where the tangents have
-full rank is proof of the opposite (local structural identifiability; Walter & Pronzato, Identification of
-Parametric Models, 1997, section 2.6).
+The exact tangents of a simulated experiment are the sensitivities of the output to each parameter. If a
+combination of parameters has no effect on the output at any of several points of the parameter space, no
+recording can determine it. One point where the tangents have full rank proves the opposite (local structural
+identifiability; Walter & Pronzato, Identification of Parametric Models, 1997, section 2.6).
 """
 
 from __future__ import annotations
@@ -24,27 +23,27 @@ __all__ = ["inseparable"]
 
 _POINTS: Final = 4
 _AWAY: Final = 1.5
-"""Factor either way, at most, by which a point lies from the defaults."""
+"""Largest factor, either way, between a point and the defaults."""
 _FLAT: Final = 1e-6
-"""Part of a column's length beyond all others below which it is one of their combinations. Tangents are exact
-to about 1e-12; parameters that differ in their effect at all mostly do by more than 1e-4."""
+"""A column is linearly dependent if its residual is below this share of its length. Tangents are exact to
+about 1e-12; parameters with different effects mostly differ by more than 1e-4."""
 _TAKES_PART: Final = 0.02
-"""Smallest share in a combination that is named."""
+"""Parameters with a smaller share in a combination are not listed."""
 
 
 class _Combination(NamedTuple):
-    """Parameters that can move together without being seen."""
+    """Parameters that can change together without effect on the output."""
 
     names: tuple[str, ...]
     shares: tuple[float, ...]
-    """Of relative changes (of changes in units of the scale where zero means nothing)."""
+    """Relative changes; for parameters without a meaningful zero, changes in units of their scale."""
 
 
 def inseparable(model: Model) -> list[Finding]:
-    """What of the structure's free parameters no data can tell apart.
+    """Combinations of the structure's free parameters that no data can determine.
 
     Raises:
-        PlantError: the plant cannot be run at its defaults.
+        PlantError: the plant cannot be simulated at its defaults.
     """
     free = tuple(name for name in model.structure.free if name in model.declared)
     if not free:
@@ -54,7 +53,7 @@ def inseparable(model: Model) -> list[Finding]:
         try:
             here = _combinations(point, free)
         except PlantError:
-            continue  # the checks of the bounds tell of that
+            continue  # reported by the check of the bounds
         if found is None or len(here) < len(found):
             found = here
         if not found:
@@ -84,7 +83,7 @@ def _moved(declared: Parameter, value: float, by: float) -> float:
 
 
 def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combination]:
-    """Of the columns of the tangents, those that the columns before them make up."""
+    """Columns of the tangents that depend linearly on the columns before them."""
     model = parameters.model
     trial = trial_for(parameters)
     _, window = run_trial(parameters, trial)
@@ -92,7 +91,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     experiment = Experiment(parameters, free, window, free_starts=starts, gains=None)
     tangents = experiment.tangents(experiment.values_of(parameters)).by[0]
     if not np.isfinite(tangents).all():
-        msg = f"{model.title}: its tangents are no finite numbers"
+        msg = f"{model.title}: the sensitivities of its output are not finite"
         raise PlantError(msg)
     sizes = [_size(model.declared[name], parameters[name]) for name in free]
     sizes += [max(abs(model.plant.states[name].scale), 1e-12) for name in starts]
@@ -100,7 +99,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     names = (*free, *(f"start of {name}" for name in starts))
     least = 1e-9 * model.plant.output.noise * math.sqrt(columns.shape[0])
     found: list[_Combination] = []
-    # Starts first: they are always there, and what they hide is then a parameter's fault.
+    # Initial values first: they are always estimated, so a dependence is attributed to a parameter.
     order = [*range(len(free), len(names)), *range(len(free))]
     basis: list[int] = []
     for j in order:
@@ -108,7 +107,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
         if length <= least:
             found.append(_Combination((names[j],), (1.0,)))
             continue
-        shares, rest = _made_of(columns[:, basis], columns[:, j])
+        shares, rest = _projected(columns[:, basis], columns[:, j])
         if rest > _FLAT * length:
             basis.append(j)
             continue
@@ -118,8 +117,8 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     return found
 
 
-def _made_of(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float]:
-    """How much of each column of a basis makes up another, and the length of what is left."""
+def _projected(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float]:
+    """Least-squares coefficients of a column in a basis, and the length of the residual."""
     if not basis.shape[1]:
         return np.empty(0), float(np.linalg.norm(column))
     lengths = np.linalg.norm(basis, axis=0)
@@ -136,20 +135,20 @@ def _finding(model: Model, combination: _Combination) -> Finding:
     place = f"structure {model.structure_name!r}"
     names, shares = combination
     if len(names) == 1:
-        what = f"{place}: nothing that is measured depends on {names[0]}, which is free"
-        return Finding(what, f"leave {names[0]} out of `free`, or look for it in the equations")
+        what = f"{place}: the output does not depend on {names[0]}, which is free"
+        return Finding(what, f"remove {names[0]} from `free`, or check the equations")
     relative = all(model.declared[n].relative for n in names if n in model.declared)
     alike = all(abs(abs(s) - 1.0) < 0.02 for s in shares) and relative
     listed = f"{', '.join(names[:-1])} and {names[-1]}"
     if alike and len(names) == 2:
         seen = f"{names[0]}/{names[1]}" if shares[0] * shares[1] > 0 else f"{names[0]}·{names[1]}"
-        what = f"{place}: no data can tell {listed} apart, only {seen} is seen"
+        what = f"{place}: no data can determine {listed} separately, only {seen}"
     elif alike and all(s > 0 for s in shares):
-        what = f"{place}: {listed} can grow together without being seen, only their ratios are"
+        what = f"{place}: no data can determine {listed} separately, only their ratios"
     else:
-        what = f"{place}: {listed} can change together without being seen"
+        what = f"{place}: {listed} can change together without effect on the output"
     todo = (
-        "take one of them out of `free` (its default, or a value in `fixed`, then holds), or write the "
-        "equations with the combination that is seen; which one is known best, or least interesting?"
+        "remove one of them from `free`, best the one you know or need least (its default, or a value in "
+        "`fixed`, is used), or write the equations with the combination"
     )
     return Finding(what, todo)

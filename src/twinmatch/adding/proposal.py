@@ -1,9 +1,9 @@
-"""What a table of signals says about a plant of which nothing else is known: a first-order lag to begin with.
+"""A first-order model of an unknown plant, estimated from a table of its signals.
 
-Noise is read off second differences, which a slow plant leaves alone: of white noise σ they have the variance
-6 σ²; their median is not moved by a few jumps. A sensor that rounds to steps q has at least q/√12. Gain and
-lag are those of the difference equation y[k+1] − y[k] = a + b·y[k] + c·u[k] (and disturbances), least
-squares, over blocks of samples long enough to move further than the noise.
+Noise is estimated from second differences, which a slow plant hardly affects: for white noise of standard
+deviation σ they have the variance 6 σ²; the median is robust to a few jumps. A sensor that rounds to steps q
+has at least q/√12. Gain and lag are those of the difference equation y[k+1] − y[k] = a + b·y[k] + c·u[k] (and
+disturbances), by least squares over blocks of samples long enough to move further than the noise.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ __all__ = ["Proposal", "Signal", "example", "noise_of", "propose"]
 
 _KNOWN: Final = ("time", "output", "input", "reference")
 _RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
-"""What drives are usually commanded in."""
+"""Usual ranges of a drive's command."""
 _OFFSET_UNITS: Final = {"degc": "°C", "c": "°C", "°c": "°C", "celsius": "°C", "degf": "°F", "sec": "s"}
 
 
 class Signal(NamedTuple):
-    """A signal of the plant to be."""
+    """A signal of the proposed plant."""
 
     name: str
     unit: str
@@ -53,17 +53,17 @@ class Proposal:
     input: Signal
     disturbances: tuple[Signal, ...]
     noise: float
-    """Of the output, 1 σ."""
+    """Standard deviation of the output's noise."""
     period: float
-    """s"""
+    """Sampling period, s."""
     gain: float
-    """Of the output per unit of the input, when all has settled."""
+    """Steady-state gain: output per unit of the input."""
     lag: float
-    """s"""
+    """Time constant, s."""
     rest: float
-    """What the output settles at without input, where no disturbance says it."""
+    """Steady-state output without input, where no disturbance determines it."""
     sources: dict[str, Source]
-    """By signal, with the names of this plant; empty where there is no table."""
+    """By signal, with the names of this plant; empty without a table."""
     table: str = ""
     """Name of the table's file."""
     has_reference: bool = False
@@ -75,7 +75,7 @@ class Proposal:
 
 
 def example() -> Proposal:
-    """A heated block in a room whose temperature is measured."""
+    """A proposal without a table: a heated block in a room with measured temperature."""
     return Proposal(
         output=Signal("temperature", "°C", -20.0, 150.0, "temperature of the block"),
         input=Signal("heater", "%", 0.0, 100.0, "heater"),
@@ -90,11 +90,11 @@ def example() -> Proposal:
 
 
 def propose(table: Table, given: ColumnMap) -> Proposal:
-    """Numbers for a first plant file from a table.
+    """Estimate the numbers for a first plant file from a table.
 
     Args:
-        table: somebody's columns.
-        given: which of them is time, output and input; every other name is a disturbance.
+        table: the table.
+        given: columns of time, output and input; every other name is a disturbance.
 
     Raises:
         RecordingError: one of these is missing, or the values cannot be used.
@@ -102,8 +102,7 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     missing = [signal for signal in ("time", "output", "input") if signal not in given.sources]
     if missing:
         msg = (
-            f"{table.path}: no column is mapped to {' and none to '.join(missing)}; write --map "
-            f"{missing[0]}=…"
+            f"{table.path}: no column is mapped to {' and none to '.join(missing)}; add --map {missing[0]}=…"
         )
         raise RecordingError(msg)
     done = _on_one_clock(table, given)
@@ -114,7 +113,7 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     gain, lag, rest = _first_order(
         y[part], u[part], [done.columns[n][part] for n in others], noise, done.period
     )
-    if others:  # the first of them is taken for what the output comes to without input
+    if others:  # the first disturbance is taken as the steady-state output without input
         rest = float(done.columns[others[0]].mean())
     taken: list[str] = []
     output, input_ = (_signal(table, given, s, taken) for s in ("output", "input"))
@@ -146,7 +145,7 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
 
 
 def _on_one_clock(table: Table, given: ColumnMap) -> Resampled:
-    """All signals, in the units of their columns."""
+    """All signals on one clock, in the units of their columns."""
     source = given.sources["time"]
     times = read_times(table, table.find(source.columns[0]), source.unit, source.scale)
     columns = {name: _values(table, s) for name, s in given.sources.items() if name != "time"}
@@ -193,7 +192,7 @@ def _unit(table: Table, given: ColumnMap, signal: str) -> str:
 
 
 def _word(title: str, taken: list[str]) -> str:
-    """A name that Python takes and nothing else in the file has."""
+    """A valid Python name that does not yet occur in the file."""
     plain = re.sub(r"\W+", "_", split_title(title)[0].strip().lower()).strip("_") or "signal"
     plain = f"n{plain}" if plain[0].isdigit() else plain
     own = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "sensor_lag"}
@@ -210,7 +209,7 @@ def noise_of(values: FloatArray) -> float:
     steps = np.unique(np.round(np.abs(np.diff(values)), 9))
     steps = steps[steps > 0]
     rounding = float(steps[0]) / math.sqrt(12.0) if steps.size else 0.0
-    floor = 1e-4 * (float(np.ptp(values)) or 1.0)  # of values that were computed
+    floor = 1e-4 * (float(np.ptp(values)) or 1.0)  # for computed values without noise
     return _rounded(max(white, rounding if rounding < 10 * max(white, floor) else 0.0, floor))
 
 
@@ -225,7 +224,7 @@ def _range_of(values: FloatArray) -> tuple[float, float]:
 def _first_order(
     y: FloatArray, u: FloatArray, others: Sequence[FloatArray], noise: float, period: float
 ) -> tuple[float, float, float]:
-    """Gain, lag (s) and resting output of the difference equation; those of a guess where it has none."""
+    """Gain, lag (s) and steady-state output of the difference equation; a guess if it has none."""
     span, reach = float(np.ptp(y)) or 1.0, float(np.ptp(u)) or 1.0
     guess = span / reach, 0.1 * y.size * period, float(y[0])
     for block in (2**k for k in range(12)):
@@ -251,6 +250,6 @@ def _rounded(value: float, digits: int = 2) -> float:
 
 
 def _round_out(low: float, high: float) -> tuple[float, float]:
-    """Round numbers just outside."""
+    """Round numbers just outside the range."""
     step = 10.0 ** math.floor(math.log10((high - low) / 2)) if high > low else 1.0
     return math.floor(low / step) * step, math.ceil(high / step) * step

@@ -1,4 +1,4 @@
-"""A rich experiment on a plant that exists only as a file: steps of the input all over the drive's range."""
+"""A simulated experiment on a plant file: steps of the input over the drive's whole range."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ __all__ = ["Trial", "middle_of", "run_trial", "time_constants", "trial_for"]
 
 SAMPLES: Final = 400
 _PER_LAG: Final = 20.0
-"""Samples per slowest time constant: 400 see twenty of them."""
+"""Samples per slowest time constant: 400 samples span twenty of them."""
 _SEED: Final = 7
 
 
 class Trial(NamedTuple):
-    """What is done to the plant."""
+    """Inputs and initial value of the experiment."""
 
     input: FloatArray
     """Shape (N,)."""
     disturbances: FloatArray
     """Shape (N, m)."""
     period: float
-    """s"""
+    """Sampling period, s."""
     output: float
-    """What it reads at the begin."""
+    """Initial output."""
 
 
 def middle_of(model: Model) -> float:
-    """An output in the middle of where the plant works."""
+    """The output in the middle of the plant's operating range."""
     y = model.plant.output
     low, high = y.set_points or y.span
     states = [model.plant.states[name].span for name in model.states]
@@ -42,29 +42,28 @@ def middle_of(model: Model) -> float:
 
 
 def time_constants(parameters: Parameters) -> FloatArray:
-    """Of small movements about the middle of the plant's range, s, ascending; without those that never
-    settle.
+    """Time constants of the plant linearised in the middle of its range, s, ascending; without integrators.
 
     Raises:
-        PlantError: the equations give something that is no number there.
+        PlantError: the equations have no finite values there.
     """
     model = parameters.model
     states = begin(parameters, middle_of(model))
     rest = sum(model.plant.drive.limits) / 2
     slopes = model.kernels.slopes_at(parameters.vector, states, float(rest), model.disturbances)[1]
     if not np.isfinite(slopes).all():
-        msg = f"{model.title}: its rates have no finite slope in the middle of its range"
+        msg = f"{model.title}: the derivatives of its rates are not finite in the middle of its range"
         raise PlantError(msg)
     rates = np.abs(np.linalg.eigvals(slopes))
     return np.sort(1.0 / rates[rates > 0])
 
 
 def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
-    """Steps that a plant with these parameters answers to.
+    """Design the experiment for a plant with these parameters.
 
     Args:
-        parameters: of the plant.
-        period: sample time, s; a twentieth of the slowest time constant if not given.
+        parameters: the plant's parameters.
+        period: sampling period, s; a twentieth of the slowest time constant if not given.
     """
     model = parameters.model
     if period is None:
@@ -85,10 +84,10 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
 
 
 def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
-    """What the plant does, and the same as a recorded window.
+    """Simulate the experiment; returns the response, also as a window.
 
     Raises:
-        PlantError: it is too fast for the period, or ends beyond all numbers.
+        PlantError: the plant is too fast for the period, or its output is not finite.
     """
     states = begin(parameters, trial.output)
     run = simulate_driven(
@@ -96,7 +95,7 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
     )
     if not np.isfinite(run.output).all():
         at = int(np.flatnonzero(~np.isfinite(run.output))[0])
-        msg = f"{parameters.model.title}: its output is no finite number after {at * trial.period:g} s"
+        msg = f"{parameters.model.title}: its output is not a finite number after {at * trial.period:g} s"
         raise PlantError(msg)
     window = Window(
         np.full(trial.input.size, trial.output),

@@ -16,20 +16,20 @@ from twinmatch.sessions.column_map import Source
 __all__ = ["files_of"]
 
 _WIDE: Final = 20.0
-"""Factor either way in which a match looks for gain and lag; a first guess is seldom farther off."""
+"""Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
 _ABSOLUTE: Final = {"°C": 273.15}
 
 
 def files_of(name: str, held: Proposal) -> dict[str, str]:
-    """Texts by file name.
+    """The texts of the files by file name.
 
     Raises:
-        AddingError: no plant can be called so.
+        AddingError: the name is not valid for a plant.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        msg = f"new-plant {name!r}: a plant's name has small letters, digits and _, and begins with a letter"
+        msg = f"new-plant {name!r}: not a valid name; use small letters, digits and _, starting with a letter"
         raise AddingError(msg)
-    # What is written is Python and YAML, where nothing is to be escaped as in HTML.
+    # The output is Python and YAML, which need no HTML escaping.
     pages = Environment(  # noqa: S701
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, keep_trailing_newline=True
     )
@@ -90,7 +90,7 @@ def _test(held: Proposal) -> dict[str, Any]:
 
 
 def _source(source: Source) -> str:
-    """In the flow style of YAML, of which JSON is a part."""
+    """A source as JSON, which is valid YAML."""
     columns: Any = list(source.columns) if len(source.columns) > 1 else source.columns[0]
     entry: dict[str, Any] = {"column": columns}
     entry |= {"unit": source.unit} if source.unit else {}

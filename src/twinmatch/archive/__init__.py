@@ -1,11 +1,11 @@
-"""Archives: many sessions judged at once, and one table of candidates over all of them.
+"""Archives: judging many sessions at once, with one table of candidates over all of them.
 
-`find_sessions` turns what a user names into paths, `judge_archive` judges them, each on its own, in
-processes of this machine or on a Dask cluster, and passes over those that cannot be used. With a folder to
-keep results in it goes on where an earlier run ended.
+`find_sessions` resolves the user's arguments to paths; `judge_archive` judges each session separately, in
+processes on this machine or on a Dask cluster, and skips those that cannot be used. With a folder for results
+it continues where an earlier run ended.
 
-Sessions are judged in other processes, one thread of linear algebra each; their results are those of
-`twinmatch.judging`, to the last bit. Nothing here imports numpy before such a process has been set up.
+Sessions are judged in other processes with one thread of linear algebra each; the results equal those of
+`twinmatch.judging` to the last bit. Nothing here imports numpy before such a process has been set up.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Many sessions judged: those kept from before, those judged now, and those passed over."""
+"""Judging many sessions: those with a result of an earlier run, those judged now, and those skipped."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ __all__ = ["Archive", "judge_archive"]
 
 @dataclass(frozen=True)
 class Archive:
-    """What came out of many sessions."""
+    """Results of many sessions."""
 
     sessions: tuple[dict[str, Any], ...]
-    """Name, path and summary of each judged session, in the order in which they were named."""
+    """Name, path and summary of each judged session, in the order given."""
     candidates: tuple[dict[str, Any], ...]
-    """The candidates of all of them, one row each: session, parameters, ν-gap sum, fit, …"""
+    """Candidates of all sessions, one row each: session, parameters, ν-gap sum, fit, …"""
     failed: tuple[Failure, ...]
-    """The sessions passed over, and why."""
+    """The skipped sessions, and why."""
     reused: int
-    """How many of the judged sessions were judged in an earlier run."""
+    """How many of the judged sessions have a result of an earlier run."""
 
     def document(self) -> dict[str, Any]:
-        """All of it, as JSON takes it."""
+        """The results as a dictionary for JSON."""
         failed = [{"path": str(failure.path), "reason": failure.reason} for failure in self.failed]
         return {"sessions": list(self.sessions), "candidates": list(self.candidates), "failed": failed}
 
@@ -48,29 +48,29 @@ def judge_archive(
     jobs: int | None = None,
     scheduler: str | None = None,
     watch: Callable[[int, int], None] | None = None,
-    passed_over: Callable[[Failure], None] | None = None,
+    on_skip: Callable[[Failure], None] | None = None,
 ) -> Archive:
-    """Judge many sessions, each on its own.
+    """Judge many sessions, each separately.
 
     Args:
         named: sessions, recordings, folders of them, patterns; see `find_sessions`.
-        config: file of parameters.
-        candidates: file of candidates every session begins with.
-        plant: name or file of the plant of every session that does not say it.
-        out: folder for one JSON file per session, as `twinmatch.views.document` has it. A session is not
-            judged again if its file there is of the same content, parameters and version.
-        jobs: processes on this machine; as many as cores if not given.
-        scheduler: address of a Dask scheduler whose workers judge instead.
-        watch: called with (sessions done, sessions in all) as they are done.
-        passed_over: called with each session that could not be used.
+        config: parameter file.
+        candidates: file of initial candidates for every session.
+        plant: name or file of the plant of every session that does not name it.
+        out: folder for one JSON file per session with the document of `twinmatch.views.document`. A session
+            is not judged again if its file there has the same content, parameters and version.
+        jobs: number of processes on this machine; one per core if not given.
+        scheduler: address of a Dask scheduler; its workers judge instead.
+        watch: called with (sessions done, total) after each session.
+        on_skip: called with each session that cannot be used.
 
     Raises:
-        TwinmatchError: nothing was found, the parameters or candidates cannot be used, results cannot be
-            kept, or the cluster cannot be used. A session that cannot be used is no error.
+        TwinmatchError: nothing was found; or parameters, candidates, the folder for results or the cluster
+            cannot be used. A session that cannot be used raises nothing.
     """
     paths = find_sessions(named)
-    run = _Run(_terms(config, candidates, plant), Store(out) if out else None, passed_over)
-    todo = run.look(paths)
+    run = _Run(_terms(config, candidates, plant), Store(out) if out else None, on_skip)
+    todo = run.start(paths)
     reused = len(run.records)
     report = watch or (lambda _done, _total: None)
     report(len(paths) - len(todo), len(paths))
@@ -105,23 +105,21 @@ def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Gener
 
 
 class _Run:
-    """What a run has gathered so far."""
+    """Results of a run so far."""
 
-    def __init__(
-        self, terms: Terms, store: Store | None, passed_over: Callable[[Failure], None] | None
-    ) -> None:
+    def __init__(self, terms: Terms, store: Store | None, on_skip: Callable[[Failure], None] | None) -> None:
         self.records: dict[int, dict[str, Any]] = {}
         self._failed: dict[int, Failure] = {}
         self._keys: dict[int, str] = {}
         self._terms = terms
         self._store = store
-        self._passed_over = passed_over or (lambda _failure: None)
+        self._on_skip = on_skip or (lambda _failure: None)
 
-    def look(self, paths: list[Path]) -> list[Job]:
-        """Take in what was kept of an earlier run; return the sessions left to judge."""
+    def start(self, paths: list[Path]) -> list[Job]:
+        """Load results of earlier runs; return the sessions left to judge."""
         todo = []
         terms = self._terms
-        words = repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
+        described = repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
         for number, path in enumerate(paths):
             try:
                 content = content_of(path)
@@ -129,7 +127,7 @@ class _Run:
                 reason = "does not exist" if isinstance(error, FileNotFoundError) else error.strerror
                 self._fail(number, path, f"{path}: {reason}")
                 continue
-            self._keys[number] = key_of(content, words)
+            self._keys[number] = key_of(content, described)
             kept = self._store.find(path, self._keys[number]) if self._store else None
             if kept is not None:
                 self._hold(number, kept)
@@ -138,7 +136,7 @@ class _Run:
         return todo
 
     def take(self, path: Path, outcome: Outcome) -> None:
-        """Keep what came of a session."""
+        """Keep the outcome of a session."""
         if outcome.record is None:
             self._fail(outcome.number, path, outcome.error)
             return
@@ -147,7 +145,7 @@ class _Run:
         self._hold(outcome.number, outcome.record)
 
     def archive(self, paths: list[Path], reused: int) -> Archive:
-        """All of it, in the order in which the sessions were named."""
+        """All results, in the order in which the sessions were given."""
         held = sorted(self.records.items())
         alike = Counter(record["session"] for _, record in held)
         names = {k: r["session"] if alike[r["session"]] == 1 else str(paths[k]) for k, r in held}
@@ -164,9 +162,9 @@ class _Run:
         )
 
     def _hold(self, number: int, record: dict[str, Any]) -> None:
-        """Without the verdicts: those of a large archive would not fit into memory."""
+        """Keep a record without its verdicts, as those of a large archive do not fit into memory."""
         self.records[number] = {key: value for key, value in record.items() if key != "verdicts"}
 
     def _fail(self, number: int, path: Path, reason: str) -> None:
         self._failed[number] = Failure(path, reason)
-        self._passed_over(self._failed[number])
+        self._on_skip(self._failed[number])

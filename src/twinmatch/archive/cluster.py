@@ -1,4 +1,4 @@
-"""Judges sessions on a Dask cluster that somebody else runs."""
+"""Judges sessions on an existing Dask cluster."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 __all__ = ["judge_on_cluster", "judge_packed"]
 
 PATIENCE = 10.0
-"""How long to wait for the scheduler, and then for a first worker, s."""
+"""Timeout for the scheduler, and then for a first worker, s."""
 
 _one_at_a_time = threading.Lock()
 
 
 def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
-    """Judge sessions on the workers of a cluster; outcomes come as they are ready.
+    """Judge sessions on the workers of a cluster; yields outcomes as they complete.
 
-    Workers need this package in the same version and the sessions under the same paths; the rest, and all
-    results, travel by value.
+    Workers need the same version of this package and the sessions under the same paths; everything else, and
+    all results, are sent by value.
 
     Args:
         jobs: the sessions.
-        address: of the scheduler, for example "tcp://10.0.0.1:8786".
+        address: address of the scheduler, for example "tcp://10.0.0.1:8786".
 
     Raises:
         ClusterError: `distributed` is not installed, there is no scheduler at the address, it has no
-            workers, one has other software, none reaches the sessions, or the scheduler went away.
+            workers, one has other software or cannot read the sessions, or the connection is lost.
     """
     with contextlib.closing(_connected(address)) as client:
         _check_workers(client, address, [job.path for job in jobs])
@@ -46,20 +46,20 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
         try:
             yield from _outcomes(client, address, futures)
         finally:
-            with contextlib.suppress(Exception):  # the scheduler may be what failed
+            with contextlib.suppress(Exception):  # the scheduler may have failed
                 client.cancel(list(futures), force=True)
 
 
 def _connected(address: str) -> Client:
     try:
-        from distributed import Client  # noqa: PLC0415 — only who has a cluster needs it
+        from distributed import Client  # noqa: PLC0415 — rarely needed
         from distributed.comm import get_address_host_port  # noqa: PLC0415
     except ImportError as error:
         msg = f"--scheduler needs the package 'distributed' ({error}); pip install 'twinmatch[cluster]'"
         raise ClusterError(msg) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its tracebacks; failures are named here
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # no tracebacks; failures are reported here
     try:
-        get_address_host_port(address)  # a client of an address that is none would linger for 20 s
+        get_address_host_port(address)  # with an invalid address the client would block for 20 s
         return Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         msg = f"scheduler {address}: cannot be reached ({_line(error)}); give it as tcp://HOST:PORT"
@@ -82,19 +82,19 @@ def _check_workers(client: Client, address: str, paths: list[Path]) -> None:
             msg = f"worker {worker}: has {theirs}; here it is {software()}; install the same on both"
             raise ClusterError(msg)
         if len(missing) == len(paths):
-            msg = f"worker {worker}: cannot see {missing[0]}; sessions must have the same path there as here"
+            msg = f"worker {worker}: cannot read {missing[0]}; sessions must have the same path there as here"
             raise ClusterError(msg)
 
 
 def _look(paths: list[Path]) -> tuple[str, list[Path]]:
-    """On a worker: its software, and which of the sessions it cannot see."""
+    """On a worker: its software, and the sessions it cannot read."""
     return software(), [path for path in paths if not path.exists()]
 
 
 def _submit(client: Client, job: Job) -> Future:
-    """A task that the scheduler need not understand: it has to have Dask, not this package."""
+    """Submit a job in a form that the scheduler handles without this package."""
 
-    def judge_there(packed: bytes) -> tuple[Any, ...]:  # local, so that it travels by value
+    def judge_there(packed: bytes) -> tuple[Any, ...]:  # local, so that it is sent by value
         from twinmatch.archive.cluster import judge_packed  # noqa: PLC0415
 
         return judge_packed(packed)
@@ -103,7 +103,7 @@ def _submit(client: Client, job: Job) -> Future:
 
 
 def judge_packed(packed: bytes) -> tuple[Any, ...]:
-    """On a worker: one session at a time, since what sets the threads of a BLAS sets them for all."""
+    """On a worker: judge one session at a time, since the thread count of a BLAS is global."""
     from distributed import get_worker  # noqa: PLC0415
 
     with _one_at_a_time:
@@ -123,10 +123,10 @@ def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Itera
             reason = f"{job.path}: the cluster could not judge it ({_line(error)})"
             yield Outcome(job.number, None, reason)
         else:
-            msg = f"scheduler {address}: went away after {done} of {len(futures)} sessions"
+            msg = f"scheduler {address}: connection lost after {done} of {len(futures)} sessions"
             raise ClusterError(msg)
 
 
 def _line(error: BaseException) -> str:
-    """The first line of what an error says, or what it is."""
+    """The first line of an error's message, or its type."""
     return next(iter(str(error).splitlines()), "") or type(error).__name__

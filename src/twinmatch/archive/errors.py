@@ -1,4 +1,4 @@
-"""What can be wrong with an archive."""
+"""Errors of an archive."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ __all__ = ["ArchiveError", "ClusterError"]
 
 
 class ArchiveError(TwinmatchError):
-    """No sessions where some were named, or a folder for results that cannot be used."""
+    """No sessions were found, or the folder for results cannot be used."""
 
 
 class ClusterError(ArchiveError):
-    """A Dask cluster that is not there, went away, or cannot judge sessions."""
+    """A Dask cluster cannot be reached, was lost, or cannot judge sessions."""

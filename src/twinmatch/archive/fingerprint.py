@@ -1,4 +1,4 @@
-"""What a result depends on, as hashes: the session's content, the terms, the program."""
+"""Hashes of everything a result depends on: the session's content, the terms, the software."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def content_of(path: Path) -> str:
     """A hash of a recording, or of the MCAP files and metadata of a session folder.
 
     Raises:
-        OSError: it is not there or cannot be read.
+        OSError: it does not exist or cannot be read.
     """
     if not path.is_dir():
         return _hash([path], path.parent)
@@ -33,14 +33,14 @@ def key_of(content: str, terms: str) -> str:
 
     Args:
         content: from `content_of`.
-        terms: settings and candidates, in words.
+        terms: settings and candidates, as text.
     """
     return hashlib.sha256("\0".join((content, terms, software())).encode()).hexdigest()
 
 
 @cache
 def software() -> str:
-    """Version and code of this package and the versions of the libraries that compute for it.
+    """Version and code hash of this package, and versions of the numerical libraries.
 
     The last bits of a result may depend on any of them.
     """

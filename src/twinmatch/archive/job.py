@@ -1,7 +1,7 @@
-"""One session to judge, and what came of it: what travels to another process and back.
+"""One session to judge and its outcome: the data sent to another process and back.
 
-Everything travels by value, so that a process on another machine needs nothing but the session's own
-files under the same path.
+Everything is sent by value, so that a process on another machine needs only the session's files under the
+same path.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ __all__ = ["Failure", "Job", "Outcome", "Terms", "judge", "prepare"]
 
 @dataclass(frozen=True)
 class Terms:
-    """On what terms every session of an archive is judged."""
+    """Parameters and candidates with which every session of an archive is judged."""
 
     settings: TwinSettings
     given: tuple[Candidate, ...]
-    """Candidates to begin with."""
+    """Initial candidates."""
     config: Path | None
-    """File the settings are from, for messages; it is not read again."""
+    """File of the settings, for messages; it is not read again."""
     fixed: bool = False
-    """Whether a user said of which plant the sessions are; if not, each says it itself."""
+    """Whether the user gave the plant of all sessions; otherwise each session names its own."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class Job:
     path: Path
     """Absolute."""
     content: str
-    """Hash of what is to be judged."""
+    """Hash of the session's content."""
     terms: Terms
 
 
 class Outcome(NamedTuple):
-    """What came of a job: a record, or the reason why there is none."""
+    """Outcome of a job: a record, or the reason why there is none."""
 
     number: int
     record: dict[str, Any] | None
@@ -58,24 +58,24 @@ class Outcome(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """A session that was passed over."""
+    """A session that was skipped."""
 
     path: Path
     reason: str
 
 
 def prepare() -> None:
-    """Set up a process that will judge: one thread of linear algebra, before numpy is first imported."""
+    """Set up a process for judging: one thread of linear algebra, before numpy is first imported."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
 
 
 def judge(job: Job, place: str = "") -> Outcome:
-    """Judge one session; whatever is wrong with it becomes the outcome's error.
+    """Judge one session; any error becomes the outcome's error.
 
     Args:
-        job: what to judge.
-        place: where this runs, for messages, for example " on worker tcp://10.0.0.7:41", or nothing.
+        job: the session.
+        place: where this runs, for messages, such as " on worker tcp://10.0.0.7:41"; empty: on this machine.
     """
     try:
         content = content_of(job.path)
@@ -83,21 +83,21 @@ def judge(job: Job, place: str = "") -> Outcome:
         hint = "; workers read sessions under the same path as here" if place else ""
         return Outcome(job.number, None, f"{job.path}: cannot be read{place} ({error.strerror}){hint}")
     if content != job.content:
-        change = "holds something else than here" if place else "has changed since it was looked at"
-        return Outcome(job.number, None, f"{job.path}: {change}{place}")
+        change = f"differs{place} from the session here" if place else "has changed since the run started"
+        return Outcome(job.number, None, f"{job.path}: {change}")
     try:
         return Outcome(job.number, _record(job))
     except TwinmatchError as error:
         return Outcome(job.number, None, str(error))
-    except Exception as error:  # a defect, but the other sessions shall not suffer from it
+    except Exception as error:  # a defect, which must not stop the other sessions
         where = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {error}".splitlines()[0]
-        msg = f"{job.path}: {what} (a defect, in {where.filename} line {where.lineno})"
+        msg = f"{job.path}: {what} (a defect in twinmatch, {where.filename} line {where.lineno})"
         return Outcome(job.number, None, msg)
 
 
 def _record(job: Job) -> dict[str, Any]:
-    """The judged session as JSON has it, with one row per candidate."""
+    """The judged session as a dictionary for JSON, with one row per candidate."""
     from twinmatch.judging.judgement import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
     from twinmatch.nodes.twin_parameters import at_period, read_settings  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
@@ -107,7 +107,7 @@ def _record(job: Job) -> dict[str, Any]:
     terms, session = job.terms, open_any(job.path)
     settings = terms.settings
     if terms.fixed and session.plant and plant_named(session.plant) is not settings.plant:
-        msg = f"{job.path}: is of plant {session.plant}, the others are of {settings.plant.name}"
+        msg = f"{job.path}: was recorded from plant {session.plant}, not {settings.plant.name}"
         raise SessionError(msg)
     if terms.config is None:
         plant = session.plant or settings.plant.name

@@ -1,4 +1,4 @@
-"""Judges sessions in processes of this machine."""
+"""Judges sessions in processes on this machine."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def cores() -> int:
 
 
 def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
-    """Judge sessions in this many processes; outcomes come as they are ready.
+    """Judge sessions in this many processes; yields outcomes as they complete.
 
-    Processes are started afresh, not forked: a fork would copy threads' locks. If one dies (memory ran
-    out, say), the sessions without an outcome are judged again one by one, so that the one it died of is
-    found. Closing the iterator ends the processes at once.
+    Processes are spawned, not forked, since a fork would copy locked locks. If one dies (out of memory, for
+    example), the sessions without an outcome are judged again one by one, which finds the one that caused it.
+    Closing the iterator terminates the processes at once.
     """
     left = {job.number: job for job in jobs}
     try:
@@ -48,7 +48,7 @@ def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
     pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
     finished = False
     try:
-        with _interrupts_held():  # what is started here inherits it: Ctrl-C is for this process alone
+        with _interrupts_held():  # inherited by the new processes: Ctrl-C is handled by this process only
             futures: list[Future[Outcome]] = [pool.submit(judge, job) for job in jobs]
         for future in as_completed(futures):
             yield future.result()
@@ -62,7 +62,7 @@ def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
 
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Within this context an interrupt waits; processes begun here never see one."""
+    """Block SIGINT within this context; processes started in it never receive it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -71,7 +71,7 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Set up a process; it ends with the one that started it."""
+    """Set up a process; it exits when its parent does."""
     prepare()
     parent = multiprocessing.parent_process()
     if parent is not None:

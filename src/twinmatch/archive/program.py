@@ -17,25 +17,25 @@ from twinmatch.errors import EXIT_USER_ERROR
 __all__ = ["EXIT_PARTLY", "add_options", "is_archive", "judge", "show"]
 
 EXIT_PARTLY = 3
-"""Some sessions were judged and some passed over."""
+"""Some sessions were judged and some skipped."""
 
 WIDTH = 180
-"""Of the table where nobody looks at it in a terminal."""
+"""Width of the table when the output is not a terminal."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options that concern many sessions."""
+    """Declare the options for many sessions."""
     group = parser.add_argument_group(
         "many sessions",
-        "Several sessions, a folder of them or a pattern are judged in parallel, and one table shows the "
-        "candidates of all. Exit code 0: all judged; 3: some passed over; 2: none judged.",
+        "Several sessions, a folder of them or a pattern are judged in parallel, and one table shows all "
+        "candidates. Exit code 0: all judged; 3: some skipped; 2: none judged.",
     )
     group.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one per core)")
     group.add_argument(
-        "--out", type=Path, metavar="DIR", help="keep a JSON file per session; judge only what is new"
+        "--out", type=Path, metavar="DIR", help="write a JSON file per session; judge only new sessions"
     )
     group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="judge on this Dask cluster; it must see the same paths"
+        "--scheduler", metavar="ADDRESS", help="judge on this Dask cluster; it needs the same paths"
     )
 
 
@@ -46,9 +46,9 @@ def is_archive(options: argparse.Namespace) -> bool:
 
 
 def judge(options: argparse.Namespace, watch: Callable[[int, int], None]) -> Archive:
-    """Judge what the options name; a session passed over is named at once."""
+    """Judge the sessions of the options; a skipped session is reported at once."""
     if options.figure is not None:
-        raise ArchiveError("--figure draws one session; several were named")
+        raise ArchiveError("--figure: draws one session, but several were given; give one")
     return judge_archive(
         options.sessions,
         config=options.config,
@@ -58,7 +58,7 @@ def judge(options: argparse.Namespace, watch: Callable[[int, int], None]) -> Arc
         jobs=options.jobs,
         scheduler=options.scheduler,
         watch=watch,
-        passed_over=_complain,
+        on_skip=_report_skipped,
     )
 
 
@@ -73,12 +73,12 @@ def show(options: argparse.Namespace, archive: Archive) -> int:
     return EXIT_PARTLY if archive.sessions else EXIT_USER_ERROR
 
 
-def _complain(failure: Failure) -> None:
-    print(f"twinmatch: passed over {failure.reason}", file=sys.stderr)
+def _report_skipped(failure: Failure) -> None:
+    print(f"twinmatch: skipped {failure.reason}", file=sys.stderr)
 
 
 def _print(archive: Archive) -> None:
-    from rich.console import Console  # noqa: PLC0415 — only who prints needs it
+    from rich.console import Console  # noqa: PLC0415 — needed only to print
 
     from twinmatch.archive.table import table  # noqa: PLC0415
 
@@ -90,9 +90,9 @@ def _print(archive: Archive) -> None:
     without = [s["session"] for s in archive.sessions if s["summary"]["nominal"] is None]
     if without:
         print(f"No nominal twin: {', '.join(without)}")
-    reused = f", {archive.reused} of them before" if archive.reused else ""
-    passed = f"; {len(archive.failed)} passed over" if archive.failed else ""
-    print(f"{len(archive.sessions)} sessions judged{reused}, {len(archive.candidates)} candidates{passed}")
+    reused = f", {archive.reused} of them earlier" if archive.reused else ""
+    skipped = f"; {len(archive.failed)} skipped" if archive.failed else ""
+    print(f"{len(archive.sessions)} sessions judged{reused}, {len(archive.candidates)} candidates{skipped}")
 
 
 def _count(text: str) -> int:
@@ -101,6 +101,6 @@ def _count(text: str) -> int:
     except ValueError:
         count = 0
     if count < 1:
-        msg = f"{text!r} is no number of processes; give 1 or more"
+        msg = f"{text!r} is not a number of processes; give 1 or more"
         raise argparse.ArgumentTypeError(msg)
     return count

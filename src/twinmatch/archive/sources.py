@@ -1,4 +1,4 @@
-"""Finds the sessions a user means: files, session folders, folders of them, patterns."""
+"""Resolves the user's arguments to sessions: files, session folders, folders of them, patterns."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ RECORDINGS = (".mat", ".csv")
 
 
 def find_sessions(named: Iterable[Path | str]) -> list[Path]:
-    """The sessions and recordings behind what was named, in this order, each once.
+    """The sessions and recordings of the arguments, in their order, each once.
 
-    A folder with an MCAP file or a `metadata.yaml` is a session. In any other folder, however deep, all
-    sessions and recordings (`.mat`, `.csv`) are meant, by name. A pattern (`*`, `?`, `[…]`, `**`) that the
-    shell has not resolved is resolved here. Whether they can be read shows when they are judged.
+    A folder with an MCAP file or a `metadata.yaml` is a session. Any other folder stands for all sessions and
+    recordings (`.mat`, `.csv`) in it and below, sorted by name. A pattern (`*`, `?`, `[…]`, `**`) that the
+    shell has not resolved is resolved here. Whether they can be read is found out when they are judged.
 
     Raises:
-        ArchiveError: nothing matches a pattern, or a folder holds no sessions.
+        ArchiveError: nothing matches a pattern, or a folder has no sessions.
     """
     found: dict[Path, Path] = {}
     for name in named:
-        for path in _behind(Path(name)):
-            found.setdefault(Path(os.path.realpath(path)), path)  # `resolve` does not take links in a circle
+        for path in _resolved(Path(name)):
+            found.setdefault(Path(os.path.realpath(path)), path)  # `resolve` fails for circular links
     return list(found.values())
 
 
 def is_single(named: Sequence[Path | str]) -> bool:
-    """Whether one session or recording was named, rather than several or a folder of them."""
+    """Whether a single session or recording was given, rather than several or a folder of them."""
     return len(named) == 1 and not _is_pattern(Path(named[0])) and not _is_collection(Path(named[0]))
 
 
-def _behind(path: Path) -> Sequence[Path]:
+def _resolved(path: Path) -> Sequence[Path]:
     if _is_pattern(path):
-        matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207 — Path's resolves none that are absolute
+        matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207 — Path.glob takes no absolute ones
         if not matches:
             msg = f"{path}: no file or folder matches this pattern"
             raise ArchiveError(msg)
-        return [found for match in matches for found in _behind(Path(match))]
+        return [found for match in matches for found in _resolved(Path(match))]
     if not _is_collection(path):
         return [path]
     found = _within(path)
     if not found:
-        msg = f"{path}: holds neither sessions (folders with .mcap files) nor recordings (.mat, .csv)"
+        msg = f"{path}: has neither sessions (folders with .mcap files) nor recordings (.mat, .csv)"
         raise ArchiveError(msg)
     return found
 

@@ -1,4 +1,4 @@
-"""Keeps one JSON file per judged session, so that a run can go on where another ended."""
+"""Keeps one JSON file per judged session, so that a run can continue where another ended."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ class Store:
     """A folder of results."""
 
     def __init__(self, folder: Path) -> None:
-        """Open the folder; it is made if it is not there.
+        """Open the folder; it is created if it does not exist.
 
         Raises:
-            ArchiveError: it cannot be made.
+            ArchiveError: the folder cannot be created.
         """
         self.folder = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            msg = f"{folder}: no results can be kept there ({error.strerror})"
+            msg = f"{folder}: the folder for results cannot be created ({error.strerror})"
             raise ArchiveError(msg) from error
 
     def file_of(self, session: Path) -> Path:
-        """Where the result of this session is kept; sessions of one name in two folders have two files."""
+        """File of this session's result; sessions of the same name in two folders have separate files."""
         place = hashlib.sha256(str(session.resolve()).encode()).hexdigest()[:8]
         return self.folder / f"{session.resolve().stem or 'session'}-{place}.json"
 
     def find(self, session: Path, key: str) -> dict[str, Any] | None:
-        """The result kept for this session if it has this key, that is, if nothing it depends on changed."""
+        """The stored result of this session if it has this key, i.e. if nothing it depends on has changed."""
         try:
             text = read_bounded(self.file_of(session), MOST_BYTES).decode("utf-8")
-            kept = parse_json(text, "a result that was kept")
+            kept = parse_json(text, "a stored result")
         except (OSError, UnicodeDecodeError, DocumentError):
-            return None  # none yet, or not ours
+            return None  # none yet, or another program's file
         if not isinstance(kept, dict) or kept.get("key") != key:
             return None
         record = kept.get("result")
@@ -59,7 +59,7 @@ class Store:
         """Write a result, complete or not at all.
 
         Raises:
-            ArchiveError: the disk refuses.
+            ArchiveError: writing fails.
         """
         file = self.file_of(session)
         kept = {"key": key, "path": str(session.resolve()), "software": software(), "result": record}

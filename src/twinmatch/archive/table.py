@@ -19,8 +19,8 @@ BEHIND = ("order", "gain", "Σ ν-gap", "ν-gap now", "fit y", "fit u")
 
 
 def table(archive: Archive) -> Table:
-    """All candidates, session by session; the nominal ones stand out."""
-    from rich.table import Table  # noqa: PLC0415 — only who prints needs it
+    """All candidates, session by session; the nominal ones are bold."""
+    from rich.table import Table  # noqa: PLC0415 — needed only to print
 
     shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
     matched = _matched(archive)
@@ -36,7 +36,7 @@ def table(archive: Archive) -> Table:
 
 
 def columns(archive: Archive) -> tuple[str, ...]:
-    """Their names; the parameters are those that the structure of the first candidate leaves free."""
+    """Names of the columns, with the free parameters of the first candidate's structure."""
     return (*BEFORE, *(q.label for q in _matched(archive)), *BEHIND)
 
 

@@ -78,7 +78,9 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         window = read_recording(options.recording, progress.advance)
     with Progress("writing") as progress:
-        write_session(options.output, samples_of(window), overwrite=options.overwrite, told=progress.advance)
+        write_session(
+            options.output, samples_of(window), overwrite=options.overwrite, progress=progress.advance
+        )
     print(
         f"{options.output}: {len(window)} samples, {len(window) * window.period:.0f} s, "
         f"from {options.recording.name}"

@@ -49,10 +49,10 @@ def _replay(path: Path, options: argparse.Namespace) -> Judgement:
 def _judge(path: Path, options: argparse.Namespace) -> Judgement:
     """As `judge_session` does, and tell of every match and verdict when it comes."""
     with Progress("reading") as progress:
-        session = open_any(path, plant=options.plant, told=progress.advance)
+        session = open_any(path, plant=options.plant, progress=progress.advance)
     terms = terms_from_files(session, options.config, options.candidates)
     with _Told(session) as shown:
-        judgement = judge(session, terms, told=shown.advance)
+        judgement = judge(session, terms, on_outcome=shown.advance)
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
         shown.say(line)

@@ -1,9 +1,9 @@
-"""The live page: what the graph says, as it says it, in a browser on this machine.
+"""The live page: the state of the running graph, in a browser on this machine.
 
-One node hears the graph and fills a `DashboardState`, which is bounded and knows neither ROS nor a browser.
-A Bokeh server shows it in as many tabs as are open; each draws what is new since it last looked.
+One node subscribes to the graph and fills a `DashboardState`, which is bounded and depends on neither ROS nor
+Bokeh. A Bokeh server shows it in every open tab; each tab draws what is new since its last update.
 
-Names are fetched when they are used, so that the command line need not wait for numpy to say how it is used.
+Names are imported on first use, so that `twinmatch dashboard --help` does not wait for numpy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What may be asked for on the page; the node does it, and `DashboardState.tell` says what became of it."""
+"""Actions that the page offers; the node carries them out and reports with `DashboardState.notify`."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from typing import Protocol
 __all__ = ["RATES", "Actions"]
 
 RATES = (1.0, 10.0, 50.0, 200.0, 0.0)
-"""Speeds on the page, recorded seconds per second; 0: as fast as it goes."""
+"""Speeds on the page, recorded seconds per second; 0: as fast as possible."""
 
 
 class Actions(Protocol):
-    """May be called from any thread and returns at once."""
+    """The actions; each may be called from any thread and returns at once."""
 
     @property
     def control(self) -> bool:
-        """Whether set-point, stop and clearing a fault may be asked for."""
+        """Whether the page may set the set-point, clear faults and stop."""
 
     def pause(self, paused: bool) -> None:
-        """Let the player of a session stand still, or go on."""
+        """Pause the player of a session, or continue."""
 
     def rate(self, rate: float) -> None:
-        """Let it play so many recorded seconds per second; 0: as fast as it goes."""
+        """Set its speed in recorded seconds per second; 0: as fast as possible."""
 
     def what_if(self, level: float, hold: float | None) -> None:
-        """Ask what comes if the set-point goes to a level, and back after a time (s; None: it stays)."""
+        """Ask for a forecast with the set-point at a level, and back after a time (s; None: it stays)."""
 
     def set_point(self, level: float) -> None:
-        """Ask the controller for a set-point."""
+        """Send the controller a set-point."""
 
     def clear_fault(self) -> None:
-        """Let the output be driven again after a fault."""
+        """Allow the output to be driven again after a fault."""
 
     def stop(self) -> None:
         """Hold the output at zero."""

@@ -1,4 +1,4 @@
-"""What comes next on the page: the forecast of the newest sample, and the answer to what was asked."""
+"""Forecasts on the charts: the leader's from the newest sample, and the answer to a what-if question."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from twinmatch.views.style import CLOSED, MODEL
 __all__ = ["LONGEST", "Fans", "seconds_ahead"]
 
 LONGEST = 300.0
-"""Most that is drawn ahead of the newest sample, s."""
+"""Most time drawn ahead of the newest sample, s."""
 SHARE = 4.0
-"""What is drawn ahead is at most the span of the charts divided by this."""
+"""The time drawn ahead is at most the span of the charts divided by this."""
 COLUMNS = ("t", "reference", *(f"{s}{edge}" for s in ("output", "input") for edge in ("", "_low", "_high")))
 
 
 def seconds_ahead(span: float) -> float:
-    """How much time ahead belongs on charts that show so much of the past, s."""
+    """How much time ahead to draw on charts that show `span` seconds of the past, s."""
     return min(LONGEST, span / SHARE)
 
 
 class Fans:
-    """Mean and band ahead of the newest sample, on the charts of output and control."""
+    """Forecast mean and band ahead of the newest sample, on the charts of output and input."""
 
     def __init__(self, output: Any, control: Any) -> None:
         """Draw on these two charts."""
         self.forecast, self.answer = (ColumnDataSource({name: [] for name in COLUMNS}) for _ in range(2))
         self.lines = []
-        """One of each, for whoever has to know how far they reach."""
+        """The mean line of each forecast; the time axis covers them."""
         for source, colour, named in ((self.forecast, CLOSED, "forecast"), (self.answer, MODEL, "what if")):
             drawn = [
                 _fan(chart, of, source, colour) for chart, of in ((output, "output"), (control, "input"))
@@ -43,7 +43,7 @@ class Fans:
             self.lines.append(drawn[0][-1])
 
     def update(self, forecast: Forecast | None, answer: Forecast | None, period: float, most: float) -> None:
-        """Draw these, at most so many seconds ahead; the samples' period is in s."""
+        """Draw both, at most `most` seconds ahead; `period` is the sampling period, s."""
         self.forecast.data = _columns(forecast, period, most)
         self.answer.data = _columns(answer, period, most)
 

@@ -1,4 +1,4 @@
-"""The charts that share the time axis: output, control, residuals, and what happened."""
+"""The charts that share the time axis: output, input, residuals, and events."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twinmatch.views.words import with_unit
 __all__ = ["TimeCharts", "bands"]
 
 BAND = 2.0
-"""Width of the residual band on both sides, in RMS of the newest samples."""
+"""Half width of the residual band, in RMS of the newest samples."""
 TOOLS = "xpan,xwheel_zoom,box_zoom,reset,save"
 LANES = {Lane.TRUST: "trust", Lane.MATCH: "matches", Lane.FAULT: "faults", Lane.NODES: "nodes"}
 
@@ -43,11 +43,11 @@ def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 class TimeCharts:
-    """The figures of one tab; they move together."""
+    """The figures of one tab; they pan and zoom together in time."""
 
-    def __init__(self, plant: ColumnDataSource, twin: ColumnDataSource, said: Description) -> None:
-        """Draw these two sources; `said` names their signals."""
-        self._plant, self._twin, self._said = plant, twin, said
+    def __init__(self, plant: ColumnDataSource, twin: ColumnDataSource, described: Description) -> None:
+        """Draw these two sources; `described` names their signals."""
+        self._plant, self._twin, self._described = plant, twin, described
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
         self.output = self._output()
         self.control = self._control()
@@ -66,7 +66,7 @@ class TimeCharts:
         return [self.output, self.control, self.residual, self.control_residual, self.happened]
 
     def show(self, *, measured: bool, mirrored: bool) -> None:
-        """Show the charts that have something to draw; Bokeh finds no range for nothing."""
+        """Show the charts that have data; Bokeh computes no range for an empty chart."""
         for chart in (self.output, self.control, self.happened):
             if chart.visible != measured:
                 chart.visible = measured
@@ -76,15 +76,15 @@ class TimeCharts:
 
     @property
     def fit_to_narrow(self) -> CustomJS:
-        """In the browser: on a narrow screen legends take more lines, and the time axis fewer numbers."""
+        """In the browser: on a narrow screen legends use more lines, and the time axis fewer ticks."""
         legends = [chart.legend[0] for chart in self.figures if chart.legend]
         return CustomJS(args={"legends": legends, "axes": self.happened.xaxis[0]}, code=_NARROW)
 
     def span(self, seconds: float) -> None:
-        """Show so much of the newest time."""
+        """Show the newest `seconds`."""
         self.time.follow_interval = seconds
 
-    def tell(self, stretches: list[Stretch], events: list[Event], period: float) -> None:
+    def draw_events(self, stretches: list[Stretch], events: list[Event], period: float) -> None:
         """Draw the trust level over time, and the events of this session."""
         self._stretches.data = {
             "left": [s.first * period for s in stretches],
@@ -118,11 +118,11 @@ class TimeCharts:
         )
         chart.toolbar.logo = None
         chart.toolbar.autohide = True
-        chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has them
+        chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has tick labels
         return chart
 
     def _output(self) -> Any:
-        chart = self._figure("output", 320, self._said.output.label)
+        chart = self._figure("output", 320, self._described.output.label)
         plant = chart.line("t", "output", source=self._plant, color=PLANT, line_width=2)
         closed = chart.line("t", "closed_output", source=self._twin, color=CLOSED, line_width=1.6)
         asked = chart.step(
@@ -131,21 +131,21 @@ class TimeCharts:
         asked.glyph.line_dash = [6, 4]
         self.time.renderers = [plant]
         _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("output", self._said.output))])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("output", self._described.output))])
         return chart
 
     def _control(self) -> Any:
-        chart = self._figure("control", 210, self._said.input.label)
+        chart = self._figure("control", 210, self._described.input.label)
         plant = chart.step("t", "input", source=self._plant, mode="after", color=PLANT, line_width=1.6)
         closed = chart.step(
             "t", "closed_input", source=self._twin, mode="after", color=CLOSED, line_width=1.2
         )
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("input", self._said.input))])
+        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("input", self._described.input))])
         return chart
 
     def _residual(self) -> Any:
-        chart = self._figure("residual", 180, with_unit("plant − twin", self._said.output.unit))
+        chart = self._figure("residual", 180, with_unit("plant − twin", self._described.output.unit))
         band = chart.varea(
             "t",
             "driven_rms_y_low",
@@ -163,13 +163,13 @@ class TimeCharts:
             driven,
             [
                 ("time", "@t{0.0} s"),
-                ("plant − driven twin", _shown("driven_residual_y", self._said.output)),
+                ("plant − driven twin", _shown("driven_residual_y", self._described.output)),
             ],
         )
         return chart
 
     def _control_residual(self) -> Any:
-        chart = self._figure("control_residual", 180, with_unit("plant − twin", self._said.input.unit))
+        chart = self._figure("control_residual", 180, with_unit("plant − twin", self._described.input.unit))
         band = chart.varea(
             "t",
             "closed_rms_u_low",
@@ -183,7 +183,7 @@ class TimeCharts:
         _hover(
             chart,
             line,
-            [("time", "@t{0.0} s"), ("residual", _shown("closed_residual_u", self._said.input))],
+            [("time", "@t{0.0} s"), ("residual", _shown("closed_residual_u", self._described.input))],
         )
         return chart
 
@@ -219,7 +219,7 @@ class TimeCharts:
 
 
 def _shown(column: str, quantity: Quantity) -> str:
-    """A column's value in a tooltip."""
+    """Tooltip format of a column's value."""
     places = "0" * quantity.decimals
     return f"@{column}{{0.{places}}} {quantity.unit}".rstrip()
 

@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C; returns the exit code.
 
     Raises:
-        DashboardError: what it needs is not installed, or an option is no value it can have.
+        DashboardError: a package it needs is not installed, or an option has an invalid value.
     """
     check_serving("dashboard", options, "bokeh", DashboardError)
     from twinmatch.dashboard.node import Dashboard  # noqa: PLC0415 — needs ROS and Bokeh

@@ -1,4 +1,4 @@
-"""What can go wrong with the page."""
+"""Errors of the page."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["DashboardError"]
 
 
 class DashboardError(TwinmatchError):
-    """The page cannot be served, or what was asked through it cannot be done."""
+    """The page cannot be served, or a request made on it cannot be carried out."""

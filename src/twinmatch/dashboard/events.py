@@ -1,4 +1,4 @@
-"""What happened, in the order in which it happened: matches, verdicts that say something new, faults."""
+"""The event log: matches, changes of the verdict, faults and node errors, in order of time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Lane(Enum):
 
 
 class Mark(Enum):
-    """How an event is meant."""
+    """How good or bad an event is."""
 
     GOOD = "good"
     NOTE = "note"
@@ -34,23 +34,23 @@ class Event:
     session: int
     """Which session it belongs to, counted from 1 since the page was started."""
     sample: int | None
-    """Newest sample when it happened; None before the first."""
+    """Newest sample when it happened; None before the first sample."""
     lane: Lane
     mark: Mark
     title: str
     """What happened, in a few words."""
     text: str
-    """Why, as the node said it."""
+    """Why, as the node reported it."""
 
 
 class EventLog:
-    """The newest events; the oldest are forgotten."""
+    """The newest events; the oldest are dropped."""
 
     def __init__(self, capacity: int) -> None:
-        """Make room for `capacity` events."""
+        """Keep at most `capacity` events."""
         self._events: deque[Event] = deque(maxlen=capacity)
         self.count = 0
-        """Events so far, those forgotten included."""
+        """Events so far, including those dropped."""
 
     def add(self, event: Event) -> None:
         """Append an event."""
@@ -58,5 +58,5 @@ class EventLog:
         self._events.append(event)
 
     def newest_first(self) -> list[Event]:
-        """All that are kept."""
+        """All events kept."""
         return list(reversed(self._events))

@@ -1,4 +1,4 @@
-"""From a history to the columns a browser draws: only what is new travels."""
+"""From a history to the columns a browser draws; only new rows are sent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twinmatch.signals import FloatArray
 __all__ = ["POINTS", "Feed", "stride_for"]
 
 POINTS = 2400
-"""Most points of a line, whatever the time it spans."""
+"""Most points of a line, whatever time it spans."""
 
 Derive = Callable[[Mapping[str, FloatArray]], dict[str, FloatArray]]
 
@@ -24,10 +24,10 @@ def stride_for(samples: int) -> int:
 
 
 class Feed:
-    """Keeps one `ColumnDataSource` up with one history."""
+    """Keeps one `ColumnDataSource` up to date with one history."""
 
     def __init__(self, history: History, derive: Derive | None = None) -> None:
-        """Begin empty; `derive` makes more columns from those of the history."""
+        """Start empty; `derive` computes more columns from those of the history."""
         self._history = history
         self._derive = derive
         names = list(self._columns(history.since(0)[0], 1.0))
@@ -36,16 +36,16 @@ class Feed:
         self._shown: tuple[int, float, int] | None = None
 
     def update(self, period: float, span: int) -> None:
-        """Draw what is new of the newest `span` samples; everything when it has to be drawn anew."""
+        """Send the new ones of the newest `span` samples, or all of them if epoch, period or span changed."""
         stride = stride_for(span)
         shown = (self._history.epoch, period, span)
         points = span if stride == 1 else 2 * math.ceil(span / stride)
-        anew = shown != self._shown
-        if anew:
+        redraw = shown != self._shown
+        if redraw:
             self._row = max(0, self._history.count // stride * stride - math.ceil(span / stride) * stride)
         drawn, self._row = self._history.since(self._row, stride)
         columns = self._columns(drawn, period)
-        if anew:
+        if redraw:
             self.source.data = columns
             self._shown = shown
         elif columns["t"].size:

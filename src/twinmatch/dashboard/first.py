@@ -1,4 +1,4 @@
-"""What stands first on the page: how far to trust, whom to ask, what comes next, health, and what to do."""
+"""The top of the page: trust level, leader, forecast, plant health, and what to do."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from twinmatch.views.style import LEVEL_WORDS, LEVELS
 __all__ = ["first_screen", "what_to_do"]
 
 _LOOK = ": look at "
-"""What the monitor of the plant's health says before where to look."""
+"""In a reason of the health monitor: what precedes the place to look at."""
 
 
 def first_screen(state: DashboardState) -> str:
-    """Five answers side by side, each with the question above it."""
+    """Five answers side by side, each below its question."""
     level = TrustLevel.UNKNOWN if state.verdict is None else state.verdict.level
     dark = " dark" if level in DARK else ""
     badge = (
@@ -35,37 +35,37 @@ def first_screen(state: DashboardState) -> str:
 
 
 def what_to_do(state: DashboardState) -> str:
-    """The next thing to do for whoever looks at the page."""
+    """The next thing for the operator to do."""
     said = state.described
     if state.fault:
-        return "The output is held at zero. Find out why, mend it, then clear the fault."
+        return "The output is held at zero. Find the cause and fix it, then clear the fault."
     if state.roster.ended is not None:
-        return "Nothing: the replay has ended, and this is how it stood at its end."
-    if state.heard_at is None:
-        return "Start the plant's nodes, or play a recorded session: its samples appear here by themselves."
+        return "Nothing: the replay has ended, and this page shows its final state."
+    if state.received_at is None:
+        return "Start the plant's nodes, or play a recorded session: its samples appear here automatically."
     if state.verdict is None or state.verdict.level is TrustLevel.UNKNOWN:
         return (
-            f"Let the {said.reference.name} step and stay for some minutes (in open loop the "
-            f"{said.input.name}): a twin is matched to what the plant makes of it."
+            f"Step the {said.reference.name} and hold it for some minutes (in open loop the "
+            f"{said.input.name}): a twin is matched to the plant's response."
         )
-    return _upon(state.verdict, said.output)
+    return _advice(state.verdict, said.output)
 
 
-def _upon(verdict: Verdict, output: Quantity) -> str:
-    """What a verdict asks for."""
+def _advice(verdict: Verdict, output: Quantity) -> str:
+    """What to do after a verdict."""
     if verdict.level is TrustLevel.FAULT:
         _, found, where = verdict.reason.partition(_LOOK)
         first = f"Look at {where}" if found else "Look at drive, sensor and cables"
-        return f"{first}. Do not rely on what is foretold until that is mended."
+        return f"{first}. Do not rely on forecasts until the fault is fixed."
     if verdict.level is TrustLevel.DOUBTFUL:
         return (
-            "Do not rely on what is foretold. If the plant was changed, let it step and settle, so that a "
-            "twin is matched anew; if not, look at drive and sensor."
+            "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
+            "matched again; if not, look at drive and sensor."
         )
-    return f"Nothing needs doing. Ask the leader what comes next{_between(verdict, output)}."
+    return f"Nothing. Ask the leader what comes next{_proven_range(verdict, output)}."
 
 
-def _between(verdict: Verdict, output: Quantity) -> str:
+def _proven_range(verdict: Verdict, output: Quantity) -> str:
     if math.isnan(verdict.held_low):
         return ""
     places = max(0, output.decimals - 2)
@@ -89,10 +89,10 @@ def _leader(state: DashboardState) -> str:
 
 
 def _ahead(state: DashboardState) -> str:
-    """Where the output is foretold to be at the end of what the leader foretells."""
+    """The output at the end of the leader's forecast."""
     forecast, output = state.ahead, state.described.output
     if forecast is None or not forecast.time.size:
-        return _answer("what comes", "not known yet", "once there is a leader it foretells")
+        return _answer("forecast", "not known yet", "available once there is a leader")
     band = forecast.output
     mean, low, high = (_value(float(v[-1]), output) for v in (band.mean, band.low, band.high))
     share = f"{100 * forecast.confidence:.0f} %"
@@ -106,13 +106,13 @@ def _ahead(state: DashboardState) -> str:
 def _health(state: DashboardState) -> str:
     verdict = state.verdict
     if verdict is None:
-        return _answer("health of the plant", "not known yet", "no verdict has come yet")
+        return _answer("plant health", "not known yet", "no verdict yet")
     if not verdict.fault:
-        return _answer("health of the plant", "✓ no fault seen", "drive and sensor do what they should")
+        return _answer("plant health", "✓ no fault found", "drive and sensor behave as expected")
     name = f"{SIGNS[TrustLevel.FAULT]} {verdict.fault.replace('-', ' ')}"
     since = verdict.fault_since
     at = "" if since is None else f"since {number(since * state.period, 0)} s: "
-    return _answer("health of the plant", name, text(f"{at}{verdict.reason}"))
+    return _answer("plant health", name, text(f"{at}{verdict.reason}"))
 
 
 def _value(value: float, quantity: Quantity) -> str:

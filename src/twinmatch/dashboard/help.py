@@ -1,4 +1,4 @@
-"""The page's own help: what is on it, what it means, and what to do about it."""
+"""The page's help table: what is on the page, what it means, and what to do."""
 
 from __future__ import annotations
 
@@ -9,66 +9,66 @@ __all__ = ["HELP"]
 HELP: Final[tuple[tuple[str, str, str], ...]] = (
     (
         "trusted ✓",
-        "What came lies in the bands that the leader had given before.",
-        "Nothing. Ask it what comes next.",
+        "The measurements lie within the leader's forecast bands.",
+        "Nothing. Ask the leader what comes next.",
     ),
     (
         "doubtful !",
-        "What came lies outside those bands: the twin and the plant have drifted apart.",
-        "Do not rely on forecasts. Let the plant step and settle, so that a twin is matched anew.",
+        "The measurements lie outside those bands: the twin and the plant have drifted apart.",
+        "Do not rely on forecasts. Let the plant step and settle, so that a twin is matched again.",
     ),
     (
         "fault ✕",
-        "The plant does what no twin explains. “What to do” says where to look.",
+        "No twin explains the plant's behaviour. “What to do” says where to look.",
         "Look at the plant: drive, sensor, cables.",
     ),
     (
         "unknown ?",
-        "Nothing has come yet of what a twin foretold.",
-        "Wait, or let the set-point step.",
+        "No forecast has been compared with measurements yet.",
+        "Wait, or step the set-point.",
     ),
     (
         "leader",
-        "The twin whose forecasts have been worth most. It may change; the time line says when.",
-        "Ask it: “What if” moves nothing.",
+        "The twin with the best forecasts so far. The leader may change; the time line shows when.",
+        "Ask it: “What if” does not move the plant.",
     ),
     (
         "nominal",
-        "The centre of the family: behaves most like all the others (smallest sum of ν-gaps).",
-        "Take its parameters if one set has to stand for the plant.",
+        "The centre of the family: the twin closest to all the others (smallest sum of ν-gaps).",
+        "Use its parameters if a single set has to represent the plant.",
     ),
     (
         "forecast and band",
-        "Dashed, to the right of the newest sample: what the leader foretells if the set-point stays, and "
-        "the band that holds nine readings in ten.",
-        "Compare what comes with the band; most of it should lie inside.",
+        "Dashed, to the right of the newest sample: the leader's forecast for a constant set-point, and the "
+        "band that contains nine measurements in ten.",
+        "Compare new measurements with the band; most of them should lie inside.",
     ),
     (
         "plant − twin",
-        "What the twins get wrong, with a band of ± 2 RMS. The closed-loop twin is given the set-point, the "
-        "driven twin the measured input.",
+        "The residuals of the twins, with a band of ± 2 RMS. The input of the closed-loop twin is the "
+        "set-point, that of the driven twin the measured plant input.",
         "Watch for a residual that leaves its band and stays outside.",
     ),
     (
         "what happened",
         "Matches admitted or refused, changes of trust and leader, faults, errors of nodes; each with its "
         "reason.",
-        "Read the reason; every one says what would help.",
+        "Read the reason; it says what would help.",
     ),
     (
         "ν-gap",
-        "How differently two candidates' plants behave in a loop: 0 the same, 1 as different as can be.",
-        "Nothing; rows that are dark throughout are odd ones out.",
+        "How differently two candidates' plants behave in closed loop: 0 the same, 1 entirely different.",
+        "Nothing; a row that is dark throughout is an outlier.",
     ),
     (
-        "nodes need a look",
-        "A program of the graph warns, reports an error or is silent.",
-        "Scroll down to “Nodes”: each says what is wrong.",
+        "nodes need attention",
+        "A node of the graph reports a warning or an error, or is silent.",
+        "Scroll down to “Nodes”: it shows each node's report.",
     ),
     (
         "the replay has ended",
-        "The session has been played to its end; nothing is wrong and nothing more comes.",
-        "Play another one, or close the page.",
+        "The session has been played to its end; nothing is wrong, and no more samples will come.",
+        "Play another session, or close the page.",
     ),
 )
 """Name on the page, what it means, what to do."""

@@ -1,4 +1,4 @@
-"""The newest rows of a table of numbers, and how to draw them with fewer points."""
+"""The newest rows of a table of numbers, and their reduction to fewer points for drawing."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ __all__ = ["History", "envelope"]
 class History:
     """A table that forgets its oldest rows; each row belongs to one sample of the session.
 
-    Rows are counted from 0 since the last `clear`, so that a reader can ask for what came after the rows
-    it has. Where samples are missing a row of NaN breaks the line that is drawn.
+    Rows are counted from 0 since the last `clear`, so that a reader can ask for the rows after those it has.
+    Where samples are missing, a row of NaN breaks the drawn line.
     """
 
     def __init__(self, columns: Sequence[str], capacity: int) -> None:
-        """Make room for `capacity` rows of these columns."""
+        """Allocate `capacity` rows of these columns."""
         self.columns = ("index", *columns)
         self.capacity = capacity
         self.count = 0
-        """Rows since the last `clear`, those forgotten included."""
+        """Rows since the last `clear`, including those dropped."""
         self.epoch = 0
-        """How often the table began anew."""
+        """How often the table was cleared."""
         self.last: int | None = None
         """Index of the newest sample."""
         self._rows = np.full((capacity, len(self.columns)), np.nan)
@@ -38,25 +38,25 @@ class History:
         self.last = index
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Drop all rows."""
         self.count = 0
         self.epoch += 1
         self.last = None
 
     def newest(self) -> dict[str, float] | None:
-        """The newest row by the names of the columns; None while there is none."""
+        """The newest row by column name; None while the table is empty."""
         if self.count == 0:
             return None
         row = self._rows[(self.count - 1) % self.capacity]
         return dict(zip(self.columns, row.tolist(), strict=True))
 
     def since(self, row: int, stride: int = 1) -> tuple[dict[str, FloatArray], int]:
-        """What came after the first `row` rows, and the number to ask with next time.
+        """The rows after the first `row` rows, and the row number to pass next time.
 
         Args:
             row: a number this method returned, or 0.
             stride: rows that are drawn as one, see `envelope`; only full groups are returned, and a row
-                number belongs to the stride it was returned for.
+                number is valid only for the stride it was returned for.
         """
         oldest = -(-max(0, self.count - self.capacity) // stride) * stride
         first = max(row, oldest)
@@ -71,12 +71,12 @@ class History:
 
 
 def envelope(rows: FloatArray, stride: int) -> FloatArray:
-    """Every `stride` rows as two: least and greatest of each column, in the order in which they came.
+    """Every `stride` rows as two: minimum and maximum of each column, in the order in which they occurred.
 
-    So a spike of one sample stays as high as it was, however many samples a pixel has.
+    A spike of one sample so keeps its height, however many samples share a pixel.
 
     Args:
-        rows: shape (N, columns); N is a multiple of `stride`. A NaN makes both of its group NaN.
+        rows: shape (N, columns); N is a multiple of `stride`. A NaN makes both rows of its group NaN.
         stride: 1 returns the rows as they are.
     """
     if stride == 1 or not rows.size:

@@ -1,4 +1,4 @@
-"""How the page looks: colours and lettering from `twinmatch.views.style`, sizes for a screen."""
+"""Appearance of the page: colours and fonts from `twinmatch.views.style`, sizes for a screen."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SIGNS = {
     TrustLevel.DOUBTFUL: "!",
     TrustLevel.FAULT: "✕",
 }
-"""Beside the word and the colour of a level."""
+"""Shown beside the word and the colour of a level."""
 
 MARKS = {
     Mark.GOOD: LEVELS[TrustLevel.TRUSTED],
@@ -43,20 +43,20 @@ MARKS = {
     Mark.BAD: LEVELS[TrustLevel.FAULT],
 }
 MARK_SIGNS = {Mark.GOOD: "●", Mark.NOTE: "◆", Mark.WARNING: "▲", Mark.BAD: "✕"}
-"""The same markers in text …"""
+"""The same marks in text."""
 MARK_INKS = {Mark.GOOD: "#00664B", Mark.NOTE: SET_POINT, Mark.WARNING: "#8A5A00", Mark.BAD: "#B3001B"}
-"""… and colours dark enough for it."""
+"""Colours of the marks, dark enough for text."""
 DARK = (TrustLevel.UNKNOWN, TrustLevel.TRUSTED, TrustLevel.DOUBTFUL)
-"""Levels on whose colour dark letters are read better than white ones: a contrast of 4.5 at least."""
+"""Levels with dark text on their colour, for a contrast of at least 4.5."""
 BUTTONS = """
 .bk-btn-primary { background: #0072B2; border-color: #005a8e; color: #fff; }
 .bk-btn-warning { background: #E69F00; border-color: #a87400; color: #1a1a1a; }
 .bk-btn-danger { background: #B3001B; border-color: #8a0015; color: #fff; }
 .bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #1a1a1a; outline-offset: 2px; }
 """
-"""Buttons in the colours of the page, with a contrast of 4.5 at least, and a ring where the keys act."""
+"""Buttons in the colours of the page, with a contrast of at least 4.5 and a ring for the keyboard focus."""
 SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "diamond", Mark.WARNING: "triangle", Mark.BAD: "x"}
-"""Markers of the time line: nobody has to tell them by their colour."""
+"""Markers of the time line: their shape distinguishes them without colour."""
 
 THEME = Theme(
     json={
@@ -108,10 +108,10 @@ _STYLE = Path(__file__).with_name("panel.css").read_text(encoding="utf-8")
 
 
 def panel(name: str, html: str = "") -> Div:
-    """A place for HTML that fills its card; `name` is where the page puts it."""
+    """An HTML element that fills its card; `name` is its place in the template."""
     return Div(name=name, text=html, margin=0, sizing_mode="stretch_width", stylesheets=[_STYLE])
 
 
 def text(words: object) -> str:
-    """Words of the graph as HTML: what looks like markup is shown as it is."""
+    """Escape text from the graph for HTML."""
     return escape(str(words))

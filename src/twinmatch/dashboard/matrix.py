@@ -20,11 +20,11 @@ __all__ = ["Matrix"]
 
 SUM = "Σ"
 _LINE = 20
-"""Letters of a name that have room beside its row; there are two lines."""
+"""Characters per line of a name beside its row; there are two lines."""
 _ROW, _HEAD = 34, 44
-"""Height of a row, and of what stands above the first one, in pixels."""
+"""Height of a row, and of the space above the first one, in pixels."""
 _EVEN = 0.179
-"""Luminance at which black and white letters are read equally well, with a contrast of 4.6."""
+"""Luminance at which black and white text have the same contrast, 4.6."""
 _PALETTE = list(reversed(Cividis256))
 _NAMES = ("column", "row", "gap", "shown", "interval", "ink", "pair")
 
@@ -33,16 +33,16 @@ class Matrix:
     """The heat map of one tab."""
 
     def __init__(self) -> None:
-        """Begin without candidates."""
+        """Start without candidates."""
         self._cells = ColumnDataSource({name: [] for name in _NAMES})
         self._sums = ColumnDataSource({name: [] for name in (*_NAMES, "style")})
         self._colours = LinearColorMapper(palette=_PALETTE, low=0.0, high=1.0)
         self.figure = self._draw()
 
     def update(self, verdict: Verdict | None) -> None:
-        """Draw the matrix of a verdict; none, or one without candidates, leaves it empty."""
+        """Draw the matrix of a verdict; None, or a verdict without candidates, leaves it empty."""
         candidates = verdict.candidates if verdict is not None else ()
-        # However many there are and whatever they are called: columns bear numbers, rows say whose they are.
+        # Long names do not fit above the columns: columns have numbers, rows have names and numbers.
         columns = [str(k) for k in range(1, len(candidates) + 1)]
         names = [f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)]
         gaps = np.array(verdict.nu_gap if verdict is not None else (), dtype=np.float64)
@@ -119,7 +119,7 @@ class Matrix:
 
 
 def _short(name: str) -> str:
-    """A name on two lines at most; the whole of it is shown by the tooltip."""
+    """A name on at most two lines; the tooltip shows it in full."""
     lines = wrap(name, _LINE)
     if len(lines) <= 2:
         return "\n".join(lines)
@@ -127,7 +127,7 @@ def _short(name: str) -> str:
 
 
 def _ink(share: float) -> str:
-    """Black or white, whichever is read better on the colour of a gap: a share of the largest one."""
+    """Black or white, whichever has more contrast on the colour of a gap, given as a share of the largest."""
     colour = _PALETTE[min(len(_PALETTE) - 1, int(share * len(_PALETTE)))]
     parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
     r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
@@ -135,7 +135,7 @@ def _ink(share: float) -> str:
 
 
 def _interval(candidate: CandidateScore, other: int) -> str:
-    """Where 90 % of the probability is, of its ν-gap to another of the family."""
+    """The 90 % interval of its ν-gap to another candidate of the family."""
     if not (other < len(candidate.nu_gap_low) and other < len(candidate.nu_gap_high)):
         return "not computed"
     return f"{number(candidate.nu_gap_low[other], 3)} to {number(candidate.nu_gap_high[other], 3)}"

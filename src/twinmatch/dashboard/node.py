@@ -1,4 +1,4 @@
-"""The node behind the page: hears the graph, fills the state, does what is asked for on the page."""
+"""The node behind the page: subscribes to the graph, fills the state, carries out requests of the page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sensor_msgs.msg import Image
 
 from twinmatch.dashboard.page import Page
 from twinmatch.dashboard.requests import Requests
-from twinmatch.dashboard.sentence import say
+from twinmatch.dashboard.sentence import update_sentence
 from twinmatch.dashboard.server import PageServer
 from twinmatch.dashboard.state import DashboardState, Drive, TwinRow
 from twinmatch.description import UNDESCRIBED
@@ -48,22 +48,22 @@ from twinmatch_msgs.msg import (
 __all__ = ["Dashboard"]
 
 ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-"""Enough for two seconds of a recording that is played a thousand times as fast."""
+"""The queue holds two seconds of a recording played at a thousand times its speed."""
 SUM_UP = 1.0
-"""Seconds between two looks at whether there is a new verdict to sum the session up with."""
+"""Seconds between checks for a new verdict, with which the session is summarised."""
 POLL = 0.05
-"""Seconds between two looks at what was asked for on the page."""
+"""Seconds between checks for requests of the page."""
 
 
 class Dashboard(TwinmatchNode):
-    """Shows the graph of its namespace; without `control` it publishes nothing but its health."""
+    """Shows the graph of its namespace; without `control` it publishes only its health."""
 
     NAME = "dashboard"
     PARAMETERS = (
         Parameter(
-            "address", "127.0.0.1", "Address to serve on; any but this machine's own is open to others."
+            "address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."
         ),
-        Parameter("port", 5006, "TCP port; 0: any that is free.", "", 0, 65535),
+        Parameter("port", 5006, "TCP port; 0: any free port.", "", 0, 65535),
         Parameter("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
         Parameter("control", False, "Whether the page may set the set-point, clear faults and stop."),
     )
@@ -72,7 +72,7 @@ class Dashboard(TwinmatchNode):
     _server: PageServer | None = None
 
     def read_parameters(self) -> None:
-        """Read what the twin's nodes were given.
+        """Read the parameters of the twin's nodes.
 
         Raises:
             ParameterError: the file cannot be used.
@@ -81,39 +81,39 @@ class Dashboard(TwinmatchNode):
         self._settings = read_settings(Path(path) if path else None)
 
     def open(self) -> None:
-        """Listen to the graph and serve the page.
+        """Subscribe to the graph and serve the page.
 
         Raises:
             DashboardError: the address or port cannot be used.
         """
         known = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
         self.state = DashboardState(described=known)
-        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._queued: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._requests = Requests(
             self,
             self.state,
-            self._asked.put,
+            self._queued.put,
             control=self.values["control"],
             plant=lambda: self._settings.plant,
         )
-        self._hear(PlantDescription, "plant/description", self._on_description, LATCHED)
-        self._hear(LoopSample, "plant/sample", self._on_sample, ALL)
-        self._hear(TwinState, "twin/state", self._on_twin, ALL)
-        self._hear(Forecast, "twin/forecast", self._on_forecast, ALL)
-        self._hear(ModelScore, "twin/model_score", self._on_score, ALL)
-        self._hear(PwmApplied, "plant/pwm_applied", self._on_pwm, ALL)
-        self._hear(PlantApplied, "plant/applied", self._on_applied, ALL)
-        self._hear(DiagnosticArray, "/diagnostics", self._on_health, ALL)
-        self._hear(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
+        self._subscribe(PlantDescription, "plant/description", self._on_description, LATCHED)
+        self._subscribe(LoopSample, "plant/sample", self._on_sample, ALL)
+        self._subscribe(TwinState, "twin/state", self._on_twin, ALL)
+        self._subscribe(Forecast, "twin/forecast", self._on_forecast, ALL)
+        self._subscribe(ModelScore, "twin/model_score", self._on_score, ALL)
+        self._subscribe(PwmApplied, "plant/pwm_applied", self._on_pwm, ALL)
+        self._subscribe(PlantApplied, "plant/applied", self._on_applied, ALL)
+        self._subscribe(DiagnosticArray, "/diagnostics", self._on_health, ALL)
+        self._subscribe(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
         self._summed_up = 0
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(POLL, self._do_what_was_asked, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
         address = self.values["address"]
         self._server = PageServer(address, self.values["port"], self._fill)
         if not is_loopback(address):
-            able = "and command the plant" if self.values["control"] else "but command nothing"
+            able = "read this page and command the plant" if self.values["control"] else "read this page"
             print(
-                f"PAGE OPEN: whoever reaches {address} may read this page {able}; nothing is encrypted",
+                f"PAGE OPEN: anyone who can reach {address} may {able}; the connection is not encrypted",
                 flush=True,
             )
         print(f"page: {self._server.url}", flush=True)
@@ -121,25 +121,25 @@ class Dashboard(TwinmatchNode):
 
     @property
     def failure(self) -> Exception | None:
-        """What ended the server."""
+        """The error that ended the server."""
         return None if self._server is None else self._server.failure
 
     def report(self) -> Report:
-        """How many tabs are open."""
+        """Report the page's address and the number of open tabs."""
         if self._server is not None:
             self.health.set("page", self._server.url)
             self.health.set("tabs", self._server.tabs)
         return super().report()
 
     def close(self) -> bool:
-        """End the server."""
+        """Stop the server."""
         return self._server is None or self._server.close()
 
     def _fill(self, document: Any) -> None:
         Page(self.state, self._requests).build(document)
 
-    def _hear(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> None:
-        """Subscribe; a message that makes no sense is complained of and passed over."""
+    def _subscribe(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> None:
+        """Subscribe; an invalid message is reported and dropped."""
 
         def receive(message: Any) -> None:
             try:
@@ -191,11 +191,11 @@ class Dashboard(TwinmatchNode):
     def _sum_up(self) -> None:
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
-            say(self.state, self._settings.gains)
+            update_sentence(self.state, self._settings.gains)
 
-    def _do_what_was_asked(self) -> None:
+    def _run_requests(self) -> None:
         while True:
             try:
-                self._asked.get_nowait()()
+                self._queued.get_nowait()()
             except Empty:
                 return

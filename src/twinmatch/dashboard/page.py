@@ -1,4 +1,4 @@
-"""The document of one browser tab: built once, then brought up to date a few times a second."""
+"""The document of one browser tab: built once, then updated a few times a second."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ _COME_BACK = """
 const come_back = async () => {
     try {
         if ((await fetch(location.href, {cache: "no-store"})).ok) { location.reload(); return }
-    } catch { /* not there yet */ }
+    } catch { /* the server is not back yet */ }
     setTimeout(come_back, 2000)
 }
 setTimeout(come_back, 1000)
 """
-"""In the browser, when the server has gone: load the page again as soon as it is back."""
+"""In the browser, when the connection is lost: reload the page as soon as the server is back."""
 _TEMPLATE = Path(__file__).with_name("page.html")
 
 
 class Page:
-    """One tab. It keeps nothing that grows: charts roll over, texts replace each other."""
+    """One tab. Nothing in it grows: charts drop their oldest points, texts are replaced."""
 
     def __init__(
         self, state: DashboardState, actions: Actions, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Show a state; `clock` is the one whose times the state was told."""
+        """Show a state; `clock` is the one that its times are taken from."""
         self._state, self._clock = state, clock
         self._plant = Feed(state.plant)
         self._twin = Feed(state.twin, bands)
@@ -91,7 +91,7 @@ class Page:
         ]
         if self._rig is not None:
             roots.append(self._rig.root)
-        with document.models.freeze():  # else every root has the whole document gone through again
+        with document.models.freeze():  # otherwise every root scans the whole document again
             for root in roots:
                 document.add_root(root)
         title = self._described.title
@@ -108,64 +108,64 @@ class Page:
             good=LEVELS[TrustLevel.TRUSTED],
             fault=LEVELS[TrustLevel.FAULT],
         )
-        document.config.reconnect_session = False  # a server that was started again knows no old session
+        document.config.reconnect_session = False  # a restarted server does not know the old session
         document.js_on_event("document_ready", self._charts.fit_to_narrow)
         document.js_on_event("connection_lost", CustomJS(code=_COME_BACK))
         self.update()
         document.add_periodic_callback(self.update, REFRESH)
 
     def update(self) -> None:
-        """Bring everything up to date that is another than before."""
+        """Update whatever has changed."""
         state, now = self._state, self._clock()
         with state.lock:
-            state.roster.look(now)
+            state.roster.expire(now)
             span = self._span.samples(state.period, state.plant.capacity)
             self._plant.update(state.period, span)
             self._twin.update(state.period, span)
-            self._foretell(span * state.period)
-            self._tell(now)
+            self._draw_forecast(span * state.period)
+            self._update_texts(now)
             happened = (state.verdicts, state.events.count, state.period)
             if self._changed("happened", happened):
                 events = state.events.newest_first()
                 mine = [e for e in events if e.session == state.session]
-                self._charts.tell(list(state.trust), mine, state.period)
-                self._say("events", panels.events_table(events, state.session, state.period))
+                self._charts.draw_events(list(state.trust), mine, state.period)
+                self._show("events", panels.events_table(events, state.session, state.period))
             if self._changed("family", (state.verdicts, self._every.active)):
                 self._matrix.update(state.verdict)
                 none_yet = state.verdict is None or not state.verdict.candidates
                 self._matrix.figure.visible = not none_yet
-                self._say("matrix_note", panels.NO_CANDIDATE if none_yet else "")
-                self._say("family", panels.family_table(state.verdict, every=bool(self._every.active)))
+                self._show("matrix_note", panels.NO_CANDIDATE if none_yet else "")
+                self._show("family", panels.family_table(state.verdict, every=bool(self._every.active)))
             if self._changed("image", state.images) and state.image is not None:
                 self._thermal.update(state.image)
             self._player.update(state.roster.player)
             if self._changed("described", state.described) and state.described != self._described:
-                self._texts["status"].tags = [state.described.plant]  # loads the page again, with these names
+                self._texts["status"].tags = [state.described.plant]  # reloads the page, with these names
 
-    def _foretell(self, span: float) -> None:
-        """Draw so much of the newest time (s), and what comes after it."""
+    def _draw_forecast(self, span: float) -> None:
+        """Show the newest `span` seconds, and the forecast after them."""
         state, forecast = self._state, self._state.ahead
-        if self._changed("ahead", (span, state.told_ahead, state.period, forecast is None)):
+        if self._changed("ahead", (span, state.forecast_changes, state.period, forecast is None)):
             most = seconds_ahead(span)
             answer = None if state.answered is None else state.answered.forecast
             self._charts.fans.update(forecast, answer, state.period, most)
             self._charts.span(span if forecast is None else span + most)
-            self._say("answer", panels.answer(state.answered))
+            self._show("answer", panels.answer(state.answered))
 
-    def _tell(self, now: float) -> None:
+    def _update_texts(self, now: float) -> None:
         state = self._state
-        self._say("status", panels.status(state, now))
-        self._say("alarm", panels.alarm(state))
-        self._say("first", first_screen(state))
-        self._say("reasons", panels.reasons(state.verdict, state.period, state.sentence))
-        self._say("tiles", panels.tiles(state))
-        self._say("nodes", panels.nodes(state.roster, now))
+        self._show("status", panels.status(state, now))
+        self._show("alarm", panels.alarm(state))
+        self._show("first", first_screen(state))
+        self._show("reasons", panels.reasons(state.verdict, state.period, state.sentence))
+        self._show("tiles", panels.tiles(state))
+        self._show("nodes", panels.nodes(state.roster, now))
         self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)
-        self._say("chart_note", "" if state.plant.count else panels.NO_SAMPLE)
+        self._show("chart_note", "" if state.plant.count else panels.NO_SAMPLE)
         if self._rig is not None:
-            self._say("notice", panels.notice(state))
+            self._show("notice", panels.notice(state))
 
-    def _say(self, name: str, html: str) -> None:
+    def _show(self, name: str, html: str) -> None:
         place = self._texts[name]
         if place.text != html:
             place.text = html

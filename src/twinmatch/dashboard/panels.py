@@ -1,4 +1,4 @@
-"""What stands in the page as text: the verdict in large, figures of the moment, tables."""
+"""The page's texts and tables: status, verdict in detail, current values, family, events, nodes."""
 
 from __future__ import annotations
 
@@ -33,74 +33,74 @@ __all__ = [
 RECENT = 80
 """Events in the table."""
 SILENCE = 5.0
-"""Periods without a sample, but at least as many seconds, after which the page says so."""
+"""Periods, but at least seconds, without a sample after which the page reports it."""
 IN_WORDS = ("level", "leader", "nominal", "why")
-"""Columns of the terminal's table that are shown in large or as a sentence."""
+"""Columns of the terminal's table that the page shows elsewhere."""
 CALLED = {"t / s": "judged at / s", "gain": "gain / characters"}
-"""Its names that have no room there for a unit."""
+"""Names of columns that differ from those in the terminal."""
 DASH = "–"
 NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
-NO_SAMPLE = '<p class="quiet">No sample has come yet.</p>'
+NO_SAMPLE = '<p class="quiet">No sample yet.</p>'
 NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
 """Colours of the levels of REP 107."""
-NODE_WORDS = ("well", "warning", "error", "silent")
+NODE_WORDS = ("OK", "warning", "error", "silent")
 AT_REST = "has ended with the replay"
 
 
 def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
-    """The newest verdict in figures and in all its words, and the session in a sentence."""
+    """The newest verdict in figures and text, and the session in a sentence."""
     if verdict is None:
-        return '<p class="quiet">no verdict has come yet</p>'
-    told = dict(zip(COLUMNS, row(verdict, period), strict=True))
+        return '<p class="quiet">no verdict yet</p>'
+    cells = dict(zip(COLUMNS, row(verdict, period), strict=True))
     more = f"<p><b>{text(sentence)}</b></p>" if sentence else ""
     more += "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
-    figures = _tiles([(CALLED.get(n, n), cell) for n, cell in told.items() if n not in IN_WORDS])
+    figures = _tiles([(CALLED.get(n, n), cell) for n, cell in cells.items() if n not in IN_WORDS])
     why = f'<p><span class="label">newest verdict:</span> {text(verdict.reason)}</p>'
     return f'<div class="why">{figures}{why}{more}</div>'
 
 
 def tiles(state: DashboardState) -> str:
-    """Figures of the moment."""
-    now, said = state.plant.newest() or {}, state.described
-    twin, y, u = state.twin.newest() or {}, said.output.decimals, said.input.decimals
+    """Current values of plant and twins."""
+    now, described = state.plant.newest() or {}, state.described
+    twin, y, u = state.twin.newest() or {}, described.output.decimals, described.input.decimals
     entries = [
-        (said.reference.label, number(now.get("reference"), y)),
-        (with_unit("plant", said.output.unit), number(now.get("output"), y)),
-        (with_unit("closed-loop twin", said.output.unit), number(twin.get("closed_output"), y)),
-        (with_unit("driven twin", said.output.unit), number(twin.get("driven_output"), y)),
-        (f"plant's {said.input.label}", number(now.get("input"), u)),
-        (f"twin's {said.input.label}", number(twin.get("closed_input"), u)),
+        (described.reference.label, number(now.get("reference"), y)),
+        (with_unit("plant", described.output.unit), number(now.get("output"), y)),
+        (with_unit("closed-loop twin", described.output.unit), number(twin.get("closed_output"), y)),
+        (with_unit("driven twin", described.output.unit), number(twin.get("driven_output"), y)),
+        (f"plant's {described.input.label}", number(now.get("input"), u)),
+        (f"twin's {described.input.label}", number(twin.get("closed_input"), u)),
     ]
     if state.drive is not None:
-        entries.append((with_unit("applied", said.input.unit), number(state.drive.input, u)))
+        entries.append((with_unit("applied", described.input.unit), number(state.drive.input, u)))
         if not math.isnan(state.drive.current):
             entries.append(("current / A", number(state.drive.current, 2)))
     return _tiles(entries, "tiles now")
 
 
 def status(state: DashboardState, now: float) -> str:
-    """One line: does the graph speak, which sample, how the nodes are; of a replay that has ended, that."""
-    pills = [_heard(state, now)]
+    """One line: newest sample, state of a player, state of the nodes."""
+    pills = [_sample_pill(state, now)]
     player, ended = state.roster.player, state.roster.ended
     if ended is not None:
         pills.append(_pill(None, f"the replay has ended: {ended.position}"))
     elif player is not None:
-        rate = "as fast as it goes" if player.rate == 0 else f"{player.rate:g} × recorded speed"
+        rate = "as fast as possible" if player.rate == 0 else f"{player.rate:g} × recorded speed"
         pills.append(_pill(None, f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}"))
     standing = state.roster.standing
     worst = [n for n, s in standing.items() if not state.roster.at_rest(n) and state.roster.level(n, now)]
     if worst:
-        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(standing)} nodes need a look"))
+        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(standing)} nodes need attention"))
     elif standing and ended is None:
-        well = "1 node is well" if len(standing) == 1 else f"{len(standing)} nodes are well"
-        pills.append(_pill(TrustLevel.TRUSTED, well))
+        fine = "1 node is OK" if len(standing) == 1 else f"{len(standing)} nodes are OK"
+        pills.append(_pill(TrustLevel.TRUSTED, fine))
     return f'<div class="status">{"".join(pills)}</div>'
 
 
-def _heard(state: DashboardState, now: float) -> str:
-    if state.heard_at is None:
+def _sample_pill(state: DashboardState, now: float) -> str:
+    if state.received_at is None:
         return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
-    quiet, patience = now - state.heard_at, SILENCE * max(1.0, state.period)
+    quiet, patience = now - state.received_at, SILENCE * max(1.0, state.period)
     if quiet > patience and state.roster.ended is None:
         return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s")
     at = (state.sample or 0) * state.period
@@ -108,7 +108,7 @@ def _heard(state: DashboardState, now: float) -> str:
 
 
 def alarm(state: DashboardState) -> str:
-    """The fault that holds the output at zero or that the twin sees; empty without one."""
+    """The fault that holds the output at zero; empty without one."""
     if not state.fault:
         return ""
     kind, _, why = state.fault.partition(": ")
@@ -119,7 +119,7 @@ def alarm(state: DashboardState) -> str:
 
 
 def family_table(verdict: Verdict | None, *, every: bool) -> str:
-    """The candidates with their criteria, on both outputs together; with `every` order or the chosen one."""
+    """The candidates with their criteria for both outputs together: `every` order, or the chosen one."""
     if verdict is None or not verdict.candidates:
         return NO_CANDIDATE
     criteria = computed(verdict.candidates)
@@ -173,7 +173,7 @@ def events_table(events: Sequence[Event], session: int, period: float) -> str:
 
 
 def nodes(roster: Roster, now: float) -> str:
-    """Every node that reports, and what it says."""
+    """Every reporting node with its report."""
     shown = []
     for name in sorted(roster.standing):
         rest = roster.at_rest(name)
@@ -190,7 +190,7 @@ def nodes(roster: Roster, now: float) -> str:
 
 
 def answer(answered: Answered | None) -> str:
-    """What was asked on the page, and what comes then."""
+    """The newest what-if question and its answer."""
     if answered is None:
         return ""
     lines = "".join(f"<p>{text(line)}</p>" for line in answered.lines)
@@ -198,7 +198,7 @@ def answer(answered: Answered | None) -> str:
 
 
 def notice(state: DashboardState) -> str:
-    """What became of the last thing asked for."""
+    """The result of the last request."""
     if state.notice is None:
         return ""
     kind = "good" if state.notice.done else "bad"
@@ -206,16 +206,16 @@ def notice(state: DashboardState) -> str:
 
 
 def _more(verdict: Verdict) -> list[str]:
-    """What else a verdict says in words: a fault by name, how sure it is, which plant it thinks it sees."""
-    told = []
+    """Further statements of a verdict: fault, certainty, structure."""
+    lines = []
     if verdict.fault:
         since = "" if verdict.fault_since is None else f" since sample {verdict.fault_since}"
-        told.append(f"the plant shows {verdict.fault}{since}")
+        lines.append(f"the plant shows {verdict.fault}{since}")
     if verdict.certainty:
-        told.append(verdict.certainty)
+        lines.append(verdict.certainty)
     if verdict.structure:
-        told.append(f"structure of the plant in the twins: {verdict.structure}")
-    return told
+        lines.append(f"structure that the samples justify: {verdict.structure}")
+    return lines
 
 
 def _span(low: float, high: float) -> str:
@@ -223,7 +223,7 @@ def _span(low: float, high: float) -> str:
 
 
 def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:
-    """Names with their units, and the figures below them."""
+    """Names with their units, each above its value."""
     shown = [
         f'<div><div class="label">{text(name)}</div><div class="value">{text(value)}</div></div>'
         for name, value in entries

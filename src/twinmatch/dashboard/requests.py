@@ -1,4 +1,4 @@
-"""What was asked for on the page, as service calls and messages of the graph."""
+"""Requests made on the page, as service calls and messages to the graph."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from twinmatch_msgs.srv import WhatIf
 __all__ = ["Requests"]
 
 SOURCE = ("reference_source", "profile.lowest", "profile.highest")
-"""Parameters of the controller that say whether a set-point from outside would be followed."""
+"""Parameters of the controller that show whether it follows a set-point from outside."""
 
 
 class Requests:
-    """`Actions` by means of a node. Callable from any thread; the work is left to the node's own.
+    """`Actions` through a node. Callable from any thread; the work is done in the node's own thread.
 
-    Without `control` there is neither publisher nor client for anything that moves the rig.
+    Without `control` there is no publisher or client that could move the rig.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Requests:
         control: bool,
         plant: Callable[[], type[Plant]],
     ) -> None:
-        """Make clients; `later` has a function called in the node's thread, `plant` is asked each time."""
+        """Make clients; `later` queues a function for the node's thread, `plant` returns the plant in use."""
         self._node, self._state, self._later, self._plant = node, state, later, plant
         self._control = control
         self._pause = node.create_client(SetBool, "player/pause")
@@ -52,7 +52,7 @@ class Requests:
             self._clear = node.create_client(Trigger, "plant/clear_fault")
             self._stop = node.create_client(Trigger, "plant/stop")
             self._limits = node.create_client(GetParameters, "controller/get_parameters")
-            # Not latched: a controller that is started again must not find an old wish of ours.
+            # Not latched: a restarted controller must not receive an old request.
             quiet = PublisherEventCallbacks(use_default_callbacks=False)
             self._reference = node.create_publisher(
                 Float64, "plant/reference", RELIABLE, event_callbacks=quiet
@@ -60,21 +60,21 @@ class Requests:
 
     @property
     def control(self) -> bool:
-        """Whether set-point, stop and clearing a fault may be asked for."""
+        """Whether the page may set the set-point, clear faults and stop."""
         return self._control
 
     def pause(self, paused: bool) -> None:
-        """Let the player of a session stand still, or go on."""
-        self._call(self._pause, SetBool.Request(data=paused), "the player", self._tell_answer)
+        """Pause the player of a session, or continue."""
+        self._call(self._pause, SetBool.Request(data=paused), "the player", self._show_result)
 
     def rate(self, rate: float) -> None:
-        """Let it play so many recorded seconds per second; 0: as fast as it goes."""
+        """Set its speed in recorded seconds per second; 0: as fast as possible."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
         request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
-        self._call(self._rate, request, "the player", self._tell_rate)
+        self._call(self._rate, request, "the player", self._show_rate_result)
 
     def what_if(self, level: float, hold: float | None) -> None:
-        """Ask the discriminator what comes if the set-point goes to a level, and back after a time (s)."""
+        """Ask the discriminator for a forecast with the set-point at a level, and back after a time (s)."""
         said = self._state.described.reference
         question = f"set-point {level:g} {said.unit}" + ("" if hold is None else f" for {hold:g} s")
         request = WhatIf.Request(times=[0.0], levels=[level])
@@ -90,65 +90,66 @@ class Requests:
             lines = (*forecast_words(forecast, self._plant()), *forecast.notes)
             self._state.answer(Answered(question, lines, forecast))
 
-        def miss(why: str) -> None:
+        def show_text(why: str) -> None:
             self._state.answer(Answered(question, (why,)))
 
-        miss("asked")
-        self._call(self._ahead, request, "the discriminator", show, miss)
+        show_text("waiting for the forecast")
+        self._call(self._ahead, request, "the discriminator", show, show_text)
 
     def clear_fault(self) -> None:
-        """Let the output be driven again after a fault."""
+        """Allow the output to be driven again after a fault."""
         if self._control:
-            self._call(self._clear, Trigger.Request(), "what drives the plant", self._tell_answer)
+            self._call(self._clear, Trigger.Request(), "the node that drives the plant", self._show_result)
 
     def stop(self) -> None:
         """Hold the output at zero."""
         if self._control:
-            self._call(self._stop, Trigger.Request(), "what drives the plant", self._tell_answer)
+            self._call(self._stop, Trigger.Request(), "the node that drives the plant", self._show_result)
 
     def set_point(self, level: float) -> None:
-        """Ask the controller for a set-point, once it has said that it would follow one."""
+        """Send the controller a set-point, once its parameters show that it follows one."""
         if not self._control:
             return
 
-        def ask(answer: Any) -> None:
-            self._ask_for(level, answer.values)
+        def send(answer: Any) -> None:
+            self._send_set_point(level, answer.values)
 
-        self._call(self._limits, GetParameters.Request(names=list(SOURCE)), "the controller", ask)
+        self._call(self._limits, GetParameters.Request(names=list(SOURCE)), "the controller", send)
 
-    def _ask_for(self, level: float, values: list[Any]) -> None:
+    def _send_set_point(self, level: float, values: list[Any]) -> None:
         found = {name: value for name, value in zip(SOURCE, values, strict=False) if value.type}
         if len(found) < len(SOURCE):
-            self._state.tell(False, "the controller does not say which set-points it follows")
+            self._state.notify(False, "the controller does not report which set-points it follows")
             return
         unit = self._state.described.reference.unit
         low, high = found["profile.lowest"].double_value, found["profile.highest"].double_value
         if found["reference_source"].string_value != "topic":
-            self._state.tell(
+            self._state.notify(
                 False,
-                "the controller follows its own profile; it has to be started with reference_source: topic",
+                "the controller follows its own profile; start it with reference_source: topic",
             )
         elif not (math.isfinite(level) and low <= level <= high):
-            allowed = f"allowed is {low:g} to {high:g} {unit}"
-            self._state.tell(False, f"{level:g} {unit} was not asked for: {allowed}")
+            self._state.notify(
+                False, f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
+            )
         else:
             self._reference.publish(Float64(data=level))
-            self._state.tell(
-                True, f"asked for {level:g} {unit}; the set-point above follows with the next sample"
+            self._state.notify(
+                True, f"requested {level:g} {unit}; the set-point above follows with the next sample"
             )
 
     def _call(
         self,
         client: Any,
         request: Any,
-        whom: str,
+        server: str,
         then: Callable[[Any], None],
         otherwise: Callable[[str], None] | None = None,
     ) -> None:
         def call() -> None:
             if not client.service_is_ready():
-                miss = otherwise or partial(self._state.tell, False)
-                miss(f"{whom} is not there ({client.srv_name})")
+                fail = otherwise or partial(self._state.notify, False)
+                fail(f"{server} is not running (no service {client.srv_name})")
                 return
             client.call_async(request).add_done_callback(done)
 
@@ -159,10 +160,10 @@ class Requests:
 
         self._later(call)
 
-    def _tell_answer(self, answer: Any) -> None:
-        self._state.tell(answer.success, answer.message)
+    def _show_result(self, answer: Any) -> None:
+        self._state.notify(answer.success, answer.message)
 
-    def _tell_rate(self, answer: Any) -> None:
+    def _show_rate_result(self, answer: Any) -> None:
         for result in answer.results:
             if not result.successful:
-                self._state.tell(False, result.reason)
+                self._state.notify(False, result.reason)

@@ -1,4 +1,4 @@
-"""Which nodes there are, and how they say they are."""
+"""The nodes of the graph and the health they report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PATIENCE = 4.0
 FORGET = 60.0
 """Seconds after which a silent node is forgotten."""
 MOST = 64
-"""Names that are kept; more would not be nodes of one graph."""
+"""Most names kept; one graph does not have more nodes."""
 
 _DIGITS = re.compile(r"[\d.,]+")
 _SILENCE = re.compile(r"no sample for \d+ s(?:; )?")
@@ -24,25 +24,25 @@ _SILENCE = re.compile(r"no sample for \d+ s(?:; )?")
 
 @dataclass(frozen=True)
 class Standing:
-    """What a node said last."""
+    """A node's last report."""
 
     level: int
     message: str
     at: float
-    """When, in seconds of the listener's clock."""
+    """When it was received, in seconds of the receiver's clock."""
 
 
 @dataclass(frozen=True)
 class Player:
-    """Where a session that is played stands."""
+    """State of a player: how far its session has been played."""
 
     name: str
     """Of the node, without its namespace."""
     paused: bool
     rate: float
-    """Recorded seconds per second; 0: as fast as it goes."""
+    """Recorded seconds per second; 0: as fast as possible."""
     position: str
-    """Such as `12.0 s of 300.0 s`."""
+    """For example `12.0 s of 300.0 s`."""
 
 
 @dataclass
@@ -52,49 +52,50 @@ class Roster:
     standing: dict[str, Standing] = field(default_factory=dict)
     player: Player | None = None
     ended: Player | None = None
-    """Who has played a session to its end, until something else is heard."""
+    """The player that has reached the end of its session, until another session is seen."""
     ended_at: float = 0.0
-    _told: dict[str, str] = field(default_factory=dict)
+    _errors: dict[str, str] = field(default_factory=dict)
+    """The error each node reports now, without its figures."""
 
     def push(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> str | None:
-        """Take a report; returns `error` or `well` if it is another than before, else None.
+        """Take a report; returns `error` or `recovered` if the node's state changed, else None.
 
-        An error whose figures alone change is the same error.
+        An error in which only figures change is the same error.
         """
         if name not in self.standing and len(self.standing) >= MOST:
             return None
         self.standing[name] = Standing(level, message, now)
         if {"rate", "paused", "position"} <= values.keys():
-            self._hear_player(_player(name, values), now, over=values.get("ended") == "True")
+            self._take_player(_player(name, values), now, over=values.get("ended") == "True")
         if level < ERROR:
-            return None if self._told.pop(name, None) is None else "well"
+            return None if self._errors.pop(name, None) is None else "recovered"
         kind = _DIGITS.sub("", message)
-        if self._told.get(name) == kind:
+        if self._errors.get(name) == kind:
             return None
-        self._told[name] = kind
+        self._errors[name] = kind
         return "error"
 
-    def look(self, now: float) -> None:
-        """Forget who has been silent for long, unless all fell silent at a session's end.
+    def expire(self, now: float) -> None:
+        """Forget nodes that have been silent for `FORGET` seconds, unless a replay has ended.
 
-        A player that fell silent has gone.
+        A player that falls silent counts as gone.
         """
         if self.ended is not None:
             return
         for name in [n for n, s in self.standing.items() if now - s.at > FORGET]:
             del self.standing[name]
-            self._told.pop(name, None)
+            self._errors.pop(name, None)
         if self.player is not None and self.silent(self.player.name, now):
-            self._hear_player(self.player, now, over=_at_its_end(self.player))
+            self._take_player(self.player, now, over=_at_its_end(self.player))
             self.player = None
 
     def begin(self, now: float) -> None:
-        """Take note that a sample has come: what had ended is past, unless it was still on its way."""
+        """Note a sample: it ends the state "replay ended", unless it was still in transit when that came."""
         if self.ended is not None and now - self.ended_at > PATIENCE:
             self.ended = None
 
     def at_rest(self, name: str) -> bool:
-        """Whether a node has nothing more to do since the replay ended: only an error may be its own."""
+        """Whether a node is idle because the replay has ended; one that reports an error is not."""
         return self.ended is not None and self.standing[name].level < ERROR
 
     def message(self, name: str) -> str:
@@ -103,25 +104,25 @@ class Roster:
         return _SILENCE.sub("", said) if self.at_rest(name) else said
 
     def level(self, name: str, now: float) -> int:
-        """How a node is, in the levels of REP 107; one that is silent is stale, unless a replay has ended."""
+        """A node's level of REP 107; a silent node is stale, unless a replay has ended."""
         if self.ended is None and self.silent(name, now):
             return STALE
         return min(self.standing[name].level, STALE)
 
-    def _hear_player(self, player: Player | None, now: float, *, over: bool) -> None:
+    def _take_player(self, player: Player | None, now: float, *, over: bool) -> None:
         if not over:
             self.player, self.ended = player, None
         elif self.ended is None:
             self.player, self.ended, self.ended_at = None, player, now
 
     def silent(self, name: str, now: float) -> bool:
-        """Whether a node has not reported for longer than it should."""
+        """Whether a node has not reported for more than `PATIENCE` seconds."""
         found = self.standing.get(name)
         return found is None or now - found.at > PATIENCE
 
 
 def _at_its_end(player: Player) -> bool:
-    """Whether nothing was left to play; the last word of a player may get lost."""
+    """Whether nothing was left to play, in case the player's last report was lost."""
     place, _, whole = player.position.partition(" of ")
     return place == whole
 
@@ -129,6 +130,6 @@ def _at_its_end(player: Player) -> bool:
 def _player(name: str, values: Mapping[str, str]) -> Player | None:
     try:
         rate = float(values["rate"])
-    except ValueError:  # not one of ours
+    except ValueError:  # not a player of twinmatch
         return None
     return Player(name, values["paused"] == "True", rate, values["position"])

@@ -1,4 +1,4 @@
-"""The whole session in one sentence, as the terminal says it at the end, said while it lasts."""
+"""The session so far in one sentence, as the terminal prints it at the end."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from twinmatch.dynamics import PidGains
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.views import sentence, summarise
 
-__all__ = ["say"]
+__all__ = ["update_sentence"]
 
 
-def say(state: DashboardState, gains: PidGains | None) -> None:
-    """Sum up the samples that are kept, with the newest verdict, into `state.sentence`.
+def update_sentence(state: DashboardState, gains: PidGains | None) -> None:
+    """Summarise the samples that are kept, with the newest verdict, into `state.sentence`.
 
-    Takes a few milliseconds; call it when there is a new verdict, not for every sample. `gains` are those of
-    the running controller, if it is known.
+    Takes a few milliseconds; call it for a new verdict, not for every sample. `gains` are those of the
+    running controller; None where the controller is not known.
     """
     with state.lock:
         verdict, period = state.verdict, state.period
         columns, _ = state.plant.since(0)
-    said = ""
+    summed_up = ""
     if verdict is not None and (verdict.leader or verdict.nominal):
         samples = _samples(columns)
         if samples:
-            said = sentence(
+            summed_up = sentence(
                 summarise(samples, [verdict], gains and replace(gains, period=period), period=period)
             )
     with state.lock:
         if state.verdict is verdict:
-            state.sentence = said
+            state.sentence = summed_up
 
 
 def _samples(columns: dict[str, FloatArray]) -> list[Sample]:
     rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
-    return [Sample(int(k), 0, r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # else a gap
+    return [Sample(int(k), 0, r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap

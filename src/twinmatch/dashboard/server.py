@@ -1,4 +1,4 @@
-"""A Bokeh server in a thread: everything the browser loads comes from here, nothing from the network."""
+"""A Bokeh server in a thread; the browser loads everything from it, nothing from the internet."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from twinmatch.nodes.serving import is_loopback
 __all__ = ["PageServer"]
 
 PATIENCE = 20.0
-"""Seconds the server has to start."""
+"""Time limit for the server to start, s."""
 LARGEST_MESSAGE = 1 << 20
 """Bytes a browser may send at once; clicks are a few hundred."""
 
 
 class PageServer:
-    """Serves one page; every tab that opens it is given a document of its own."""
+    """Serves one page; every tab has its own document."""
 
     def __init__(self, address: str, port: int, fill: Callable[[Document], None]) -> None:
-        """Serve on this address; port 0 takes any that is free. `fill` makes the document of a tab.
+        """Serve on this address; port 0 takes any free port. `fill` builds the document of a tab.
 
         Raises:
             DashboardError: the address or port cannot be used, or the server does not start.
@@ -43,14 +43,14 @@ class PageServer:
         except OSError as error:
             msg = (
                 f"dashboard: {address}:{port} cannot be used: {error.strerror or error}; "
-                "give another with --port (0: any that is free) or --address"
+                "choose another with --port (0: any free port) or --address"
             )
             raise DashboardError(msg) from error
         self._address, self._port, self._fill = address, self._socket.getsockname()[1], fill
         self._server: BaseServer | None = None
         self._ready = threading.Event()
         self.failure: Exception | None = None
-        """What ended the thread."""
+        """The error that ended the thread."""
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
         if not self._ready.wait(PATIENCE):
@@ -59,16 +59,16 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{_host(self._address)}:{self._port}/"
 
     @property
     def tabs(self) -> int:
-        """How many are open."""
+        """Number of open tabs."""
         return 0 if self._server is None else len(self._server.get_sessions("/"))
 
     def close(self) -> bool:
-        """End; whether it did."""
+        """Stop the server; returns whether its thread has ended."""
         server = self._server
         if server is not None and self._thread.is_alive():
             loop = server.io_loop
@@ -87,7 +87,7 @@ class PageServer:
         asyncio.set_event_loop(loop)
         try:
             self._serve(IOLoop.current())
-        except Exception as error:  # handed to whoever asks
+        except Exception as error:  # read by the node
             self.failure = error
         finally:
             self._ready.set()
@@ -112,7 +112,7 @@ class PageServer:
         loop.start()
 
     def _hosts(self) -> list[str]:
-        """Whose pages may speak to the server: only its own, under the names it can be reached by."""
+        """Host names that websocket connections may come from: those of this server only."""
         if is_loopback(self._address):
             return sorted({_host(self._address), "localhost", "127.0.0.1"})
         hosts = {_host(self._address), socket.gethostname(), socket.getfqdn()}

@@ -1,4 +1,4 @@
-"""Everything the page shows, bounded however long it stands open; knows neither ROS nor a browser."""
+"""Everything the page shows, in bounded memory; depends on neither ROS nor Bokeh."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from twinmatch.description import UNDESCRIBED, Description
 from twinmatch.discrimination import TrustLevel, Verdict
 from twinmatch.forecasting import Forecast
 from twinmatch.signals import Sample
-from twinmatch.views.events import Event as Told
+from twinmatch.views.events import Event as SessionEvent
 from twinmatch.views.events import EventKind, Stretch, events
 
 __all__ = ["CAPACITY", "Answered", "DashboardState", "Drive", "Notice", "TwinRow"]
 
 CAPACITY = 36_000
-"""Samples that are kept: an hour at 10 Hz, ten hours at 1 Hz."""
+"""Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
 EVENTS = 400
 STRETCHES = 400
-"""Changes of the trust level that are kept."""
+"""Changes of the trust level kept."""
 INTERVALS = 31
-"""Intervals between samples that the period is the median of."""
+"""The sampling period is the median of so many intervals."""
 
 
 class TwinRow(NamedTuple):
     """Both twins at one sample; residuals are measured minus twin, RMS over the newest samples."""
 
     closed_output: float
-    """Twin that is given the set-point."""
+    """Of the closed-loop twin, driven by the set-point."""
     closed_input: float
     driven_output: float
-    """Twin that is given the plant's control."""
+    """Of the twin driven by the plant's input."""
     closed_residual_y: float
     closed_residual_u: float
     driven_residual_y: float
@@ -49,69 +49,69 @@ class TwinRow(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What drives the plant reported last."""
+    """The last report of the node that drives the plant."""
 
     input: float
-    """Applied, in the input's unit; NaN: not known."""
+    """Applied value, in the input's unit; NaN: not known."""
     current: float
     """A; NaN: not measured."""
     fault: str
-    """Why the output is held at zero; empty: it is not."""
+    """Why the output is held at zero; empty: no fault."""
 
 
 class Answered(NamedTuple):
-    """A question of the page and what became of it."""
+    """A what-if question and its answer."""
 
     question: str
     lines: tuple[str, ...]
-    """In words; why there is no forecast, if there is none."""
+    """The answer in words, or why there is no forecast."""
     forecast: Forecast | None = None
 
 
 class Notice(NamedTuple):
-    """What became of the last thing asked for on the page."""
+    """The result of the last request made on the page."""
 
     done: bool
     text: str
 
 
 class DashboardState:
-    """Filled by whoever hears the graph, read by the pages; hold `lock` around several reads.
+    """Filled by the node, read by the pages; hold `lock` around several reads.
 
-    A sample whose index is not above the one before begins a session anew: the graph was started again,
-    or another recording is played.
+    A sample whose index is not above the previous one starts a new session: the graph was restarted, or
+    another recording is played.
     """
 
     def __init__(self, capacity: int = CAPACITY, described: Description = UNDESCRIBED) -> None:
-        """Begin with nothing heard of this plant; `capacity` samples are kept."""
+        """Start empty; `capacity` samples are kept."""
         self.described = described
-        """What the plant and its signals are called."""
+        """Names and units of the plant and its signals."""
         self.lock = threading.RLock()
         self.plant = History(("reference", "output", "input"), capacity)
         self.twin = History(TwinRow._fields, capacity)
         self.session = 1
         """Counted from 1."""
         self.period = 1.0
-        """Of the samples, s; found from their stamps."""
-        self.heard_at: float | None = None
-        """When the newest sample came, in seconds of the listener's clock."""
+        """Sampling period, s; computed from the stamps."""
+        self.received_at: float | None = None
+        """When the newest sample was received, in seconds of the receiver's clock."""
         self.verdict: Verdict | None = None
         self.trust: deque[Stretch] = deque(maxlen=STRETCHES)
         self.verdicts = 0
-        """Counts up with every change of the two above."""
+        """Changes of the two above, counted."""
         self.sentence = ""
-        """What the session comes down to so far; empty: no nominal yet."""
+        """The session so far in one sentence; empty: neither leader nor nominal yet."""
         self.forecast: Forecast | None = None
-        """What the leader foretold at the newest sample."""
+        """The leader's newest forecast."""
         self.answered: Answered | None = None
-        """The newest question of the page."""
-        self.told_ahead = 0
-        """Counts up with every change of the two above."""
+        """The newest what-if question."""
+        self.forecast_changes = 0
+        """Changes of the two above, counted."""
         self.drive: Drive | None = None
         self.events = EventLog(EVENTS)
         self.roster = Roster()
         self.image: NDArray[np.float32] | None = None
-        """Newest thermal image with values, °C, first row on top; NaN where there is none."""
+        """Newest thermal image with values, °C, first row on top; NaN where a pixel has no value."""
         self.images = 0
         """Images so far."""
         self.notice: Notice | None = None
@@ -126,29 +126,29 @@ class DashboardState:
 
     @property
     def fault(self) -> str:
-        """The fault that holds the output at zero; empty: there is none."""
+        """The fault that holds the output at zero; empty: no fault."""
         return self._fault
 
     @property
     def ahead(self) -> Forecast | None:
-        """The newest forecast; None if it is of a sample that this session has not come to."""
+        """The newest forecast; None if it starts at a sample that this session has not reached."""
         last, forecast = self.plant.last, self.forecast
         return None if forecast is None or last is None or forecast.sample > last else forecast
 
     @property
     def leader(self) -> str:
-        """Who foretells best; empty: nobody yet."""
+        """Name of the twin with the best forecasts; empty: none yet."""
         if self.forecast is not None:
             return self.forecast.candidate
         return "" if self.verdict is None else self.verdict.leader or ""
 
     def describe(self, described: Description) -> None:
-        """Take what the plant says it is called."""
+        """Take the names and units of the plant and its signals."""
         with self.lock:
             self.described = described
 
     def push_sample(self, sample: Sample, now: float) -> None:
-        """Take a sample that came at `now` (s)."""
+        """Take a sample received at `now` (s)."""
         with self.lock:
             previous = self._previous
             self.roster.begin(now)
@@ -157,7 +157,7 @@ class DashboardState:
             elif previous is not None:
                 self._note_interval(sample, previous)
             self.plant.push(sample.index, (sample.reference, sample.output, sample.input))
-            self._previous, self.heard_at = sample, now
+            self._previous, self.received_at = sample, now
 
     def push_twin(self, index: int, row: TwinRow) -> None:
         """Take the twins' state at a sample."""
@@ -172,25 +172,25 @@ class DashboardState:
             before = [] if self.verdict is None else [self.verdict]
             known = len(events(before))
             for event in events([*before, verdict])[known:]:
-                self._tell(event, _mark_of(event, verdict))
+                self._log_event(event, _mark_of(event, verdict))
             self.verdict = verdict
             self.verdicts += 1
             self._stretch(verdict)
 
     def push_forecast(self, forecast: Forecast) -> None:
-        """Take what the leader foretells."""
+        """Take a forecast of the leader."""
         with self.lock:
             self.forecast = forecast
-            self.told_ahead += 1
+            self.forecast_changes += 1
 
     def answer(self, answered: Answered) -> None:
-        """Take note of what was asked on the page and what came of it."""
+        """Take a what-if question and its answer."""
         with self.lock:
             self.answered = answered
-            self.told_ahead += 1
+            self.forecast_changes += 1
 
     def push_drive(self, drive: Drive) -> None:
-        """Take what the driver's board reported."""
+        """Take a report of the node that drives the plant."""
         with self.lock:
             self.drive = drive
             if drive.fault == self._fault:
@@ -199,34 +199,34 @@ class DashboardState:
             if drive.fault:
                 kind, _, why = drive.fault.partition(": ")
                 title = f"output held at zero: {kind.replace('_', ' ')}"
-                self._note(Lane.FAULT, Mark.BAD, title, why)
+                self._log(Lane.FAULT, Mark.BAD, title, why)
             else:
-                self._note(Lane.FAULT, Mark.GOOD, "fault cleared", "the output may be driven")
+                self._log(Lane.FAULT, Mark.GOOD, "fault cleared", "the output may be driven")
 
     def push_health(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
-        """Take a report from /diagnostics: name, level of REP 107, and what it says."""
+        """Take a report from /diagnostics: name, level of REP 107, message and values."""
         with self.lock:
             change, plain = self.roster.push(name, level, message, values, now), name.removesuffix(": health")
             if change == "error":
-                self._note(Lane.NODES, Mark.BAD, f"{plain} reports an error", message)
-            elif change == "well":
-                self._note(Lane.NODES, Mark.GOOD, f"{plain} is well again", message)
+                self._log(Lane.NODES, Mark.BAD, f"{plain} reports an error", message)
+            elif change == "recovered":
+                self._log(Lane.NODES, Mark.GOOD, f"{plain} has recovered", message)
 
     def push_image(self, image: NDArray[np.float32]) -> None:
-        """Take a thermal image in °C, shape (rows, columns); one without any value is passed over."""
+        """Take a thermal image in °C, shape (rows, columns); one without any value is ignored."""
         if not np.isfinite(image).any():
             return
         with self.lock:
             self.image = image
             self.images += 1
 
-    def tell(self, done: bool, text: str) -> None:
-        """Take note of what became of something asked for on the page."""
+    def notify(self, done: bool, text: str) -> None:
+        """Show the result of a request made on the page."""
         with self.lock:
             self.notice = Notice(done, text)
 
     def _begin(self, ended: int, first: int) -> None:
-        """Everything that belongs to the session before goes; events stay, as that session's."""
+        """Start a new session: drop what belongs to the previous one, except its events."""
         duration = (ended + 1) * self.period
         self.session += 1
         self.roster.ended = None
@@ -234,10 +234,10 @@ class DashboardState:
         if self.twin.last is not None and self.twin.last > first:
             self.twin.clear()
         self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
-        self.forecast, self.answered, self.told_ahead = None, None, self.told_ahead + 1
+        self.forecast, self.answered, self.forecast_changes = None, None, self.forecast_changes + 1
         self.trust.clear()
         self._intervals.clear()
-        self._note(Lane.NODES, Mark.NOTE, "a new session began", f"the one before had {duration:g} s")
+        self._log(Lane.NODES, Mark.NOTE, "a new session began", f"the previous one lasted {duration:g} s")
 
     def _note_interval(self, sample: Sample, previous: Sample) -> None:
         interval = (sample.stamp - previous.stamp) / 1e9 / (sample.index - previous.index)
@@ -246,17 +246,17 @@ class DashboardState:
             self.period = float(f"{median(self._intervals):.2g}")
 
     def _stretch(self, verdict: Verdict) -> None:
-        """As `level_stretches` does: a verdict's level is that of the samples since the last."""
+        """Extend `trust` like `level_stretches`: a verdict's level covers the samples since the last one."""
         begin = self.trust[-1].last + 1 if self.trust else max(0, min(verdict.first, verdict.sample))
         if self.trust and self.trust[-1].level is verdict.level:
             begin = self.trust.pop().first
         self.trust.append(Stretch(begin, max(verdict.sample, begin), verdict.level))
 
-    def _tell(self, event: Told, mark: Mark) -> None:
+    def _log_event(self, event: SessionEvent, mark: Mark) -> None:
         lane = _LANES[event.kind]
         self.events.add(Event(self.session, event.sample, lane, mark, event.title, event.why))
 
-    def _note(self, lane: Lane, mark: Mark, title: str, text: str) -> None:
+    def _log(self, lane: Lane, mark: Mark, title: str, text: str) -> None:
         self.events.add(Event(self.session, self.sample, lane, mark, title, text))
 
 
@@ -284,5 +284,5 @@ _LEVEL_MARKS = {
 }
 
 
-def _mark_of(event: Told, verdict: Verdict) -> Mark:
+def _mark_of(event: SessionEvent, verdict: Verdict) -> Mark:
     return _MARKS.get(event.kind) or _LEVEL_MARKS[verdict.level]

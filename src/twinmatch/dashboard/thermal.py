@@ -15,14 +15,14 @@ from twinmatch.dashboard.look import panel
 __all__ = ["Thermal"]
 
 LEAST_SPAN = 4.0
-"""Temperatures that the colours span at least, K: less would show the camera's noise as a picture."""
+"""Smallest span of the colours, K: less would show the camera's noise as a picture."""
 
 
 class Thermal:
-    """The picture of one tab."""
+    """The thermal image of one tab."""
 
     def __init__(self) -> None:
-        """Begin without an image."""
+        """Start without an image; the card is hidden."""
         self._source = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
         self._colours = LinearColorMapper(palette=Inferno256, low=20.0, high=30.0, nan_color="#8C8C8C")
         self.figure = self._draw()
@@ -35,7 +35,7 @@ class Thermal:
             visible=False,
             sizing_mode="stretch_width",
         )
-        """The whole card: a plant without a camera has none."""
+        """The whole card; hidden for a plant without a camera."""
 
     def update(self, image: NDArray[np.float32]) -> None:
         """Show an image in °C, first row on top."""

@@ -1,4 +1,4 @@
-"""What can be clicked: the time span, the player of a session, and with `--control` the rig."""
+"""The controls: time span, player of a session, what-if question, and with `--control` the rig."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from twinmatch.dashboard.roster import Player
 __all__ = ["PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
 
 SPANS = (("5 min", 300.0), ("20 min", 1200.0), ("1 h", 3600.0), ("all", 0.0))
-"""Names and seconds; 0: everything that is kept."""
+"""Labels and seconds; 0: everything that is kept."""
 DEFAULT_SPAN = 1
 
 
 class SpanButtons:
-    """How much time the charts show."""
+    """Selects how much time the charts show."""
 
     def __init__(self) -> None:
-        """Begin with twenty minutes."""
+        """Start with twenty minutes."""
         names = [name for name, _ in SPANS]
         self.root = RadioButtonGroup(name="span", labels=names, active=DEFAULT_SPAN, stylesheets=[BUTTONS])
 
     def samples(self, period: float, most: int) -> int:
-        """How many samples that is; at most `most`."""
+        """The selected span as a number of samples; at most `most`."""
         seconds = SPANS[self.root.active if self.root.active is not None else DEFAULT_SPAN][1]
         return min(most, max(1, round(seconds / period))) if seconds else most
 
 
 class PlayerButtons:
-    """Pause and speed of a session that is played; not there when none is."""
+    """Pause and speed of a session being played; hidden when there is none."""
 
     def __init__(self, actions: Actions) -> None:
-        """Ask `actions` for what is clicked."""
+        """Pass clicks on to `actions`."""
         self._actions = actions
         self._player: Player | None = None
         self._pause = Button(label="Pause", width=100, button_type="primary", stylesheets=[BUTTONS])
@@ -47,7 +47,7 @@ class PlayerButtons:
         self.root = Row(self._pause, self._rate, name="player", spacing=8, visible=False, styles=styles)
 
     def update(self, player: Player | None) -> None:
-        """Show what the player says of itself."""
+        """Show the state that the player reports."""
         if player == self._player and self.root.visible == (player is not None):
             return
         self._player = player
@@ -66,14 +66,14 @@ class PlayerButtons:
 
 
 class QuestionForm:
-    """What comes if the set-point is another? Asking moves nothing."""
+    """The what-if question: a forecast for another set-point. Asking does not move the plant."""
 
     def __init__(self, actions: Actions, label: str) -> None:
-        """Ask `actions` for what is entered; `label` names the set-point."""
+        """Pass questions on to `actions`; `label` names the set-point."""
         self._actions = actions
         self._level = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
         self._hold = NumericInput(
-            title="for / s (empty: stays)", mode="float", low=0.001, width=150, stylesheets=[BUTTONS]
+            title="for / s (empty: it stays)", mode="float", low=0.001, width=150, stylesheets=[BUTTONS]
         )
         ask = Button(label="Ask", width=70, button_type="primary", stylesheets=[BUTTONS])
         ask.on_click(self._on_ask)
@@ -90,7 +90,7 @@ class RigButtons:
     """Set-point, clearing a fault and stop, for a page that may control."""
 
     def __init__(self, actions: Actions, label: str) -> None:
-        """Ask `actions` for what is clicked; `label` names the set-point."""
+        """Pass clicks on to `actions`; `label` names the set-point."""
         self._actions = actions
         self._input = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
         ask = Button(label="Set", width=70, button_type="primary", stylesheets=[BUTTONS])

@@ -1,9 +1,9 @@
-"""Models of others as structures of a plant: FMUs, each run in a process of its own.
+"""FMUs as structures of a plant, each run in its own process.
 
-An FMU (FMI 2 or 3, model exchange or co-simulation) is a program that somebody else wrote. A map, which the
-user writes, says which structure of which plant it is, and what its variables are in the plant's words.
-`adopt_fmus` takes the FMUs of a file of maps in; from then on the plant has more structures, which are
-matched, foretold and scored as its own. `described_by` says what an FMU says of itself, without running it.
+An FMU (FMI 2 or 3, model exchange or co-simulation) is another author's program. A map, written by the user,
+assigns it to a plant as a structure, and its variables to the plant's quantities. `adopt_fmus` adds the FMUs
+of a map file to their plant; they are then matched, used for forecasts and scored like the plant's own
+structures. `described_by` reads an FMU's description without executing its code.
 """
 
 from twinmatch.fmu.errors import FmuError

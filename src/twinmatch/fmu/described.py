@@ -1,4 +1,4 @@
-"""What an FMU says of itself, in the words that both processes use."""
+"""The description of an FMU, as exchanged between the two processes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _REAL: Final = ("Real", "Float64")
 
 @dataclass(frozen=True)
 class Variable:
-    """One of its real variables."""
+    """A real variable of an FMU."""
 
     name: str
     reference: int
@@ -29,11 +29,11 @@ class Variable:
     start: float | None
     text: str
     state: int
-    """Place among the continuous states; -1 if it is none."""
+    """Index among the continuous states; -1 if it is not a state."""
 
     @property
     def settable(self) -> bool:
-        """Whether it takes a value before a run begins."""
+        """Whether it can be set before a run."""
         return self.variability != "constant" and (
             self.causality in {"input", "parameter"} or self.initial in {"exact", "approx"}
         )
@@ -41,48 +41,48 @@ class Variable:
 
 @dataclass(frozen=True)
 class Described:
-    """An FMU before it runs."""
+    """The description of an FMU."""
 
     version: str
-    """Of FMI."""
+    """Version of FMI."""
     name: str
     tool: str
     guid: str
     kinds: tuple[str, ...]
-    """How it can be run."""
+    """Supported interface types: model exchange, co-simulation."""
     identifiers: tuple[str, ...]
-    """The name of its library, for each of the kinds."""
+    """Name of its library, for each of the kinds."""
     directional: bool
-    """Whether a model-exchange FMU gives directional derivatives."""
+    """Whether a model-exchange FMU provides directional derivatives."""
     after_steps: bool
-    """Whether it wants to be told of every step of the integrator."""
+    """Whether it must be notified of every completed integrator step."""
     indicators: int
     """Event indicators of FMI 2."""
     states: int
     step: float | None
-    """What it suggests as a step, s."""
+    """Suggested step size, s."""
     platforms: tuple[str, ...]
     variables: tuple[Variable, ...]
 
     def called(self, name: str) -> Variable | None:
-        """The real variable of this name, if there is one."""
+        """The real variable of this name; None without one."""
         return next((variable for variable in self.variables if variable.name == name), None)
 
     def of(self, *causalities: str) -> list[Variable]:
-        """Those of some causalities."""
+        """The variables of these causalities."""
         return [variable for variable in self.variables if variable.causality in causalities]
 
     @property
     def tree(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """The description as a dictionary for JSON."""
         return asdict(self)
 
 
 def described_from(tree: dict[str, Any]) -> Described:
-    """The other way round.
+    """The description from such a dictionary.
 
     Raises:
-        ValueError, TypeError, KeyError: it is no such tree.
+        ValueError, TypeError, KeyError: it is not such a dictionary.
     """
     variables = tuple(Variable(**variable) for variable in tree.pop("variables"))
     pairs: dict[str, Any] = {
@@ -95,17 +95,17 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
     """Read `modelDescription.xml` in a folder; `names` are those of all files of the FMU.
 
     Raises:
-        Exception: FMPy raises many kinds where the file is not as FMI wants it.
+        Exception: FMPy raises many kinds if the file does not follow FMI.
     """
     from fmpy import read_model_description  # noqa: PLC0415 (an extra, and slow to import)
 
     found = read_model_description(str(folder), validate=False)
     if not found.fmiVersion.startswith(("2.", "3.")):
-        raise ValueError(f"it is of FMI {found.fmiVersion}; those of FMI 2 and 3 can be used")
+        raise ValueError(f"it is of FMI {found.fmiVersion}; FMI 2 and 3 are supported")
     if len(found.modelVariables) > MOST_VARIABLES:
-        raise ValueError(f"it has {len(found.modelVariables)} variables; at most {MOST_VARIABLES} are read")
+        raise ValueError(f"it has {len(found.modelVariables)} variables; the limit is {MOST_VARIABLES}")
     ways = ((MODEL_EXCHANGE, found.modelExchange), (CO_SIMULATION, found.coSimulation))
-    there = [(kind, way) for kind, way in ways if way is not None]
+    supported = [(kind, way) for kind, way in ways if way is not None]
     order = [unknown.variable.derivative.name for unknown in found.derivatives if unknown.variable.derivative]
     exchange, usual = found.modelExchange, found.defaultExperiment
     return Described(
@@ -113,10 +113,10 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
         name=found.modelName or "",
         tool=found.generationTool or "",
         guid=found.guid or "",
-        kinds=tuple(kind for kind, _ in there),
-        identifiers=tuple(str(way.modelIdentifier) for _, way in there),
+        kinds=tuple(kind for kind, _ in supported),
+        identifiers=tuple(str(way.modelIdentifier) for _, way in supported),
         directional=bool(exchange is not None and exchange.providesDirectionalDerivative),
-        after_steps=exchange is not None and _told_of_steps(found.fmiVersion, exchange),
+        after_steps=exchange is not None and _needs_completed_steps(found.fmiVersion, exchange),
         indicators=int(found.numberOfEventIndicators),
         states=len(found.derivatives),
         step=float(usual.stepSize) if usual is not None and usual.stepSize else None,
@@ -142,7 +142,7 @@ def _variable(found: Any, order: list[str]) -> Variable:
     )
 
 
-def _told_of_steps(version: str, exchange: Any) -> bool:
+def _needs_completed_steps(version: str, exchange: Any) -> bool:
     if version.startswith("2."):
         return not exchange.completedIntegratorStepNotNeeded
     return bool(exchange.needsCompletedIntegratorStep)

@@ -1,4 +1,4 @@
-"""What can be wrong with an FMU, or with what is said of it."""
+"""Errors of FMUs and their maps."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["FmuError"]
 
 
 class FmuError(PlantError):
-    """An FMU that cannot be used, or a file that says of it what is not so."""
+    """An FMU cannot be used, or its map does not fit."""

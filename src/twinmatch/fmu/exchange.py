@@ -1,4 +1,4 @@
-"""A model-exchange FMU: it gives rates, and is integrated here."""
+"""A model-exchange FMU: it provides derivatives, and is integrated here."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from twinmatch.fmu.straight import Addresses, Rooms
 __all__ = ["Exchange"]
 
 MOST_ROUNDS: Final = 100
-"""Event iterations at one moment."""
+"""Most event iterations at one time."""
 BISECTIONS: Final = 48
 MOST_EVENTS: Final = 24
-"""Events in one step before it is taken as it is."""
+"""Most events located in one step; later ones are not located."""
 
 
 class Exchange(Machine):
-    """One that gives rates and is integrated here (model exchange).
+    """A model-exchange FMU, integrated by Runge–Kutta steps of order 4.
 
-    Runge–Kutta steps of order 4; where an event indicator changes sign within a step, its moment is bisected
-    and the step ends just behind it, as the native equations do at their kinks.
+    If an event indicator changes sign within a step, its time is found by bisection and the step ends just
+    after it, as for kinks of the native equations.
     """
 
     def __init__(self, fmu: Any, major: int, wires: Wires, described: Described, places: list[int]) -> None:
@@ -41,13 +41,14 @@ class Exchange(Machine):
         self._get_x = partial(calls.bound("GetContinuousStates", pointer, size), of_x, self._n)
         rates = "GetDerivatives" if major == 2 else "GetContinuousStateDerivatives"
         self._get_dx = partial(calls.bound(rates, pointer, size), of_dx, self._n)
-        self._asked_after_steps = described.after_steps
+        self._completes_steps = described.after_steps
         self._events = described.indicators if major == 2 else None
         self._z: Any = None
-        self._told: list[float] | None = None
+        self._initialised_with: list[float] | None = None
+        """Parameters of the last initialisation; None: it must be repeated."""
 
     def straight(self) -> tuple[Addresses, Rooms] | None:
-        """What a run in compiled code needs, from where this has been put; None if it may have events."""
+        """The arguments of a compiled run from the current state; None if it may have events."""
         return None if self._indicators else super().straight()
 
     def _functions(self) -> dict[str, str]:
@@ -57,17 +58,17 @@ class Exchange(Machine):
             "set_x": "SetContinuousStates",
             "get_x": "GetContinuousStates",
             "get_dx": rates,
-            "after_step": "CompletedIntegratorStep" if self._asked_after_steps else "",
+            "after_step": "CompletedIntegratorStep" if self._completes_steps else "",
             "do_step": "",
         }
 
     def put(self, fixed: Sequence[float], inputs: Sequence[float]) -> None:
-        """Begin anew with these values; the last of the fixed ones are the states."""
+        """Initialise with these values; the last of the fixed ones are the states."""
         split = len(fixed) - self._n
         given = list(fixed[:split])
-        if given != self._told:
+        if given != self._initialised_with:
             super().put(given, inputs)
-            self._told = given
+            self._initialised_with = given
             self._settle()
         self.time = 0.0
         self._set_time(0.0)
@@ -76,42 +77,42 @@ class Exchange(Machine):
         self._after_jump()
 
     def forget(self) -> None:
-        """Something went wrong: nothing that it was told before counts any more."""
-        self._told = None
+        """Initialise again at the next `put`, after an error."""
+        self._initialised_with = None
 
     def feed(self, inputs: Sequence[float]) -> None:
-        """Drive and disturbances from now on."""
+        """Set drive and disturbances."""
         super().feed(inputs)
         self._after_jump()
 
     def move(self, period: float, steps: int) -> None:
-        """On by one period in so many steps."""
+        """Advance by one period in `steps` steps."""
         x = self._own_states()
         end = self.time + period
         for k in range(steps):
             left, begun = period / steps, self.time
             for event in range(MOST_EVENTS):
                 signs = self._signs(x, self.time)
-                there = self._stepped(x, left)
-                went = left
-                if event < MOST_EVENTS - 1 and self._signs(there, self.time + left) != signs:
-                    went = self._reach(x, left, signs)
-                    there = self._stepped(x, went)
-                self.time += went
-                self._arrive(there)
-                x = self._own_states() if went != left else there
-                left -= went
+                after = self._stepped(x, left)
+                h = left
+                if event < MOST_EVENTS - 1 and self._signs(after, self.time + left) != signs:
+                    h = self._event_time(x, left, signs)
+                    after = self._stepped(x, h)
+                self.time += h
+                self._complete_step(after)
+                x = self._own_states() if h != left else after
+                left -= h
                 if not left > 0.0:
                     break
             self.time = begun + period / steps if k < steps - 1 else end
         self._set_time(self.time)
 
     def rates(self) -> list[float]:
-        """Of the states where it is."""
+        """Derivatives of the states at the current state."""
         return self._ordered(self._rates(self._own_states(), self.time))
 
     def states(self) -> list[float]:
-        """Where it is."""
+        """The current states."""
         return self._ordered(self._own_states())
 
     def _ordered(self, own: list[float]) -> list[float]:
@@ -152,7 +153,8 @@ class Exchange(Machine):
         self.fmu.getEventIndicators(self._z, self._indicators)
         return tuple(value > 0.0 for value in self._z)
 
-    def _reach(self, x: list[float], h: float, signs: tuple[bool, ...]) -> float:
+    def _event_time(self, x: list[float], h: float, signs: tuple[bool, ...]) -> float:
+        """Length of the step that ends just after the first event, s."""
         low, high = 0.0, h
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
@@ -162,17 +164,17 @@ class Exchange(Machine):
                 low = middle
         return high
 
-    def _arrive(self, x: list[float]) -> None:
-        """Take the states at the end of a step, and what the FMU makes of them."""
+    def _complete_step(self, x: list[float]) -> None:
+        """Set the states at the end of a step, and handle events."""
         self._set_time(self.time)
         self._x[:] = x  # type: ignore[assignment]
         self._set_x()
-        asked = False
-        if self._asked_after_steps:
-            asked, ended = self.fmu.completedIntegratorStep()
+        wants_event = False
+        if self._completes_steps:
+            wants_event, ended = self.fmu.completedIntegratorStep()
             if ended:
-                raise MachineError("it ended its simulation")
-        if asked or self._indicators:
+                raise MachineError("it terminated the simulation")
+        if wants_event or self._indicators:
             self._after_jump()
 
     @property
@@ -184,7 +186,7 @@ class Exchange(Machine):
         return self._events
 
     def _after_jump(self) -> None:
-        """Let it see that its states were put elsewhere, if it has anything that switches."""
+        """Run an event iteration after a jump of states or inputs, if the FMU has event indicators."""
         if self._indicators:
             self.fmu.enterEventMode()
             self._settle()
@@ -194,8 +196,8 @@ class Exchange(Machine):
             update = self.fmu.newDiscreteStates if self.major == 2 else self.fmu.updateDiscreteStates
             again, ended = update()[:2]
             if ended:
-                raise MachineError("it ended its simulation")
+                raise MachineError("it terminated the simulation")
             if not again:
                 self.fmu.enterContinuousTimeMode()
                 return
-        raise MachineError(f"its discrete states do not settle in {MOST_ROUNDS} rounds")
+        raise MachineError(f"its discrete states do not converge in {MOST_ROUNDS} event iterations")

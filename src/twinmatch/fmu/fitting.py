@@ -1,4 +1,4 @@
-"""Whether an FMU and its map fit, and what its process has to know to load it."""
+"""Checks of an FMU against its map, and the request that loads it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ __all__ = ["described_by", "loading"]
 
 
 def described_by(file: Path, process: FmuProcess, limit: float = START) -> Described:
-    """What an FMU says of itself; none of its program runs.
+    """Read the description of an FMU, without executing its code.
 
     Raises:
-        FmuError: it is no FMU that can be used.
+        FmuError: the file is not an FMU, or cannot be used.
     """
     if not file.is_file():
-        raise FmuError(f"{file}: there is no such file; give the path of an FMU")
+        raise FmuError(f"{file}: does not exist; give the path of an FMU")
     try:
         answer = process.ask(
             {"ask": "describe", "file": str(file.resolve()), "folder": str(process.folder / "description")},
@@ -34,15 +34,15 @@ def described_by(file: Path, process: FmuProcess, limit: float = START) -> Descr
 
 
 def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
-    """The question that loads the FMU, but for where its files are, and how it will be run.
+    """The request that loads the FMU, without the paths of its files; and its interface type.
 
     Raises:
-        FmuError: the FMU is not what the map says.
+        FmuError: the FMU does not match the map.
     """
     kind = of.kind or next(iter(described.kinds), "")
     if kind not in described.kinds:
-        ways = " and ".join(described.kinds) or "no way that is known"
-        raise FmuError(f"it can be run by {ways}, not by {kind or 'any of them'}")
+        ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
+        raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
     plant, links = of.plant, of.links
     inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
     states = [links[name] for name in of.known_states]
@@ -76,12 +76,16 @@ def _references(described: Described, names: list[str]) -> list[int]:
 
 
 def _check_states(described: Described, own: list[str], named: list[str]) -> None:
-    """A model-exchange FMU is put where all its states are known."""
+    """Check that the map names all states of a model-exchange FMU, and no others."""
     left = [name for name in own if name not in named]
     other = [name for name in named if name not in own]
     if left or other or described.states != len(named):
-        what = f"{left[0]!r} is not named" if left else f"{other[0]!r} is none" if other else "not all are"
-        raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what} in the map")
+        what = "the map does not name all of them"
+        if left:
+            what = f"the map does not name {left[0]!r}"
+        elif other:
+            what = f"the map names {other[0]!r}, which is not one of them"
+        raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what}")
 
 
 def _check_settable(described: Described, links: list[Link]) -> None:

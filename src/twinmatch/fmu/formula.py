@@ -1,4 +1,4 @@
-"""Where a state starts, written as arithmetic with the plant's names: `temperature + 273.15`."""
+"""Formulas for initial states, in terms of the plant's quantities, such as `temperature + 273.15`."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Formula:
     """Sums, differences, products and quotients of numbers and names.
 
     Raises:
-        FmuError: it is something else.
+        FmuError: the text is not such a formula.
     """
 
     def __init__(self, place: str, text: str) -> None:
-        """`place` says whose formula it is."""
+        """Parse a formula; `place` starts the error message."""
         self.text, self._place = text, place
         try:
             if len(text) > LONGEST:
@@ -40,11 +40,11 @@ class Formula:
         except ZeroDivisionError:
             pass
         except (SyntaxError, ValueError, RecursionError):
-            msg = f"{place}: {text[:80]!r} is no sum, difference, product or quotient of names and numbers"
+            msg = f"{place}: {text[:80]!r} is not a formula; use names, numbers, +, −, *, / and parentheses"
             raise FmuError(msg) from None
 
     def __call__(self, values: Mapping[str, float]) -> float:
-        """Its value; not a number where it has none."""
+        """Its value; NaN if it is undefined."""
         try:
             return self._of(self._tree, values)
         except ZeroDivisionError:

@@ -1,9 +1,9 @@
-"""What compiled kernels do for a plant's own equations, done for an FMU: whole runs, and differences of them.
+"""Simulation and derivatives of an FMU, with the interface of the compiled kernels of native equations.
 
-The functions are those of `twinmatch.dynamics.kernels`, `runs` and `observer_step`, with their arguments. An
-FMU mostly gives no derivatives by its parameters, so every derivative is a central difference: of whole runs,
-where a match asks how outputs change with parameters, and of single samples, where an observer or a forecast
-asks how small movements go on. One question to the FMU's process holds all of those runs.
+The functions have the names and arguments of those in `twinmatch.dynamics.kernels`, `runs` and
+`observer_step`. Most FMUs provide no derivatives by parameters, so every derivative is a central difference:
+of whole runs for the sensitivities of a match, and of single samples for the linearisations of an observer or
+a forecast. One request to the FMU's process contains all of these runs.
 """
 
 # ruff: noqa: PLR0917 (they take the arguments of kernels)
@@ -28,11 +28,11 @@ __all__ = ["FmuKernels"]
 
 
 class FmuKernels:
-    """The functions of an FMU that stands for a structure; each has the arguments of the compiled one."""
+    """The kernels of a structure that is an FMU; each has the arguments of the compiled one."""
 
     QUANTITIES: Final[tuple[str, ...]] = ()
     RATE_LIMIT: Final = 0.06
-    """As that of the native equations: the step of the integrator in units of the fastest time constant."""
+    """Integrator step in units of the fastest time constant, as for the native equations."""
     MOST_STEPS: Final = 2000
 
     def __init__(self, runner: Runner, places: Places) -> None:
@@ -42,7 +42,7 @@ class FmuKernels:
         self._counts: dict[tuple[bytes, float, float], int] = {}
 
     def begin(self, vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """States where a window begins, and their derivatives by y and by the parameters."""
+        """Initial states at an output y, and their derivatives by y and by the parameters."""
         return self._places.begin(vector, y, d)
 
     def advance(
@@ -52,7 +52,7 @@ class FmuKernels:
         return self._numbers(self._ticks(vector, x, u, d, period, steps)[1][0])
 
     def look(self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
-        """The output; there are no other quantities."""
+        """The output; an FMU has no other quantities."""
         found = self._runner.look(np.append(vector, x)[None], np.array([u]), d[None])
         return float(found[0]), np.zeros(0)
 
@@ -60,7 +60,7 @@ class FmuKernels:
         self, vector: FloatArray, y: float, before: FloatArray, u: float, rest: float, d: FloatArray,
         period: float, steps: int,
     ) -> tuple[float, float, FloatArray]:  # fmt: skip
-        """How far the drive moves a measured output in one period, how far all else does, and the states."""
+        """Change of the output over one period due to the drive, change due to all else, and the states."""
         x, by_y, _ = self.begin(vector, y, d)
         x = np.where((by_y == 0.0) & ~np.isnan(before), before, x)
         both = np.tile(np.append(vector, x), (2, 1))
@@ -75,7 +75,7 @@ class FmuKernels:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters.
 
-        The rates of an FMU that moves itself are those over one sample, which rests where the plant does.
+        For co-simulation, the rates are differences over one sample, which have the same equilibria.
         """
         n, m = x.size, vector.size
         moved = self._places.around(np.append(vector, x), u, range(n + m), drive_too=True)
@@ -94,7 +94,7 @@ class FmuKernels:
         self, vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float,
         limit: float,
     ) -> int:  # fmt: skip
-        """Runge–Kutta steps per sample by the rule of the native equations; 1 if the FMU moves itself."""
+        """Runge–Kutta steps per sample, as for the native equations; 1 for co-simulation."""
         if self._started() != MODEL_EXCHANGE:
             return 1
         key = (vector.tobytes(), period, limit)
@@ -126,7 +126,7 @@ class FmuKernels:
     ) -> tuple[
         FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
     ]:  # fmt: skip
-        """The run with its derivatives; either its arrays are stored, or the normal equations summed up."""
+        """The run with its derivatives: as arrays if `stored`, otherwise as normal equations."""
         still = np.zeros(disturbances.shape[0])
         signals = Signals(
             closed, gains, reference if closed else given, disturbances, still, still, 0.0,
@@ -155,7 +155,7 @@ class FmuKernels:
         return y[0], u[0], by, by_state, by_drive, free, seen, normal
 
     def start_at(self, posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-        """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
+        """Parameters, initial states, their derivatives by the unknowns, and steps per sample."""
         n, started = posed.which.size, posed.started
         vector = posed.base.copy()
         vector[posed.places] = values[:n]
@@ -173,7 +173,7 @@ class FmuKernels:
     def normal_at(
         self, posed: Posed, values: FloatArray, limit: float
     ) -> tuple[float, FloatArray, FloatArray]:
-        """Sum, gradient Jᵀr and JᵀJ of the weighed residuals; infinite where the FMU gives no numbers."""
+        """Cost, gradient Jᵀr and JᵀJ of the weighted residuals; infinite if the FMU has no finite values."""
         n = values.size
         nowhere = np.inf, np.zeros(n), np.zeros((n, n))
         vector, x, columns, steps = self.start_at(posed, values)
@@ -200,7 +200,8 @@ class FmuKernels:
         self, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray,
         noise: float, limit: float, which: Any, bounds: FloatArray,
     ) -> tuple[float, float]:  # fmt: skip
-        """By how much a reading surprises, and the variance that was to have; all else moves in place."""
+        """Innovation of a measurement and its predicted variance; updates states, parameters and covariance
+        in place."""
         m, n = vector.size, x.size
         places = [*(m + np.arange(n)), *which[1]]
         moved = self._places.around(np.append(vector, x), self._places.rest, places)
@@ -223,7 +224,7 @@ class FmuKernels:
         self, vector: FloatArray, x: FloatArray, covariance: FloatArray, strayed: FloatArray, u: float,
         d: FloatArray, period: float, steps: int, which: Any, columns: FloatArray,
     ) -> None:  # fmt: skip
-        """Move states and joint covariance on by one period."""
+        """Advance states and joint covariance by one period, in place."""
         m, n = vector.size, x.size
         wandering = which.shape[1]
         places = [*which[0], *(m + np.arange(n))]
@@ -239,11 +240,11 @@ class FmuKernels:
 
     def _numbers(self, values: FloatArray) -> FloatArray:
         if not np.isfinite(values).all():
-            raise FmuError(f"{self._runner.title}: the FMU gives no finite numbers at these parameters")
+            raise FmuError(f"{self._runner.title}: the FMU has no finite values at these parameters")
         return values
 
     def _started(self) -> str:
-        """How the FMU is run; the first question starts it."""
+        """The FMU's interface type; the first call starts its process."""
         if not self._runner.kind:
             self._runner.start()
         return self._runner.kind
@@ -257,7 +258,7 @@ class FmuKernels:
         self, vector: FloatArray, states: FloatArray, u: FloatArray, disturbances: FloatArray,
         period: float, steps: int,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-        """Derivatives of every tick by state (N, nx, nx) and drive (N, nx), and of its output by state."""
+        """Derivatives of each tick by state (N, nx, nx) and drive (N, nx), and of its output by state."""
         m, n, size = vector.size, states.shape[1], states.shape[0]
         self._numbers(states)
         all_moved = [
@@ -281,7 +282,7 @@ class FmuKernels:
         return by_state, by_drive, seen
 
     def _fastest(self, vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray) -> float:
-        """The least of three norms of df/dx, which no eigenvalue is above, at the worst corner and drive."""
+        """Upper bound of the eigenvalues of df/dx: least of three norms, at the worst corner and drive."""
         m, n = vector.size, corners.shape[1]
         everywhere = [
             self._places.around(np.append(vector, x), float(u), range(m, m + n))

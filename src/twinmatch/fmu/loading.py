@@ -1,4 +1,4 @@
-"""From the unpacked files of an FMU to one that runs."""
+"""Loading of an unpacked FMU."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ __all__ = ["machine_of"]
 
 
 def machine_of(folder: Path, described: Described, kind: str, wires: Wires, places: list[int]) -> Machine:
-    """Load the FMU's library and make an instance.
+    """Load the FMU's library and create an instance.
 
     Raises:
-        Exception: FMPy raises many kinds where that does not go well.
+        Exception: FMPy raises many kinds if that fails.
     """
     from fmpy import fmi2, fmi3, platform, platform_tuple  # noqa: PLC0415 (an extra)
 
     major = int(described.version[0])
     here = platform if major == 2 else platform_tuple
     if here not in described.platforms:
-        there = ", ".join(described.platforms) or "no machine at all"
-        raise MachineError(f"it has programs for {there}; this machine is {here}")
+        available = ", ".join(described.platforms) or "no platform"
+        raise MachineError(f"it has binaries for {available}; this machine is {here}")
     classes = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[major]
     identifier = described.identifiers[described.kinds.index(kind)]
     library = folder / "binaries" / here / f"{identifier}.so"

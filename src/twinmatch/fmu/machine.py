@@ -1,6 +1,6 @@
-"""An FMU made to run: put somewhere, moved on, looked at. Only its own process uses this.
+"""A running FMU: initialise, advance, read. Used only in the FMU's own process.
 
-Values here are the FMU's own. FMUs of FMI 2 and of FMI 3 differ in names only, as far as they are used here.
+Values are in the FMU's units. As used here, FMI 2 and FMI 3 differ only in names.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ __all__ = ["Machine", "MachineError", "Wires"]
 
 
 class MachineError(Exception):
-    """The FMU does not do what it should."""
+    """The FMU cannot be run, or violates FMI."""
 
 
 class Wires(NamedTuple):
-    """Value references of what is put in and looked at."""
+    """Value references of the variables that are set and read."""
 
     fixed: list[int]
-    """What is set before a run begins: parameters, and where states start."""
+    """Set before a run: parameters, and initial states."""
     inputs: list[int]
     """Drive, then disturbances."""
     states: list[int]
-    """Where they are read."""
+    """States to read."""
     output: list[int]
 
 
 class Machine:
-    """One that moves itself (co-simulation)."""
+    """A co-simulation FMU, which has its own solver."""
 
     def __init__(self, fmu: Any, major: int, wires: Wires) -> None:
         self.fmu, self.major, self.wires = fmu, major, wires
@@ -44,10 +44,10 @@ class Machine:
         self._at: dict[str, int] = {}
 
     def put(self, fixed: Sequence[float], inputs: Sequence[float]) -> None:
-        """Begin anew with these values."""
+        """Initialise with these values."""
         fmu = self.fmu
         if self._begun:
-            self._renew()
+            self._reset()
         self._begun, self.time = True, 0.0
         if self.major == 2:
             fmu.setupExperiment(startTime=0.0)
@@ -60,7 +60,7 @@ class Machine:
         fmu.exitInitializationMode()
 
     def straight(self) -> tuple[Addresses, Rooms] | None:
-        """What a run in compiled code needs, from where this has been put; None if it may have events."""
+        """The arguments of a compiled run from the current state; None if it may have events."""
         if not self._at:
             real = "Real" if self.major == 2 else "Float64"
             names = (f"Get{real}", f"Set{real}")
@@ -78,7 +78,7 @@ class Machine:
     """Number of continuous states that are integrated here."""
 
     def _functions(self) -> dict[str, str]:
-        """Names of what moves it on, by the fields of `Addresses`; empty ones are not called."""
+        """Names of the functions that advance it, by the fields of `Addresses`; empty ones are not called."""
         none = dict.fromkeys(("set_time", "set_x", "get_x", "get_dx", "after_step"), "")
         return {**none, "do_step": "DoStep"}
 
@@ -86,29 +86,29 @@ class Machine:
         return [group.address for group in (self._inputs, self._states, self._output)]
 
     def forget(self) -> None:
-        """Something went wrong: nothing that it was told before counts any more."""
+        """Do nothing after an error: `put` always initialises again."""
 
     def feed(self, inputs: Sequence[float]) -> None:
-        """Drive and disturbances from now on."""
+        """Set drive and disturbances."""
         self._inputs.write(inputs)
 
     def move(self, period: float, steps: int) -> None:  # noqa: ARG002 (it chooses its own steps)
-        """On by one period."""
-        told = self.fmu.doStep(self.time, period)
-        if self.major == 3 and (told[1] or told[2]):
-            raise MachineError("it ended its simulation, or returned early")
+        """Advance by one period."""
+        result = self.fmu.doStep(self.time, period)
+        if self.major == 3 and (result[1] or result[2]):
+            raise MachineError("it terminated the simulation, or returned early")
         self.time += period
 
     def states(self) -> list[float]:
-        """Where it is."""
+        """The current states."""
         return self._states.read()
 
     def output(self) -> float:
-        """What a sensor would say."""
+        """The current output."""
         return self._output.read()[0]
 
-    def _renew(self) -> None:
-        """Back to where nothing was set."""
+    def _reset(self) -> None:
+        """Reset the instance, or replace it if the FMU cannot be reset."""
         from fmpy.fmi1 import FMICallException  # noqa: PLC0415 (an extra)
 
         fmu = self.fmu

@@ -1,4 +1,4 @@
-"""The file that says which FMUs are structures of a plant, and what their variables mean there."""
+"""The map file: which FMUs are structures of a plant, and which of their variables are which quantity."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twinmatch.sessions.errors import DocumentError
 __all__ = ["FmuMap", "Link", "read_maps"]
 
 PATIENCE: Final = 10.0
-"""Seconds that one question to an FMU may take, if its file says nothing else."""
+"""Default time limit of one request to an FMU, s."""
 
 _OF_FILE: Final = ("plant", "structures")
 _OF_MAP: Final = (
@@ -35,11 +35,11 @@ _OF_STATE: Final = ("unit", "text", "symbol", "span", "scale", "start_bounds")
 
 @dataclass(frozen=True)
 class Link:
-    """A variable of the FMU: the plant's value is `factor` times the FMU's plus `offset`."""
+    """A variable of the FMU: plant value = `factor` · FMU value + `offset`."""
 
     variable: str
     set: str
-    """The variable through which a state is put; the same one mostly."""
+    """The variable that sets a state; usually the same one."""
     factor: float = 1.0
     offset: float = 0.0
 
@@ -49,44 +49,44 @@ class FmuMap:
     """One FMU as a structure of a plant."""
 
     place: str
-    """Where this was written, for messages."""
+    """File and structure, for messages."""
     plant: type[Plant]
     name: str
-    """Of the structure, as the user calls it."""
+    """Name of the structure, as given by the user."""
     file: Path
     kind: str
-    """How the FMU is to be run; empty: model exchange, if it can be."""
+    """Interface type; empty: model exchange if supported."""
     links: Mapping[str, Link]
-    """By the plant's name for it: output, drive, disturbances, states, parameters."""
+    """By the plant's name: output, drive, disturbances, states, parameters."""
     starts: Mapping[str, Formula]
-    """Of every state, in terms of the output, parameters and disturbances."""
+    """Initial value of every state, in terms of the output, parameters and disturbances."""
     free: tuple[str, ...]
     fixed: Mapping[str, float]
     free_starts: tuple[str, ...]
     searches: tuple[Mapping[str, float], ...]
-    """More points to begin a search at; those of the plant's first structure if none are written."""
+    """Further starting points of a fit; by default those of the plant's first structure."""
     parameters: Mapping[str, Parameter]
-    """Those that the plant's file does not know."""
+    """Parameters that the plant file does not declare."""
     states: Mapping[str, State]
     patience: float
     watched: bool
 
     @property
     def known_states(self) -> tuple[str, ...]:
-        """The states that the FMU has, the plant's first."""
+        """The FMU's states, those of the plant first."""
         return tuple(name for name in {**self.plant.states, **self.states} if name in self.links)
 
     @property
     def known_parameters(self) -> tuple[str, ...]:
-        """The parameters that the FMU has, the plant's first."""
+        """The FMU's parameters, those of the plant first."""
         return tuple(name for name in {**self.plant.parameters, **self.parameters} if name in self.links)
 
 
 def read_maps(file: Path) -> tuple[FmuMap, ...]:
-    """The FMUs that a file makes structures of a plant.
+    """Read the maps in a file.
 
     Raises:
-        FmuError: the file cannot be used; the message says what of it.
+        FmuError: the file cannot be used.
     """
     try:
         tree = read_yaml(file)
@@ -95,7 +95,7 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
     content = _table(str(file), tree, _OF_FILE)
     structures = content.get("structures")
     if "plant" not in content or not isinstance(structures, dict) or not structures:
-        raise FmuError(f"{file}: needs `plant` and, under `structures`, one FMU at least by name")
+        raise FmuError(f"{file}: needs `plant` and, under `structures`, at least one FMU by name")
     try:
         plant = find_plant(str(content["plant"]))
     except PlantError as error:
@@ -118,10 +118,10 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     _subset(place, "variables", links, known)
     for needed in (plant.output.name, plant.drive.name, *parameters, *states):
         if needed not in links:
-            raise FmuError(f"{place}: variables says nothing of {needed}; name the FMU's variable for it")
+            raise FmuError(f"{place}: variables has no entry for {needed}; give the FMU's variable for it")
     kind = str(own.get("kind", ""))
     if kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
-        raise FmuError(f"{place}: kind is {kind!r}; it can be {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
+        raise FmuError(f"{place}: kind is {kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
     found = FmuMap(
         place=place,
         plant=plant,
@@ -155,10 +155,10 @@ def _check(of: FmuMap) -> None:
     _subset(of.place, "free_starts", of.free_starts, states)
     _subset(of.place, "starts", of.starts, states)
     if not of.patience > 0:
-        raise FmuError(f"{of.place}: patience is {of.patience:g} s; it must be positive")
+        raise FmuError(f"{of.place}: patience is {of.patience:g} s; give a positive number")
     missing = [name for name in states if name not in of.starts]
     if missing:
-        msg = f"{of.place}: starts says nothing of {missing[0]}; write where it starts at a known output"
+        msg = f"{of.place}: starts has no entry for {missing[0]}; give its initial value at a known output"
         raise FmuError(msg)
     for name, formula in of.starts.items():
         known = (of.plant.output.name, *of.plant.disturbances, *parameters)
@@ -174,7 +174,7 @@ def _subset(place: str, what: str, names: Any, known: Any) -> None:
 
 def _table(place: str, tree: Any, keys: tuple[str, ...] = ()) -> dict[Any, Any]:
     if not isinstance(tree, dict):
-        raise FmuError(f"{place}: takes names with values, not {type(tree).__name__}")
+        raise FmuError(f"{place}: is {type(tree).__name__}; give names with values")
     if keys:
         _subset(place, "it", tree, keys)
     return tree
@@ -188,7 +188,7 @@ def _link(place: str, tree: Any) -> Link:
         raise FmuError(f"{place}: needs `variable`, the FMU's name for it")
     factor = _number(f"{place}, factor", own.get("factor", 1.0))
     if factor == 0.0:
-        raise FmuError(f"{place}: factor is 0; the plant's value is factor times the FMU's plus offset")
+        raise FmuError(f"{place}: factor is 0; plant value = factor · FMU value + offset, so give another")
     offset = _number(f"{place}, offset", own.get("offset", 0.0))
     return Link(own["variable"], str(own.get("set", own["variable"])), factor, offset)
 
@@ -201,7 +201,7 @@ def _declared(place: str, kind: Any, tree: Any, keys: tuple[str, ...], plant: ty
             if isinstance(own.get(key), list):
                 own[key] = tuple(own[key])
         if str(name) in plant.declarations:
-            raise FmuError(f"{place}: {name} is declared by the plant; name it under variables only")
+            raise FmuError(f"{place}: {name} is declared by the plant; list it only under variables")
         try:
             declared = kind(**own)
             declared.__set_name__(plant, str(name))
@@ -213,7 +213,7 @@ def _declared(place: str, kind: Any, tree: Any, keys: tuple[str, ...], plant: ty
 
 def _names(place: str, tree: Any) -> tuple[str, ...]:
     if not isinstance(tree, list | tuple):
-        raise FmuError(f"{place}: takes a list of names")
+        raise FmuError(f"{place}: is not a list; give a list of names")
     return tuple(map(str, tree))
 
 
@@ -226,11 +226,11 @@ def _searches(place: str, plant: type[Plant], links: Mapping[str, Link], tree: A
         own = next(iter(plant.structures.values())).starts
         return tuple(start for start in own if set(start) <= set(links))
     if not isinstance(tree, list):
-        raise FmuError(f"{place}: searches takes a list, each entry being parameters with values")
+        raise FmuError(f"{place}: searches is not a list; give a list of parameters with values")
     return tuple(_numbers(f"{place}, searches", entry) for entry in tree)
 
 
 def _number(place: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise FmuError(f"{place}: is {value!r}; it takes a finite number")
+        raise FmuError(f"{place}: is {value!r}; give a finite number")
     return float(value)

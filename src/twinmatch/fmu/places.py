@@ -1,4 +1,4 @@
-"""Where an FMU is put to find out how it answers small movements, and where it starts."""
+"""Points for the finite differences of an FMU, and its initial states."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from twinmatch.signals import FloatArray
 __all__ = ["Moved", "Places"]
 
 STEP: Final = 1e-4
-"""Half of a central difference, in units of what moves: its own error is a part in 1e8; where a solver of
-variable step gives its numbers to a part in 1e8, the derivative is good to a part in 1e4."""
+"""Half width of a central difference, relative to the size of the variable: the truncation error is 1e-8;
+with a variable-step solver accurate to 1e-8, the derivative is accurate to 1e-4."""
 _LEAST: Final = 0.1
-"""A parameter near zero moves as one of this many of its scales."""
+"""The size of a parameter near zero is this share of its scale."""
 
 
 class Moved(NamedTuple):
     """A point, and points on both sides of it in several directions."""
 
     fixed: FloatArray
-    """Parameters and states, shape (1 + 2·k, n); the point itself comes first, if it is there at all."""
+    """Parameters and states, shape (1 + 2·k, n), the point itself first; or (2·k, n) without it."""
     drive: FloatArray
     """Shape (1 + 2·k,)."""
     widths: FloatArray
-    """Between both sides, shape (k,)."""
+    """Distance between both sides, shape (k,)."""
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Differences of values at those points, shape (points, m), by each direction: shape (m, k)."""
+        """Derivatives along each direction, shape (m, k), from values at the points, shape (points, m)."""
         first = len(values) - 2 * self.widths.size
         return np.asarray((values[first::2] - values[first + 1 :: 2]).T / self.widths)
 
 
 class Places:
-    """Sizes of small movements, within what parameters can be; and where states start."""
+    """Widths of finite differences within the possible values of parameters; and initial states."""
 
     def __init__(
         self,
@@ -46,18 +46,18 @@ class Places:
         states: Sequence[State],
         starts: Mapping[str, Formula],
     ) -> None:
-        """For a plant whose structure has these parameters and states."""
+        """Set up for a structure with these parameters and states."""
         self._parameters, self._states, self._starts = tuple(parameters), tuple(states), starts
         self._output, self._others = plant.output.name, tuple(plant.disturbances)
         self.rest = float(plant.drive.rest)
         self.period = 1.0 if plant.loop is None else float(plant.loop.period)
-        """Over which the movement of an FMU that moves itself counts as its rate, s."""
+        """Time over which the rate of a co-simulation FMU is taken, s."""
         low, high = plant.drive.limits
         self._drive_step = STEP * (high - low)
         self._spans = STEP * np.array([state.span[1] - state.span[0] for state in states])
 
     def begin(self, vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """States at an output y, shape (nx,), and their derivatives by y, and by the parameters, (nx, n)."""
+        """Initial states at an output y, shape (nx,), and their derivatives by y and parameters, (nx, n)."""
         names = [parameter.name for parameter in self._parameters]
         values = {
             self._output: float(y),
@@ -76,7 +76,7 @@ class Places:
     def around(
         self, at: FloatArray, drive: float, directions: Iterable[int], *, drive_too: bool = False
     ) -> Moved:
-        """The point, and both sides of it along single parameters and states, and perhaps the drive."""
+        """The point, and both sides of it along single parameters and states, optionally also the drive."""
         m = len(self._parameters)
         rows, widths = [at], []
         for k in directions:
@@ -96,13 +96,13 @@ class Places:
         return Moved(np.array(rows), drives, np.array(widths))
 
     def along(self, at: FloatArray, directions: FloatArray) -> Moved:
-        """Both sides of a point along directions, shape (k, n), of which each may move all of it."""
+        """Both sides of a point along arbitrary directions, shape (k, n)."""
         m = len(self._parameters)
         sizes = np.array([*(self._reach(k, float(at[k])) for k in range(m)), *self._spans])
         rows, widths = [], []
         for direction in directions:
             own = np.abs(direction) > 0.0
-            # A direction of a parameter is measured by it; how far the states move with it is its own affair.
+            # The width along a parameter's direction follows from the parameter, not from the states' share.
             first = own[:m] if own[:m].any() else own
             chosen = np.flatnonzero(first)
             size = float(np.min(sizes[chosen] / np.abs(direction[chosen]))) if chosen.size else 1.0
@@ -119,7 +119,7 @@ class Places:
         return STEP * max(abs(value), _LEAST * self._parameters[k].scale)
 
     def _inside(self, k: int, value: float, at: float) -> float:
-        """The value if the parameter can have it; where it stands, if not."""
+        """The value if it is possible for the parameter, otherwise the current one."""
         return float(value if self._parameters[k].possible(float(value)) else at)
 
     def _at(self, values: Mapping[str, float]) -> FloatArray:

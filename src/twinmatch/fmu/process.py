@@ -1,4 +1,4 @@
-"""The process of an FMU as the one that asks sees it: started, asked, and ended when it takes too long."""
+"""The process of an FMU, seen from its parent: started, sent requests, and killed on a timeout."""
 
 from __future__ import annotations
 
@@ -23,24 +23,23 @@ from twinmatch.signals import FloatArray
 __all__ = ["FmuProcess", "ProcessLostError"]
 
 START: Final = 120.0
-"""Seconds in which Python and its libraries are there, compiled where it is the first time, on a machine that
-is busy."""
+"""Time limit for the start on a busy machine, including the first compilation, s."""
 _KEPT: Final = (
     "PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "PYTHONPATH", "VIRTUAL_ENV",
     "TWINMATCH_CACHE", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR",
 )  # fmt: skip
-"""What the FMU's process gets to know of the environment."""
+"""Environment variables passed to the FMU's process."""
 
 
 class ProcessLostError(Exception):
-    """The process gave no answer that can be used, and has been ended."""
+    """The process gave no valid answer, and has been killed."""
 
 
 class FmuProcess:
-    """One process for one FMU; asked by one thread at a time."""
+    """One process for one FMU; requests from several threads are serialised."""
 
     def __init__(self) -> None:
-        """Start it; it has a folder of its own, which goes when it does."""
+        """Start the process, with its own folder, which is deleted when the process ends."""
         self._folder = tempfile.TemporaryDirectory(prefix="twinmatch-fmu-")
         self.folder = Path(self._folder.name)
         self._lock = threading.Lock()
@@ -60,15 +59,15 @@ class FmuProcess:
     def ask(
         self, header: Mapping[str, Any], arrays: Mapping[str, FloatArray] | None = None, *, limit: float
     ) -> Message:
-        """Its answer, within `limit` seconds; the first one may take longer, since the process has to start.
+        """Send a request and return the answer, within `limit` seconds, plus `START` for the first one.
 
         Raises:
-            ProcessLostError: none came, or none that can be read; the process has been ended.
-            FmuError: the FMU, or the process on its behalf, says what is wrong.
+            ProcessLostError: there was no answer, or an unreadable one; the process has been killed.
+            FmuError: the FMU or its process reports an error.
         """
         with self._lock:
             if not self._ended.alive:
-                raise ProcessLostError("it was ended before")
+                raise ProcessLostError("its process was killed earlier")
             by = time.monotonic() + limit + (START if self._first else 0.0)
             self._first = False
             try:
@@ -76,28 +75,28 @@ class FmuProcess:
                 message = unpacked(lambda size: self._read(size, by))
             except TimeoutError:
                 self.close()
-                raise ProcessLostError(f"it gave no answer within {limit:g} s and was ended") from None
+                raise ProcessLostError(f"it gave no answer within {limit:g} s and was killed") from None
             except (WireError, OSError) as error:
-                raise ProcessLostError(self._last_words(error)) from None
+                raise ProcessLostError(self._cause(error)) from None
         if "error" in message.header:
             raise FmuError(str(message.header["error"]))
         return message
 
     def close(self) -> None:
-        """End it, if it has not ended."""
+        """Kill the process, if it is still running."""
         self._ended()
 
-    def _last_words(self, error: Exception) -> str:
-        """Why it ended, as far as that can be known."""
+    def _cause(self, error: Exception) -> str:
+        """Why the process was lost, as far as it can be determined."""
         code: int | None = None
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = self._process.wait(0.5)
         self.close()
         if code is None:
-            return f"it wrote what is no answer ({error}) and was ended"
+            return f"it wrote an invalid answer ({error}) and was killed"
         if code < 0:
             return f"its process crashed ({signal.Signals(-code).name})"
-        return f"its process ended by itself, with exit code {code}"
+        return f"its process exited with code {code}"
 
     def _write(self, data: bytes, by: float) -> None:
         handle = self._process.stdin.fileno()  # type: ignore[union-attr]
@@ -120,7 +119,7 @@ class FmuProcess:
 
 def _wait(readable: list[int], writable: list[int], by: float) -> None:
     left = by - time.monotonic()
-    poll = select.poll()  # a node may have more files open than select can count
+    poll = select.poll()  # a node may have more open files than select supports
     for handle in readable:
         poll.register(handle, select.POLLIN)
     for handle in writable:
@@ -131,13 +130,13 @@ def _wait(readable: list[int], writable: list[int], by: float) -> None:
 
 def _environment() -> dict[str, str]:
     kept = {name: os.environ[name] for name in _KEPT if name in os.environ}
-    # What this process can import, the other one can.
+    # The other process can import whatever this one can.
     kept["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     return {**kept, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def _end(process: subprocess.Popen[bytes], folder: tempfile.TemporaryDirectory[str]) -> None:
-    """With everything that it started."""
+    """Kill the process and all its children, and delete its folder."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()

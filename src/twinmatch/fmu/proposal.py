@@ -1,4 +1,4 @@
-"""What an FMU has, and a first draft of its map: names that are alike are taken to mean the same."""
+"""An overview of an FMU, and a draft of its map, in which similar names are matched."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["draft", "overview"]
 _KELVIN: Final = 273.15
 _CELSIUS: Final = ("°C", "degC")
 _MOST: Final = 60
-"""Variables that are listed of each kind."""
+"""Most variables listed per kind."""
 
 
 def overview(described: Described) -> list[str]:
-    """What it is and what it has, line by line."""
-    kinds = " and ".join(described.kinds) or "nothing that is known"
-    platforms = ", ".join(described.platforms) or "no machine"
+    """The description and the variables, as lines of text."""
+    kinds = " and ".join(described.kinds) or "no supported interface type"
+    platforms = ", ".join(described.platforms) or "no platform"
     lines = [
-        f"{described.name}: FMI {described.version}, for {kinds}; by {described.tool or 'an unknown tool'}",
-        f"programs for {platforms}; directional derivatives: {'yes' if described.directional else 'no'}",
+        f"{described.name}: FMI {described.version}, {kinds}; by {described.tool or 'an unknown tool'}",
+        f"binaries for {platforms}; directional derivatives: {'yes' if described.directional else 'no'}",
     ]
     for title, found in (
         ("inputs", described.of("input")),
@@ -43,7 +43,7 @@ def overview(described: Described) -> list[str]:
 
 
 def draft(file: Path, described: Described, plant: type[Plant]) -> str:
-    """A map of it for a plant, as YAML; what is missing stands as a question."""
+    """A draft of its map for a plant, as YAML, with question marks for missing entries."""
     output, drive = described.of("output"), described.of("input")
     links = {plant.output.name: _alike(plant.output, output), plant.drive.name: _alike(plant.drive, drive)}
     if len(output) == 1:
@@ -74,12 +74,12 @@ def draft(file: Path, described: Described, plant: type[Plant]) -> str:
 
 def _verdict(described: Described) -> str:
     if not described.kinds:
-        return "It cannot be used: it is for neither co-simulation nor model exchange."
+        return "It cannot be used: it supports neither co-simulation nor model exchange."
     if MODEL_EXCHANGE in described.kinds:
-        return "It can be matched, followed and asked for forecasts, if the map names all continuous states."
+        return "It can be matched and used for forecasts if the map names all continuous states."
     return (
-        "It can be matched, followed and asked for forecasts, if the map names all that it remembers and "
-        "all of that can be set before a run."
+        "It can be matched and used for forecasts if the map names all internal states, and all of them can "
+        "be set before a run."
     )
 
 
@@ -98,7 +98,7 @@ def _line(variable: Variable) -> str:
 
 
 def _alike(of: Any, variables: Iterable[Variable]) -> Variable | None:
-    """The variable whose name, or its last part, is that of a quantity, but for case and dashes."""
+    """The variable with the name of a quantity, or with it as last part, ignoring case and punctuation."""
     wanted = {_plain(of.name), _plain(of.symbol)} - {""}
     for variable in variables:
         if {_plain(variable.name), _plain(variable.name.rsplit(".", 1)[-1])} & wanted:
@@ -125,7 +125,7 @@ def _start(plant: type[Plant], state: str) -> str:
 
 
 def _more(variable: Variable) -> str:
-    """A line for what the plant does not know."""
+    """A comment line for a variable that the plant does not have."""
     value = 1.0 if variable.start is None else variable.start
     kind = "parameters" if variable.causality == "parameter" else "states"
     what = (
@@ -133,4 +133,4 @@ def _more(variable: Variable) -> str:
         if kind == "parameters"
         else f"span: [?, ?], unit: {variable.unit!r}"
     )
-    return f"# not in the plant; under {kind} it could be declared: {variable.name}: {{{what}}}\n"
+    return f"# not in the plant; can be declared under {kind}: {variable.name}: {{{what}}}\n"

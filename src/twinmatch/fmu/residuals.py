@@ -1,4 +1,4 @@
-"""Weighed residuals of a run and their normal equations, as the compiled runs sum them up."""
+"""Weighted residuals of a run and their normal equations, as in the compiled runs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from twinmatch.signals import FloatArray
 __all__ = ["cost_of", "normal_of"]
 
 
-def _weighed(
+def _weighted(
     simulated: FloatArray, measured: FloatArray, weights: FloatArray, robust: bool
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Residuals, the squares of what they weigh, and their sum, as `add_row` has them."""
+    """Residuals, squared weights, and total cost, as in `add_row`."""
     count = len(simulated)
     left = simulated - measured[:count]
     square = np.square(weights[:count])
@@ -24,15 +24,15 @@ def _weighed(
 
 
 def cost_of(simulated: FloatArray, measured: FloatArray, weights: FloatArray, robust: bool) -> float:
-    """Sum of the squared residuals, or of what large ones count if `robust`."""
-    return _weighed(simulated, measured, weights, robust)[2]
+    """Sum of the squared weighted residuals, or of their robust cost if `robust`."""
+    return _weighted(simulated, measured, weights, robust)[2]
 
 
 def normal_of(
     simulated: FloatArray, by: FloatArray, measured: FloatArray, weights: FloatArray, robust: bool
 ) -> FloatArray:
     """[J r]ᵀ[J r] with the sum of the costs in its last entry, shape (n + 1, n + 1)."""
-    left, square, cost = _weighed(simulated, measured, weights, robust)
+    left, square, cost = _weighted(simulated, measured, weights, robust)
     rows = np.concatenate([by, left[:, :, None]], axis=2).reshape(-1, by.shape[2] + 1)
     normal = np.asarray(np.einsum("ki,k,kj->ij", rows, square.ravel(), rows))
     normal[-1, -1] = cost

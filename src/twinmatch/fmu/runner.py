@@ -1,4 +1,4 @@
-"""An FMU in the plant's words: what a structure's kernels ask of it, and how its process is kept."""
+"""An FMU in the plant's units: the requests of a structure's kernels, and the management of its process."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from twinmatch.signals import FloatArray
 __all__ = ["Runner", "Signals"]
 
 _SAMPLES = 1000
-"""Samples that one question asks for, and for which the map's patience is meant."""
+"""Most samples of one request; the map's `patience` applies to so many."""
 
 
 class Signals(NamedTuple):
-    """What runs are given, sample by sample, in the plant's units."""
+    """Inputs of the runs, sample by sample, in the plant's units."""
 
     closed: bool
     gains: Gains
@@ -41,19 +41,19 @@ class Signals(NamedTuple):
 
 
 class Runner:
-    """The FMU of a map: started when it is first asked, and given up for good when its process is lost."""
+    """The FMU of a map: started by the first request, and abandoned when its process is lost."""
 
     def __init__(self, of: FmuMap, title: str, digest: str) -> None:
-        """Begin without a process.
+        """Start without a process.
 
         Args:
-            of: what its variables are.
-            title: what messages call the structure.
-            digest: SHA-256 of the file; another one is not run.
+            of: the map of its variables.
+            title: name of the structure in messages.
+            digest: SHA-256 of the file; a file with another one is not run.
         """
         self.map, self.title, self._digest = of, title, digest
         self.lost = ""
-        """Why it cannot be asked any more; empty while it can."""
+        """Why it was abandoned; empty while it is usable."""
         self._process: FmuProcess | None = None
         self._lock = threading.RLock()
         links, plant = of.links, of.plant
@@ -65,14 +65,14 @@ class Runner:
         self._factors = np.array([link.factor for link in self._fixed])
         self._offsets = np.array([link.offset for link in self._fixed])
         self.kind = ""
-        """How it is run, once it was."""
+        """Interface type, after the first start."""
 
     def start(self) -> None:
-        """Start its process, if it is not there.
+        """Start its process, if it is not running.
 
         Raises:
             FmuError: the FMU cannot be loaded, or does not fit its map.
-            StructureLostError: it was given up.
+            StructureLostError: it was abandoned.
         """
         if self.lost:
             raise StructureLostError(f"{self.title}: {self.lost}")
@@ -88,7 +88,7 @@ class Runner:
     def ticks(
         self, fixed: FloatArray, drive: FloatArray, disturbances: FloatArray, period: float, steps: int
     ) -> tuple[FloatArray, FloatArray]:
-        """From there on by one period: outputs there, shape (B,), and states after, shape (B, nx)."""
+        """Advance each by one period: outputs before, shape (B,), and states after, shape (B, nx)."""
         header = {"ask": "ticks", "period": period, "steps": steps}
         answer = self._ask(header, fixed=self._own(fixed), inputs=self._fed(drive, disturbances))
         return self._seen(answer), self._moved(answer["after"])
@@ -96,7 +96,7 @@ class Runner:
     def rates(
         self, fixed: FloatArray, drive: FloatArray, disturbances: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Outputs, shape (B,), and rates of a model-exchange FMU there, shape (B, nx)."""
+        """Outputs, shape (B,), and derivatives of the states of a model-exchange FMU, shape (B, nx)."""
         answer = self._ask({"ask": "rates"}, fixed=self._own(fixed), inputs=self._fed(drive, disturbances))
         scale = np.array([link.factor for link in self._states])
         return self._seen(answer), answer["rates"] * scale
@@ -125,26 +125,26 @@ class Runner:
         return answer["output"], answer["input"], self._moved(answer["states"])
 
     def close(self) -> None:
-        """End its process; the next question starts another one."""
+        """Stop its process; the next request starts another one."""
         with self._lock:
             if self._process is not None:
                 self._process.close()
                 self._process = None
 
     def lose(self, why: str) -> StructureLostError:
-        """Give it up for good, and say so once; returns what to raise."""
+        """Abandon it permanently, with one message; returns the error to raise."""
         with self._lock:
             if not self.lost:
                 self.lost = why
                 print(
-                    f"twinmatch: {self.title}: {why}; all else goes on without this structure",
+                    f"twinmatch: {self.title}: {why}; everything else continues without this structure",
                     file=sys.stderr,
                 )
             self.close()
         return StructureLostError(f"{self.title}: {self.lost}")
 
     def _ask(self, header: dict[str, Any], **arrays: FloatArray) -> dict[str, FloatArray]:
-        """The answer to a question, put in parts of which each takes its time and no more."""
+        """The answer to a request, split into parts, each with its own time limit."""
         samples = arrays["given"].size if "given" in arrays else 1
         rows, each = len(arrays["fixed"]), max(1, _SAMPLES // max(samples, 1))
         by_row = [name for name in ("fixed", "inputs") if name in arrays]
@@ -166,11 +166,11 @@ class Runner:
             except ProcessLostError as error:
                 raise self.lose(f"the FMU is lost: {error}") from error
             except FmuError as error:
-                raise FmuError(f"{self.title}: the FMU says: {error}") from error
-        return self._fitting(found, len(arrays["fixed"]), arrays.get("given"))
+                raise FmuError(f"{self.title}: the FMU reports: {error}") from error
+        return self._checked(found, len(arrays["fixed"]), arrays.get("given"))
 
-    def _fitting(self, found: Any, runs: int, given: FloatArray | None) -> dict[str, FloatArray]:
-        """The arrays, if they have the shapes that were asked for."""
+    def _checked(self, found: Any, runs: int, given: FloatArray | None) -> dict[str, FloatArray]:
+        """The arrays, after a check of their shapes."""
         size, n = (0 if given is None else given.size), len(self._states)
         own = {"output": (runs,), "after": (runs, n), "rates": (runs, n)}
         run = {"output": (runs, size), "input": (runs, size), "states": (runs, size + 1, n)}
@@ -180,10 +180,10 @@ class Runner:
         return dict(found)
 
     def _started(self) -> FmuProcess:
-        """The process with the FMU in it, checked against its map.
+        """Start the process and load the FMU, after a check against its map.
 
         Raises:
-            FmuError: they do not fit.
+            FmuError: the FMU cannot be loaded, or does not fit its map.
         """
         of, process = self.map, FmuProcess()
         try:

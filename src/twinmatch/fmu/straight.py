@@ -1,7 +1,7 @@
-"""A whole run of an FMU in compiled code, for those that have no events: most samples pass here.
+"""Whole runs of an FMU without events in compiled code, which covers most samples.
 
-The FMU's functions are called by their addresses. Integers stand for its pointers, sizes and booleans, which
-are passed alike; what a function of FMI 3 takes beyond that of FMI 2 comes last, where FMI 2 does not look.
+The FMU's functions are called by address. Pointers, sizes and booleans are all passed as integers; additional
+arguments of FMI 3 come last, where functions of FMI 2 ignore them.
 """
 
 # ruff: noqa: ARG001, PLR0917 (kernels take arrays in a row, and intrinsics the compiler's context)
@@ -24,11 +24,11 @@ from twinmatch.signals import FloatArray
 __all__ = ["DONE", "EVENT", "Addresses", "Rooms", "prepared", "straight_run"]
 
 DONE, EVENT, ENDED = 0, -1, 3
-"""How a run ended, if not by an error, whose status is returned then."""
+"""Results of a run; after an error, its status is returned instead."""
 
 
 class Addresses(NamedTuple):
-    """Of the instance, its functions and what they fill; zero where there is none."""
+    """Addresses of the instance, its functions and value references; zero if absent."""
 
     component: int
     get: int
@@ -46,7 +46,7 @@ class Addresses(NamedTuple):
 
 
 class Rooms(NamedTuple):
-    """Arrays that the functions fill and read."""
+    """Buffers of the functions."""
 
     inputs: FloatArray
     states: FloatArray
@@ -54,11 +54,11 @@ class Rooms(NamedTuple):
     x: FloatArray
     dx: FloatArray
     flags: Any
-    """Whole numbers, shape (8,)."""
+    """Integer flags, shape (8,)."""
 
 
 def _status(*given: Any) -> Any:
-    """Signature and code of a call by address that returns an FMU's status."""
+    """Signature and code of a call by address that returns an FMI status."""
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         kinds = [context.get_value_type(kind) for kind in signature.args[1:]]
@@ -106,7 +106,7 @@ def _rates(at: Addresses, rooms: Rooms, x: FloatArray, time: float, k: FloatArra
 
 @compiled(inside=True)
 def _moved(at: Addresses, rooms: Rooms, time: float, period: float, steps: int) -> int:
-    """A model-exchange FMU on by one period."""
+    """Advance a model-exchange FMU by one period."""
     n = rooms.x.size
     h, x = period / steps, np.empty(n)
     k1, k2, k3, k4 = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -139,10 +139,10 @@ def straight_run(
     noise: FloatArray, frozen: FloatArray, numbers: FloatArray, steps: int,
     y: FloatArray, u: FloatArray, states: FloatArray,
 ) -> int:  # fmt: skip
-    """Fill outputs and inputs, shape (N,), and states, shape (N + 1, nx), from where the FMU has been put.
+    """Fill outputs and inputs, shape (N,), and states, shape (N + 1, nx), from the FMU's current state.
 
     `numbers` holds resolution, integral, previous, period, and factor and offset of output and drive.
-    Returns how it ended.
+    Returns `DONE`, `EVENT`, `ENDED` or an error status.
     """
     resolution, integral, previous, period = numbers[0], numbers[1], numbers[2], numbers[3]
     last, nx, size = 0.0, rooms.states.size, given.size
@@ -171,7 +171,7 @@ def straight_run(
             status = _call_step(
                 at.do_step, at.component, k * period, period, 1, data, data + 8, data + 16, data + 24
             )
-            if rooms.flags[2] != 0 or rooms.flags[4] != 0:  # FMI 3: it ended, or returned early
+            if rooms.flags[2] != 0 or rooms.flags[4] != 0:  # FMI 3: it terminated, or returned early
                 return ENDED
         else:
             status = _moved(at, rooms, k * period, period, steps)
@@ -184,7 +184,7 @@ def straight_run(
 
 
 def prepared() -> None:
-    """Compile it, on no samples and no variables, before anybody counts the time."""
+    """Compile `straight_run` with empty arguments, before any request with a time limit."""
     none, whole = np.zeros(0), np.zeros(8, dtype=np.int32)
     rooms = Rooms(none, none, none, none, none, whole)
     gains = Gains(0.0, 0.0, 0.0, 0.0, 1.0, -1.0, 1.0, on_measurement=False)

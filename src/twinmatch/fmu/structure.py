@@ -1,7 +1,7 @@
-"""FMUs taken in as structures of a plant.
+"""FMUs added to a plant as structures.
 
-The name of such a structure carries a mark, the first digits of a hash of FMU and map: who reads it in a
-verdict knows which program it was, and the same name means the same program.
+The name of such a structure contains the first digits of a hash of FMU and map, so that the name in a verdict
+identifies the program.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from twinmatch.fmu.kernels import FmuKernels
 from twinmatch.fmu.mapping import FmuMap, read_maps
 from twinmatch.fmu.places import Places
 from twinmatch.fmu.runner import Runner
-from twinmatch.fmu.trial import tried
+from twinmatch.fmu.trial import check_restart
 from twinmatch.plants.absent import MARK, is_marked
 
 __all__ = ["FmuSource", "adopt_fmus", "is_fmu", "unmarked"]
 
 
 class FmuSource:
-    """What stands behind a structure that is an FMU; see `twinmatch.dynamics.Elsewhere`."""
+    """The implementation of a structure that is an FMU; see `twinmatch.dynamics.Elsewhere`."""
 
     def __init__(self, of: FmuMap, name: str, digest: str) -> None:
         self.map, self.runner = of, Runner(of, f"{of.plant.title}, {name}", digest)
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
-        """Those that only the FMU has."""
+        """Parameters that only the FMU has."""
         return self.map.parameters
 
     @property
     def states(self) -> Mapping[str, State]:
-        """Those that only the FMU has."""
+        """States that only the FMU has."""
         return self.map.states
 
     @property
     def lost(self) -> str:
-        """Why it cannot be run any more; empty while it can."""
+        """Why it can no longer be run; empty while it can."""
         return self.runner.lost
 
     @cached_property
     def kernels(self) -> Any:
-        """Its functions."""
+        """Its kernels."""
         of = self.map
         parameters = {**of.plant.parameters, **of.parameters}
         states = {**of.plant.states, **of.states}
@@ -67,18 +67,18 @@ def is_fmu(structure: str) -> bool:
 
 
 def unmarked(structure: str) -> str:
-    """The name of a structure as its map has it."""
+    """The name of a structure in its map, without the hash."""
     return MARK.sub("", structure)
 
 
 def adopt_fmus(file: Path) -> tuple[Model, ...]:
-    """Take in the FMUs of a file as structures of its plant; each is loaded and tried.
+    """Add the FMUs of a map file to its plant as structures; each is loaded and checked.
 
-    Whoever calls this has the user's word that these programs may run.
+    Call it only if the user has allowed these programs to run.
 
     Raises:
         FmuError: the file or an FMU cannot be used.
-        PlantError: a structure cannot be what it is said to be.
+        PlantError: a structure is not valid for the plant.
     """
     return tuple(_adopted(of) for of in read_maps(file))
 
@@ -106,7 +106,7 @@ def _adopted(of: FmuMap) -> Model:
     )
     try:
         source.runner.start()
-        tried(model)
+        check_restart(model)
     except BaseException:
         of.plant.disown(name)
         raise
@@ -116,14 +116,14 @@ def _adopted(of: FmuMap) -> Model:
 def _digest(of: FmuMap) -> str:
     try:
         if of.file.stat().st_size > MOST_BYTES:
-            raise FmuError(f"{of.place}: {of.file} is larger than {MOST_BYTES >> 20} MiB; no FMU is")
+            raise FmuError(f"{of.place}: {of.file} is larger than the limit of {MOST_BYTES >> 20} MiB")
         return digest_of(of.file)
     except OSError as error:
         raise FmuError(f"{of.place}: {of.file} cannot be read: {error.strerror}") from error
 
 
 def _mark(of: FmuMap, digest: str) -> str:
-    """Of the FMU and of all that its map says but where it is."""
+    """First digits of a hash of the FMU and its map, without the path of the file."""
     starts = {name: formula.text for name, formula in of.starts.items()}
     what = (
         digest, of.kind, _sorted(of.links.items()), _sorted(starts.items()), of.free,

@@ -1,4 +1,4 @@
-"""Whether an FMU is what its map makes of it, tried once before it is used."""
+"""Check that an FMU is fully determined by the states in its map, before it is used."""
 
 from __future__ import annotations
 
@@ -7,22 +7,21 @@ import numpy as np
 from twinmatch.dynamics import Model, begin, simulate_driven
 from twinmatch.fmu.errors import FmuError
 
-__all__ = ["tried"]
+__all__ = ["check_restart"]
 
 SAMPLES = 8
 _STATE = 1e-4
-"""How far a state may be from where it went in one go, in units of its span: a solver that is started anew
-chooses other steps."""
+"""Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
 
 
-def tried(model: Model) -> None:
-    """Run a few samples in one go, and again with a new start at each from its states; both must agree.
+def check_restart(model: Model) -> None:
+    """Simulate a few samples in one run, and again restarting at each from its states; both must agree.
 
-    A twin is put to states that an observer found, and asked what comes next. An FMU that remembers more than
-    its map names, a filter say, would answer for another plant.
+    Forecasts start from states that an observer has estimated. An FMU with internal states that its map does
+    not name, such as a filter, would then give wrong forecasts.
 
     Raises:
-        FmuError: they do not, or the FMU gives no numbers.
+        FmuError: they disagree, or the FMU has no finite values.
     """
     plant, kernels = model.plant, model.kernels
     low, high = plant.drive.limits
@@ -42,7 +41,7 @@ def tried(model: Model) -> None:
                 name = model.states[int(np.argmax(off))]
                 what = f"{name} {after[np.argmax(off)]:g} instead of {run.states[k + 1][np.argmax(off)]:g}"
             msg = (
-                f"{model.title}: started anew from its states, the FMU has {what}; it remembers more than "
-                "the states that its map names: name all, or export it as model exchange"
+                f"{model.title}: restarted from its states, the FMU has {what}; it has internal states that "
+                "its map does not name: name all, or export it as model exchange"
             )
             raise FmuError(msg)

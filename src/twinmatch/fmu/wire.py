@@ -1,6 +1,6 @@
-"""What goes between this process and the one in which an FMU runs: a header in JSON, then numbers.
+"""Messages between this process and that of an FMU: a header in JSON, then numbers.
 
-Nothing that is read here can become code: the process on the other side runs a stranger's program.
+Nothing that is read here can become code, since the other process runs an untrusted program.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ __all__ = ["Message", "WireError", "packed", "unpacked"]
 
 MOST_HEADER: Final = 1 << 24
 MOST_NUMBERS: Final = 1 << 27
-"""Bytes of a header and of the numbers behind it; more are refused."""
+"""Largest header, and largest block of numbers after it, bytes."""
 
 _LENGTHS: Final = struct.Struct("<II")
 
 
 class WireError(Exception):
-    """What came is no message."""
+    """The received bytes are not a valid message."""
 
 
 class Message(NamedTuple):
@@ -36,7 +36,7 @@ class Message(NamedTuple):
 
 
 def packed(header: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> bytes:
-    """The bytes of a message."""
+    """Encode a message."""
     held = {name: np.ascontiguousarray(array, dtype="<f8") for name, array in arrays.items()}
     shapes = [[name, list(array.shape)] for name, array in held.items()]
     head = json.dumps({**header, "arrays": shapes}).encode()
@@ -45,10 +45,10 @@ def packed(header: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> bytes
 
 
 def unpacked(read: Callable[[int], bytes]) -> Message:
-    """A message from what gives so many bytes.
+    """Decode a message; `read` returns the requested number of bytes.
 
     Raises:
-        WireError: what came is no message.
+        WireError: the bytes are not a valid message.
     """
     lengths = read(_LENGTHS.size)
     size, numbers = _LENGTHS.unpack(lengths)

@@ -1,7 +1,7 @@
-"""The process in which an FMU runs: takes messages on standard input, answers on what was standard output.
+"""The process in which an FMU runs: reads requests from standard input, answers on its standard output.
 
-An FMU is a program. Here it has a folder of its own, no sockets of the process that started it, a limit on
-its memory and on what it writes, and ends when that process does. How long it may take, the other side says.
+An FMU is a program. Here it has its own folder, none of its parent's sockets, limits on memory and file size,
+and exits with its parent. The parent enforces time limits.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from twinmatch.fmu.wire import Message, packed, unpacked
 from twinmatch.signals import FloatArray
 
 MEMORY: Final = 2 << 30
-"""Bytes that the FMU may take beyond what this process has before it is loaded."""
+"""Memory that the FMU may use in addition to that of this process before loading, bytes."""
 DESCRIPTION: Final = "modelDescription.xml"
 
 Arrays = dict[str, FloatArray]
 
 
 class Worker:
-    """One FMU, and what may be asked of it."""
+    """One FMU, and the requests it answers."""
 
     def __init__(self) -> None:
         self._machine: Machine | None = None
@@ -49,10 +49,10 @@ class Worker:
         }
 
     def answer(self, message: Message) -> bytes:
-        """What is said to a message; errors of the FMU are an answer too."""
+        """Answer a request; errors of the FMU are an answer too."""
         try:
             header, arrays = self._asks[message.header["ask"]](message)
-        except Exception as error:  # FMPy raises many kinds, and all of them are the FMU's
+        except Exception as error:  # FMPy raises many kinds for faults of the FMU
             if self._machine is not None:
                 self._machine.forget()
             words = " ".join(str(error).split()) or type(error).__name__
@@ -68,7 +68,7 @@ class Worker:
         header = message.header
         file, folder = Path(header["file"]), Path(header["folder"])
         if digest_of(file) != header["digest"]:
-            raise MachineError("the file is not the one it was when it was taken in; start again")
+            raise MachineError("the file has changed since it was added to the plant; start again")
         unpack(file, folder)
         prepared()
         described = described_from(header["described"])
@@ -79,7 +79,7 @@ class Worker:
     @property
     def _loaded(self) -> Machine:
         if self._machine is None:
-            raise MachineError("no FMU was loaded")
+            raise MachineError("no FMU is loaded")
         return self._machine
 
     def _look(self, message: Message) -> tuple[dict[str, Any], Arrays]:
@@ -91,7 +91,7 @@ class Worker:
         return {}, {"output": np.array(found)}
 
     def _ticks(self, message: Message) -> tuple[dict[str, Any], Arrays]:
-        """From each of several places on by one period: the output there, and the states after."""
+        """Advance from each of several points by one period: the output before, and the states after."""
         machine, arrays, header = self._loaded, message.arrays, message.header
         outputs, after = [], []
         for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
@@ -103,10 +103,10 @@ class Worker:
         return {}, {"output": np.array(outputs), "after": np.array(after).reshape(shape)}
 
     def _rates(self, message: Message) -> tuple[dict[str, Any], Arrays]:
-        """Rates and outputs at each of several places."""
+        """Rates and outputs at each of several points."""
         machine, arrays = self._loaded, message.arrays
         if not isinstance(machine, Exchange):
-            raise MachineError("a co-simulation FMU gives no rates")
+            raise MachineError("a co-simulation FMU provides no derivatives")
         outputs, rates = [], []
         for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
             machine.put(fixed, inputs)
@@ -116,10 +116,9 @@ class Worker:
         return {}, {"output": np.array(outputs), "rates": np.array(rates).reshape(shape)}
 
     def _runs(self, message: Message) -> tuple[dict[str, Any], Arrays]:
-        """Whole runs from several places under the same signals, in the loop or driven.
+        """Whole runs from several points with the same signals, in closed loop or driven.
 
-        The output is `scale` times the FMU's plus `offset`; the drive is the FMU's times its own: the
-        controller speaks the plant's units.
+        The controller works in the plant's units: output and drive are converted with scale and offset.
         """
         header, arrays = message.header, message.arrays
         runs = [self._run(fixed, header, arrays) for fixed in arrays["fixed"].tolist()]
@@ -158,7 +157,7 @@ class Worker:
 def _straight(
     machine: Machine, gains: Gains, fixed: list[float], header: Any, arrays: Any
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """The run in compiled code; None if there is an event in it."""
+    """The run in compiled code; None if it has events."""
     given, others = arrays["given"], arrays["disturbances"]
     machine.put(fixed, [header["u"][0] * header["rest"] + header["u"][1], *others[0].tolist()])
     ready = machine.straight()
@@ -174,14 +173,14 @@ def _straight(
     if status == EVENT:
         return None
     if status != DONE:
-        raise MachineError(f"a function of it returned status {status}")
+        raise MachineError(f"one of its functions returned status {status}")
     return y, u, states
 
 
 def main() -> None:
-    """Answer until nobody asks any more."""
+    """Answer requests until standard input is closed."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what the FMU prints is no answer
+    os.dup2(2, 1)  # keeps the FMU's own output out of the answers
     questions = os.fdopen(os.dup(0), "rb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
@@ -211,7 +210,7 @@ def _next(questions: BinaryIO) -> Message | None:
 
 
 def _limit() -> None:
-    """How much memory the FMU may take, and how much it may write."""
+    """Limit the memory and the file sizes of the FMU."""
     taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     for what, most in (
         (resource.RLIMIT_AS, taken + MEMORY),
@@ -222,7 +221,7 @@ def _limit() -> None:
 
 
 def _end_with(parent: int) -> None:
-    """End when the process that asks has ended: an FMU that hangs would never see it."""
+    """Exit when the parent has ended; a hanging FMU would not notice it."""
     while os.getppid() == parent:
         select.select([], [], [], 1.0)
     os._exit(0)

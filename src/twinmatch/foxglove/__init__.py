@@ -1,7 +1,7 @@
-"""The graph in Foxglove and Lichtblick: every topic as it is sent, over their WebSocket protocol.
+"""The graph in Foxglove and Lichtblick: every topic unchanged, over their WebSocket protocol.
 
-One node subscribes to what it finds, as the recorder does, and hands the bytes on with the schema that
-the recorder would write. So a layout made for the live graph fits a recorded session.
+One node subscribes to all topics, as the recorder does, and forwards the bytes with the schemas that the
+recorder writes. A layout for the live graph therefore also fits a recorded session.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`python -m twinmatch.foxglove`: what `twinmatch foxglove` is."""
+"""`python -m twinmatch.foxglove`: the same as `twinmatch foxglove`."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--layout",
         type=Path,
         metavar="OUT",
-        help="write a layout for the graph's plant to this file (.json) as soon as it says what it is",
+        help="write a layout for the graph's plant to this file (.json) once the plant is described",
     )
 
 
@@ -26,12 +26,12 @@ def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C; returns the exit code.
 
     Raises:
-        FoxgloveError: what it needs is not installed, or an option is no value it can have.
+        FoxgloveError: a package it needs is not installed, or an option has an invalid value.
     """
     check_serving("foxglove", options, "foxglove", FoxgloveError)
     out = options.layout
     if out is not None and (out.is_dir() or not out.absolute().parent.is_dir()):
-        msg = f"foxglove: {out} cannot be written: name a file in a folder that is there"
+        msg = f"foxglove: {out} cannot be written; give a file in an existing folder"
         raise FoxgloveError(msg)
     from twinmatch.foxglove.node import Foxglove  # noqa: PLC0415 — needs ROS and the SDK
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415

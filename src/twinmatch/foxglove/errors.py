@@ -1,4 +1,4 @@
-"""What can go wrong with serving the graph."""
+"""Errors of serving the graph."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["FoxgloveError"]
 
 
 class FoxgloveError(TwinmatchError):
-    """The graph cannot be served, or an option is no value it can have."""
+    """The graph cannot be served, or an option has an invalid value."""

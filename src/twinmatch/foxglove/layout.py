@@ -1,4 +1,4 @@
-"""The layout of a viewer's window, made for a plant: its axes bear the plant's own names and units."""
+"""The layout of a viewer's window for a plant, with the plant's names and units on its axes."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _STAMP: Final = {"enabled": True, "timestampMethod": "headerStamp"}
 _Panel = dict[str, Any]
 
 
-def layout(said: Description, topics: Collection[str] = (), rig: str = "") -> dict[str, Any]:
-    """The layout as Lichtblick and Foxglove import it.
+def layout(described: Description, topics: Collection[str] = (), rig: str = "") -> dict[str, Any]:
+    """The layout, in the format that Lichtblick and Foxglove import.
 
     Args:
-        said: what the plant and its signals are called.
-        topics: relative names that the graph has; what only some plants have gets its panel by them.
+        described: names and units of the plant and its signals.
+        topics: relative names of the graph's topics; some panels are included only if theirs is present.
         rig: namespace before the topics, such as `/rig_a`; empty: none.
     """
     panels = {
-        **_charts(said, rig, applied=APPLIED in topics),
+        **_charts(described, rig, applied=APPLIED in topics),
         **({"Image!thermal": _image(rig)} if IMAGE in topics else {}),
         **_verdict(rig),
         **_nodes(),
@@ -52,7 +52,7 @@ def write_layout(path: Path, made: Mapping[str, Any]) -> None:
     """Write a layout to a file.
 
     Raises:
-        FoxgloveError: it cannot be written there.
+        FoxgloveError: the file cannot be written.
     """
     try:
         path.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -61,8 +61,8 @@ def write_layout(path: Path, made: Mapping[str, Any]) -> None:
         raise FoxgloveError(msg) from error
 
 
-def _charts(said: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:
-    y, u = said.output, said.input
+def _charts(described: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:
+    y, u = described.output, described.input
     sample, state, ahead = (f"{rig}/{name}" for name in ("plant/sample", "twin/state", "twin/forecast"))
     inputs = [
         _line(f"{sample}.input[0]", "plant", PLANT),
@@ -91,13 +91,13 @@ def _charts(said: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:
         "Plot!input": _plot(_title(u), u.label, inputs),
         "Plot!residuals": _plot(f"{y.name}: plant minus twin", y.label, output_off),
         "Plot!input_residuals": _plot(f"{u.name}: plant minus twin", u.label, input_off),
-        "Plot!output_ahead": _ahead(f"{y.name} ahead", y, [wanted, *_band(f"{ahead}.output")], ahead),
-        "Plot!input_ahead": _ahead(f"{u.name} ahead", u, _band(f"{ahead}.input"), ahead),
+        "Plot!output_ahead": _ahead(f"{y.name} forecast", y, [wanted, *_band(f"{ahead}.output")], ahead),
+        "Plot!input_ahead": _ahead(f"{u.name} forecast", u, _band(f"{ahead}.input"), ahead),
     }
 
 
 def _title(quantity: Quantity) -> str:
-    """Its name, and what it is if the name does not say that already."""
+    """Its name, and its description if it differs from the name."""
     named = quantity.name.replace("_", " ")
     more = quantity.text and quantity.text.lower() != named.lower()
     return f"{named}: {quantity.text}" if more else named
@@ -135,14 +135,14 @@ def _plot(title: str, label: str, lines: Sequence[dict[str, Any]], **settings: A
 
 
 def _ahead(title: str, of: Quantity, lines: Sequence[dict[str, Any]], topic: str) -> _Panel:
-    """The newest forecast over the seconds ahead, not over the time of its message."""
+    """The newest forecast, over the seconds ahead rather than the time of its message."""
     return _plot(
         title,
         of.label,
         lines,
         xAxisVal="currentCustom",
         xAxisPath={"value": f"{topic}.time[:]", **_STAMP},
-        xAxisLabel="ahead / s",
+        xAxisLabel="time ahead / s",
         showPlotValuesInLegend=False,
         isSynced=False,
     )
@@ -154,7 +154,7 @@ def _image(rig: str) -> _Panel:
 
 
 def _verdict(rig: str) -> dict[str, _Panel]:
-    """How far to trust, whom, and everything that a verdict and a match say."""
+    """Panels of the verdict: trust level, changes, family, and the messages in full."""
     score, match = f"{rig}/twin/model_score", f"{rig}/twin/match"
     changes = {
         "nominal": f"{score}.nominal",
@@ -205,7 +205,7 @@ def _nodes() -> dict[str, _Panel]:
 
 def _tabs() -> _Panel:
     shown = {
-        "Ahead": _split("column", "Plot!output_ahead", "Plot!input_ahead", 60),
+        "Forecast": _split("column", "Plot!output_ahead", "Plot!input_ahead", 60),
         "Verdict": "RawMessages!score",
         "Match": "RawMessages!match",
         "Nodes": _split("column", "DiagnosticSummary!nodes", "DiagnosticStatusPanel!node", 50),
@@ -219,8 +219,9 @@ def _places(*, image: bool) -> dict[str, Any]:
     signals = _split("column", "Plot!output", "Plot!input", 60)
     off = _split("column", "Plot!residuals", "Plot!input_residuals", 50)
     above = _split("row", "Indicator!level", "Image!thermal", 35) if image else "Indicator!level"
-    said = _split("column", _split("column", "StateTransitions!verdict", "Table!family", 40), "Tab!more", 55)
-    right = _split("column", above, said, 25 if image else 12)
+    family = _split("column", "StateTransitions!verdict", "Table!family", 40)
+    verdict = _split("column", family, "Tab!more", 55)
+    right = _split("column", above, verdict, 25 if image else 12)
     return _split("row", _split("column", signals, off, 60), right, 62)
 
 

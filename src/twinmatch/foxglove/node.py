@@ -1,4 +1,4 @@
-"""The node behind the server: subscribes to every topic of its namespace and hands the bytes on."""
+"""The node behind the server: subscribes to every topic of its namespace and forwards the bytes."""
 
 from __future__ import annotations
 
@@ -32,31 +32,31 @@ from twinmatch_msgs.msg import PlantDescription
 __all__ = ["Foxglove"]
 
 LOOK = 0.2
-"""Seconds between two looks for new topics."""
+"""Seconds between checks for new topics."""
 TICK = 0.05
-"""Seconds between two times that the viewers are told."""
+"""Seconds between updates of the viewers' time."""
 LEFT_OUT = ("parameter_events",)
 
 
 class Foxglove(TwinmatchNode):
-    """Shows the graph of its namespace to viewers; publishes nothing but its health.
+    """Shows the graph of its namespace to viewers; publishes only its health.
 
-    It stays when the graph ends and takes up the next one.
+    It keeps running when the graph ends, and serves the next one.
     """
 
     NAME = "foxglove"
     PARAMETERS: ClassVar = (
         Parameter(
-            "address", "127.0.0.1", "Address to serve on; any but this machine's own is open to others."
+            "address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."
         ),
-        Parameter("port", 8765, "TCP port; 0: any that is free.", "", 0, 65535),
-        Parameter("layout", "", "File to write the layout for the graph's plant to; empty: none."),
+        Parameter("port", 8765, "TCP port; 0: any free port.", "", 0, 65535),
+        Parameter("layout", "", "File for the layout of the graph's plant; empty: none is written."),
     )
 
     _serving = False
 
     def open(self) -> None:
-        """Serve, and look for topics.
+        """Start the server, and watch for topics.
 
         Raises:
             FoxgloveError: the address or port cannot be used.
@@ -72,66 +72,66 @@ class Foxglove(TwinmatchNode):
         rig = self.get_namespace().rstrip("/")
         for name, kind in ({f"{rig}/{name}": kind for name, kind in TOPICS.items()} | ELSEWHERE).items():
             self._advertise(name, kind)
-        self._clock_there = self._to_repeat = False
+        self._has_clock = self._to_repeat = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._said: Description | None = None
+        self._described: Description | None = None
         self._laid_out: tuple[Description, frozenset[str]] | None = None
         if self.values["layout"]:
             self.create_subscription(PlantDescription, "plant/description", self._on_description, LATCHED)
         self.create_subscription(ClockMessage, "/clock", self._on_clock, CLOCK)
         self.create_timer(LOOK, self._look, clock=steady)
-        self.create_timer(TICK, self._tell_time, clock=steady)
+        self.create_timer(TICK, self._send_time, clock=steady)
         if not is_loopback(address):
             print(
-                f"FOXGLOVE OPEN: whoever reaches {address} may read this graph but command nothing; "
-                "nothing is encrypted",
+                f"FOXGLOVE OPEN: anyone who can reach {address} may read this graph; the connection is not "
+                "encrypted",
                 flush=True,
             )
         print(f"foxglove: {self._server.url}", flush=True)
         self.report_on()
 
     def report(self) -> Report:
-        """How many look."""
+        """Report the address and the numbers of viewers and topics."""
         self.health.set("address", self._server.url)
         self.health.set("viewers", self._server.viewers)
         self.health.set("topics", len(self._readers))
         return super().report()
 
     def close(self) -> bool:
-        """End the server."""
+        """Stop the server."""
         if self._serving:
             self._server.close()
         return True
 
     def _look(self) -> None:
-        self._clock_there = self.count_publishers("/clock") > 0
+        self._has_clock = self.count_publishers("/clock") > 0
         for name, _ in self.get_topic_names_and_types():
             if name not in self._unknown and wanted(name, self.get_namespace(), ELSEWHERE, LEFT_OUT):
                 self._subscribe(name)
         self._lay_out()
 
     def _on_description(self, message: PlantDescription) -> None:
-        self._said = description_from(message)
+        self._described = description_from(message)
 
     def _lay_out(self) -> None:
-        """Write the layout once it is known what the plant is called, and again if that changes."""
-        if self._said is None:
+        """Write the layout once the plant is described, and again if its description or topics change."""
+        if self._described is None:
             return
         rig = self.get_namespace().rstrip("/")
-        there = frozenset(topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._readers)
-        if self._laid_out == (self._said, there):
+        present = frozenset(topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._readers)
+        if self._laid_out == (self._described, present):
             return
-        self._laid_out = self._said, there
+        self._laid_out = self._described, present
         path = Path(self.values["layout"])
         try:
-            write_layout(path, layout(self._said, there, rig))
+            write_layout(path, layout(self._described, present, rig))
         except FoxgloveError as error:
             self.health.complain("layout", Level.WARN, str(error))
             return
-        print(f"layout for {self._said.title}: {path}", flush=True)
+        print(f"layout for {self._described.title}: {path}", flush=True)
 
     def _subscribe(self, name: str) -> None:
-        """Subscribe to a topic, or again if its publishers changed and now offer something else."""
+        """Subscribe to a topic, or again if its publishers now offer another QoS."""
         publishers = self.count_publishers(name)
         known = self._offers.get(name)
         if publishers == (0 if known is None else known[0]):
@@ -157,11 +157,11 @@ class Foxglove(TwinmatchNode):
         self._readers[name] = self.create_subscription(message, name, take, reader_profile(qos), raw=True)
 
     def _advertise(self, name: str, kind: str) -> bool:
-        """Offer a topic, unless it was offered before; whether it can be shown."""
+        """Advertise a topic to viewers, once; returns whether it can be shown."""
         before = self._types.setdefault(name, kind)
         try:
             if before != kind:
-                msg = f"it was {before} and is {kind} now; start this again"
+                msg = f"its type changed from {before} to {kind}; restart twinmatch foxglove"
                 raise SessionError(msg)
             if not self._server.offers(name):
                 self._server.advertise(name, kind, schema_of(kind))
@@ -173,20 +173,20 @@ class Foxglove(TwinmatchNode):
 
     def _on_clock(self, message: ClockMessage) -> None:
         stamp = message.clock.sec * 10**9 + message.clock.nanosec
-        self._begin_anew(self._time.on_clock(stamp, time.monotonic()))
+        self._reset_if(self._time.on_clock(stamp, time.monotonic()))
 
     def _on_message(self, name: str, data: bytes) -> None:
         if name.endswith("plant/sample"):
-            self._begin_anew(self._time.on_sample(time.monotonic(), clock=self._clock_there))
+            self._reset_if(self._time.on_sample(time.monotonic(), clock=self._has_clock))
         self._server.send(name, data, self._time.now)
 
-    def _begin_anew(self, changed: bool) -> None:
+    def _reset_if(self, changed: bool) -> None:
         if changed:
-            self._server.begin_anew(self._time.now)
+            self._server.reset(self._time.now)
             self._to_repeat = True
 
-    def _tell_time(self) -> None:
-        self._server.tell_time(self._time.now)
+    def _send_time(self) -> None:
+        self._server.send_time(self._time.now)
         if self._to_repeat:
             self._to_repeat = False
             self._server.repeat(self._time.now)

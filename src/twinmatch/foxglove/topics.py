@@ -1,4 +1,4 @@
-"""Topics that a graph of ours has, and their types."""
+"""Topics of a twinmatch graph, and their types."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ TOPICS = {
     "twin/forecast": "twinmatch_msgs/msg/Forecast",
     "twin/state": "twinmatch_msgs/msg/TwinState",
 }
-"""By name relative to the rig's namespace.
+"""Types by name relative to the rig's namespace.
 
-They are offered from the start, so that a viewer that was opened before the graph finds them. It also
-spares it a race of the SDK, which may refuse a viewer that subscribes to a new topic within a millisecond.
+They are advertised from the start, so that a viewer opened before the graph finds them. This also avoids a
+race in the SDK, which may refuse a viewer that subscribes to a new topic within a millisecond.
 """
 
 ELSEWHERE = {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "/rosout": "rcl_interfaces/msg/Log"}
-"""Topics outside the namespace that are offered too."""
+"""Topics outside the namespace that are also advertised."""

@@ -1,7 +1,7 @@
-"""A session through the twin, once: what replay, verify, report and archive have in common.
+"""Judging a session: the common part of replay, verify, report and archive.
 
-`judgement` runs the samples through the twin and says what came out, and holds Ctrl-C back meanwhile;
-`terms` says with which parameters and candidates, those of the session or of files; `verification`
-compares a judgement with the verdicts that the session holds. Import from these modules: they are slow to
-load, and `--help` is not.
+`judgement` runs the samples through the twin and collects the results, deferring Ctrl-C meanwhile; `terms`
+determines parameters and candidates, recorded ones or those of files; `verification` compares a judgement
+with the recorded verdicts. Import from these modules, not from the package: they are slow to load, and
+`--help` must be fast.
 """

@@ -1,7 +1,7 @@
-"""Whether a session can be judged again with the FMUs that it was judged with.
+"""Check that the FMUs that a session was judged with are available.
 
-A session names its FMUs, but that runs no program: who verifies it gives them. The names of such structures
-carry a mark of FMU and map, so that another FMU of the same name is not taken for the one that was there.
+A session only names its FMUs; the user of verify provides them. The names of such structures contain a hash
+of FMU and map, so that another FMU of the same name is not mistaken for the original.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ __all__ = ["ForeignError", "check_fmus"]
 
 
 class ForeignError(TwinmatchError):
-    """The FMUs that a session was judged with are not there, or there are others."""
+    """The FMUs that a session was judged with are missing, or there are others."""
 
 
 def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
-    """Compare the FMUs among the structures that a session was judged with and those of its plant now.
+    """Compare the FMUs among the recorded structures with those of the plant now.
 
     Raises:
-        ForeignError: they are not the same.
+        ForeignError: they differ.
     """
     able = [name for name, held in plant.structures.items() if held.elsewhere and not held.elsewhere.lost]
     then, now = ([s for s in those if is_fmu(s)] for those in (recorded, able))
     missing, more = [s for s in then if s not in now], [s for s in now if s not in then]
     if missing:
         other = [s for s in more if unmarked(s) == unmarked(missing[0])]
-        what = f"; the one given is {other[0]!r}, another FMU or another map" if other else ""
+        what = f"; the one given, {other[0]!r}, is another FMU or has another map" if other else ""
         msg = (
-            f"session {name}: was judged with the structure {missing[0]!r}, an FMU{what}; give the one it "
-            "was, with --allow-fmu FILE, the file that makes it a structure of the plant"
+            f"session {name}: was judged with the structure {missing[0]!r}, an FMU{what}; give that FMU's "
+            "map file with --allow-fmu FILE"
         )
         raise ForeignError(msg)
     if more:

@@ -1,4 +1,4 @@
-"""Ctrl-C that waits until compiled code has returned."""
+"""Deferring Ctrl-C until compiled code has returned."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["held_interrupts"]
 
 @contextmanager
 def held_interrupts() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back; the function given raises the `KeyboardInterrupt` that was held, if any.
+    """Defer Ctrl-C; the yielded function raises the deferred `KeyboardInterrupt`, if any.
 
-    Python may raise it while a compiled loop takes its arguments or gives its result, where nothing is
-    ready for that: the loop then fails with another error, or the process crashes.
+    Python may raise it while a compiled loop converts its arguments or its result, where it is not handled:
+    the loop then fails with another error, or the process crashes.
     """
     held = threading.Event()
 
@@ -23,7 +23,7 @@ def held_interrupts() -> Iterator[Callable[[], None]]:
         if held.is_set():
             raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():  # only that one gets signals
+    if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
         yield check
         return
     before = signal.signal(signal.SIGINT, lambda *_: held.set())

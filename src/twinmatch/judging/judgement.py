@@ -1,4 +1,4 @@
-"""Samples through the twin, one by one, and everything that came out."""
+"""Runs the samples of a session through the twin and collects the results."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from twinmatch.views import Summary, summarise
 __all__ = ["Judgement", "Watch", "judge", "judge_samples", "judge_session"]
 
 Watch = Callable[[int, int], None]
-"""Called with (samples done, samples in all) now and then."""
+"""Called with (samples done, total) every `EVERY` samples."""
 
 EVERY = 50
-"""Samples between two calls of it."""
+"""Samples between two calls of `Watch`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Everything that came out of a session."""
+    """All results of a session."""
 
     name: str
     samples: Sequence[Sample]
@@ -46,11 +46,11 @@ def judge_session(
     """Judge a session, an .mcap file or a recording.
 
     Args:
-        path: what to judge.
-        candidates: file of candidates to begin with.
-        config: file of parameters; without it the defaults.
-        plant: name or file of the plant, where the session does not say it or it is in a file.
-        watch: called now and then.
+        path: the session or recording.
+        candidates: file of initial candidates.
+        config: parameter file; without it the defaults.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch: called with the progress.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
@@ -64,10 +64,10 @@ def judge(
     terms: Terms,
     *,
     watch: Watch | None = None,
-    told: Callable[[int, Outcome], None] | None = None,
+    on_outcome: Callable[[int, Outcome], None] | None = None,
     beside: Callable[[Twin, Sample, Outcome], None] | None = None,
 ) -> Judgement:
-    """Judge a session on these terms; see `judge_samples`."""
+    """Judge a session with these terms; see `judge_samples`."""
     return judge_samples(
         session.name,
         session.samples,
@@ -76,7 +76,7 @@ def judge(
         matching=terms.matching,
         notes=session.notes,
         watch=watch,
-        told=told,
+        on_outcome=on_outcome,
         beside=beside,
     )
 
@@ -90,14 +90,13 @@ def judge_samples(
     matching: TwinSettings | None = None,
     notes: Sequence[str] = (),
     watch: Watch | None = None,
-    told: Callable[[int, Outcome], None] | None = None,
+    on_outcome: Callable[[int, Outcome], None] | None = None,
     beside: Callable[[Twin, Sample, Outcome], None] | None = None,
 ) -> Judgement:
     """Push samples through a twin, one by one, as the live nodes do; Ctrl-C takes effect between two of them.
 
-    `matching` are the settings of matches, if they have their own. `watch` is called now and then, `told`
-    after every sample with its number, from 1, and what came of it; so is `beside`, with the twin as it is
-    then.
+    `matching` are separate settings for matches, if any. `on_outcome` is called after every sample with its
+    number, from 1, and its outcome; `beside` with the twin in its current state, the sample and the outcome.
     """
     twin = Twin(settings, given, matching=matching)
     matches: list[MatchReport] = []
@@ -108,8 +107,8 @@ def judge_samples(
             if outcome.match is not None:
                 matches.append(outcome.match)
             verdicts += outcome.verdicts
-            if told is not None:
-                told(done + 1, outcome)
+            if on_outcome is not None:
+                on_outcome(done + 1, outcome)
             if beside is not None:
                 beside(twin, sample, outcome)
             if watch is not None and done % EVERY == 0:

@@ -1,4 +1,4 @@
-"""Options on whose terms a session is judged, as several commands have them."""
+"""Command-line options for the terms of a judgement, shared by several commands."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ __all__ = ["add_fmus", "add_plant", "add_terms"]
 
 
 def add_terms(parser: argparse.ArgumentParser) -> None:
-    """The files on whose terms a session is judged."""
-    parser.add_argument("--candidates", type=Path, metavar="FILE", help="candidates to begin with (.yaml)")
+    """Add the options for candidates, plant, FMUs and parameters."""
+    parser.add_argument("--candidates", type=Path, metavar="FILE", help="initial candidates (.yaml)")
     add_plant(parser)
     add_fmus(parser)
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="parameters (.yaml), as the nodes take them"
+        "--config", type=Path, metavar="FILE", help="parameters (.yaml), in the format of the nodes"
     )
 
 
 def add_fmus(parser: argparse.ArgumentParser) -> None:
-    """FMUs as structures of the plant."""
+    """Add the option for FMUs as structures of the plant."""
     parser.add_argument(
         "--allow-fmu",
         metavar="FILE",
         type=Path,
-        help="let FMUs be structures of the plant as this file (.yaml) says; their programs are run",
+        help="use the FMUs listed in this file (.yaml) as structures of the plant; their code is executed",
     )
 
 
 def add_plant(parser: argparse.ArgumentParser) -> None:
-    """The plant, where a session does not say it."""
+    """Add the option for the plant, for sessions that do not name it."""
     parser.add_argument(
         "--plant",
         metavar="NAME|FILE.py",
-        help="the plant, where the session does not say it or it is in a file of yours, which is run",
+        help="the plant, if the session does not name it, or your plant file, which is executed",
     )

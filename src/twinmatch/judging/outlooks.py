@@ -1,4 +1,4 @@
-"""What the twin knows at chosen samples of a session of what comes next."""
+"""The twin's outlook at chosen samples of a session, from which it can forecast."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ __all__ = ["Prospect", "prospects", "samples_at"]
 
 
 class Prospect(NamedTuple):
-    """A candidate ready to be asked what comes after a sample, and whose lead it was then."""
+    """A candidate ready to forecast from a sample, and the leader at that sample."""
 
     outlook: Outlook
     leader: str
     leader_confidence: float
-    """How often the leader's error was within 3 % of the best candidate's in hindsight, so far."""
+    """How often so far the leader's error was within 3 % of the best candidate's, 0 to 1."""
 
     @property
     def leads(self) -> bool:
-        """Whether the one that is asked is the leader."""
+        """Whether the candidate is the leader."""
         return self.outlook.candidate == self.leader
 
 
@@ -40,19 +40,19 @@ def prospects(
     candidate: str | None = None,
     watch: Watch | None = None,
 ) -> dict[int, Prospect]:
-    """Send a session through the twin once, as far as the last of these samples, and stop at each of them.
+    """Run a session through the twin once, up to the last of these samples, and collect the outlook at each.
 
-    What is known at a sample depends on it and on those before it, whatever else is asked for.
+    The outlook at a sample depends only on that sample and those before it.
 
     Args:
-        session: with these samples.
-        terms: parameters and candidates to begin with.
+        session: the session.
+        terms: parameters and initial candidates.
         at: indices of the samples.
-        candidate: whom to ask; the leader of each sample if not given.
-        watch: called now and then with (samples done, samples in all).
+        candidate: name of the candidate; the leader at each sample if not given.
+        watch: called with (samples done, total).
 
     Raises:
-        ForecastError: the session has no such sample, or there is no candidate, or not that one, at it.
+        ForecastError: the session has no such sample, or the candidate does not exist at it.
     """
     wanted = samples_at(session, at)
     samples, found = session.samples, {}
@@ -63,7 +63,7 @@ def prospects(
             twin.push(sample)
             if sample.index in wanted:
                 if not twin.discriminator.forecaster.names:
-                    raise _nobody(session.name, twin, samples[done:])
+                    raise _no_candidate(session.name, twin, samples[done:])
                 found[sample.index] = _prospect(twin.discriminator.forecaster, sample.index, candidate)
             if watch is not None and done % EVERY == 0:
                 watch(done, ends)
@@ -72,10 +72,10 @@ def prospects(
 
 
 def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
-    """The samples of these indices.
+    """The samples with these indices.
 
     Raises:
-        ForecastError: the session does not hold one of them.
+        ForecastError: the session does not have one of them.
     """
     wanted = set(at)
     found = {sample.index: sample for sample in session.samples if sample.index in wanted}
@@ -84,7 +84,7 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
         first, last = session.samples[0].index, session.samples[-1].index
         why = " without that one" if first < absent[0] < last else ""
         msg = (
-            f"session {session.name}: has no sample {absent[0]} to foretell from; it holds {first} to "
+            f"session {session.name}: has no sample {absent[0]} to forecast from; it has {first} to "
             f"{last}{why}"
         )
         raise ForecastError(msg)
@@ -97,33 +97,32 @@ def _prospect(forecaster: Forecaster, sample: int, candidate: str | None) -> Pro
     name = leader if candidate is None else candidate
     if name not in forecaster.names:
         names = "; ".join(forecaster.names)
-        raise ForecastError(f"sample {sample}: no candidate is called {name!r}; there are: {names}")
+        raise ForecastError(f"sample {sample}: there is no candidate {name!r}; there are: {names}")
     return Prospect(_outlook(forecaster, name), leader, forecaster.confidence)
 
 
 def _outlook(forecaster: Forecaster, candidate: str) -> Outlook:
-    """What it knows, with a word where no forecast of it could be judged yet."""
+    """The outlook, with a note if none of the candidate's forecasts has been evaluated yet."""
     outlook = forecaster.outlook(candidate)
     if forecaster.forecasts_of(candidate):
         return outlook
     note = (
-        "no forecast of this candidate could be held against what came yet, so that the band is its own "
-        "reckoning"
+        "no forecast of this candidate has been compared with measurements yet, so the band is only its own "
+        "estimate"
     )
     return replace(outlook, notes=(*outlook.notes, note))
 
 
-def _nobody(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:
-    """Why nobody can be asked at the first of the samples that are left, and from which on somebody can."""
-    asked = f"session {session}: there is no candidate at sample {rest[0].index} to foretell what comes"
+def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:
+    """The error for a sample without candidates, with the first sample that has one."""
+    absent = f"session {session}: there is no candidate at sample {rest[0].index}"
     for sample in rest[1:]:
         twin.push(sample)
         if twin.discriminator.forecaster.names:
-            return ForecastError(f"{asked}; from sample {sample.index} on there is one")
-    needed = "The loop needs set-point steps of a few degrees, some minutes apart,"
+            return ForecastError(f"{absent}; there is one from sample {sample.index} on")
+    needed = "record set-point steps of a few degrees, some minutes apart,"
     if twin.settings.gains is None:
-        needed = "The input has to move far above its noise, for some minutes in all,"
+        needed = "move the input far above its noise, for some minutes in total,"
     return ForecastError(
-        f"{asked}, nor at any later one: no match was accepted. {needed} or candidates given with "
-        "--candidates"
+        f"{absent} or later, since no match was accepted; {needed} or give candidates with --candidates"
     )

@@ -1,4 +1,4 @@
-"""How far a long command has come, on standard error."""
+"""Progress of a long command, on standard error."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["Progress"]
 
 
 class Progress:
-    """A bar on standard error while it is entered, from the first word on.
+    """A context manager with a progress bar on standard error, shown from the first call of `advance`.
 
-    Silent where that is no terminal, or a dumb one.
+    Without a terminal, or on a dumb one, nothing is shown.
     """
 
     def __init__(self, doing: str = "judging") -> None:
-        """Say in a word what is done."""
+        """Set the label of the bar."""
         self._doing = doing
         self._bar: progress.Progress | None = None
         self._shown = False
@@ -33,14 +33,14 @@ class Progress:
             self._bar.stop()
 
     def advance(self, done: int, total: int) -> None:
-        """So many of so many are done."""
+        """Show that `done` of `total` are done."""
         if self._bar is None and self._shown:
             self._begin()
         if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total)
 
     def _begin(self) -> None:
-        from rich.console import Console  # noqa: PLC0415 — only who watches needs it
+        from rich.console import Console  # noqa: PLC0415 — needed only for the bar
         from rich.progress import Progress as Bar  # noqa: PLC0415
 
         self._bar = Bar(console=Console(stderr=True), transient=True, redirect_stdout=False)

@@ -1,4 +1,4 @@
-"""With which parameters and candidates a session is judged: those recorded with it, or those of files."""
+"""Parameters and candidates with which a session is judged: those recorded with it, or those of files."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ SAMPLE = "plant/sample"
 
 
 class TermsError(TwinmatchError):
-    """A session that does not say on what terms it was judged."""
+    """The terms that a session was judged with are not recorded, or cannot be used."""
 
 
 class Terms(NamedTuple):
-    """On what terms a session is judged."""
+    """Parameters and candidates with which a session is judged."""
 
     settings: TwinSettings
     given: tuple[Candidate, ...] = ()
-    """Candidates to begin with."""
+    """Initial candidates."""
     matching: TwinSettings | None = None
-    """Settings of matches, if they have their own."""
+    """Separate settings for matches, if any."""
     source: str = ""
-    """Where the parameters came from, in words."""
+    """Origin of the parameters, in words."""
 
 
 def prefix_of(session: Session) -> str:
-    """How the names of the rig's nodes and topics begin."""
+    """Common prefix of the rig's nodes and topics."""
     return session.topic.removesuffix(SAMPLE)
 
 
 def terms_from_files(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
-    """Parameters and candidates of files; without them the defaults and none.
+    """Parameters and candidates of files; without files the defaults and no candidates.
 
     Raises:
-        TwinmatchError: a file cannot be used, or has another sample time than the session.
+        TwinmatchError: a file cannot be used, or has another sampling period than the session.
     """
     source = f"the file {config.name}" if config else "the defaults of this version"
     held = read_settings(config, session.plant, driven=not session.has_reference)
@@ -52,29 +52,29 @@ def terms_from_files(session: Session, config: Path | None = None, candidates: P
 
 
 def recorded_terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
-    """Parameters and candidates as they were when the session was recorded; files stand in for them.
+    """Parameters and candidates recorded with the session; files override them.
 
     Raises:
-        TermsError: they were not recorded, or this version does not understand them.
+        TermsError: they were not recorded, or are of an incompatible version.
         TwinmatchError: a file cannot be used.
     """
     if config is not None:
         return terms_from_files(session, config, candidates)
     prefix = prefix_of(session)
     matching, _ = _settings(session, f"{prefix}matcher")
-    settings, begun_with = _settings(session, f"{prefix}discriminator")
-    given = tuple(read_candidates(candidates)) if candidates else _given(session, begun_with)
-    return Terms(settings, given, matching, "those that were recorded with the session")
+    settings, file = _settings(session, f"{prefix}discriminator")
+    given = tuple(read_candidates(candidates)) if candidates else _given(session, file)
+    return Terms(settings, given, matching, "those recorded with the session")
 
 
 def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
-    """Settings of a node, and the file of candidates it was given."""
+    """Recorded settings of a node, and its file of candidates."""
     place = f"session {session.name}"
     recorded = parameters_of(session.records, node)
     if recorded is None:
         msg = (
             f"{place}: the parameters of {node} were not recorded; give them with --config, "
-            "or record with the recorder running beside the twin"
+            "or run the recorder together with the twin"
         )
         raise TermsError(msg)
     try:
@@ -91,7 +91,7 @@ def _given(session: Session, path: str) -> tuple[Candidate, ...]:
     text = session.records.get(CANDIDATES, {}).get("text", "")
     if not text:
         msg = (
-            f"session {session.name}: began with the candidates of {path}, which were not recorded; "
+            f"session {session.name}: its initial candidates, from {path}, were not recorded; "
             "give them with --candidates"
         )
         raise TermsError(msg)

@@ -23,27 +23,27 @@ SCORES = "twin/model_score"
 MATCHES = "twin/match"
 DESCRIPTION = "plant/description"
 AT_THE_END = 60
-"""A verdict triggered so few samples, or seconds, before the end may have come after the recorder stopped."""
+"""A verdict triggered so few samples, or seconds, before the end may be missing from the recording."""
 SENTENCES = frozenset({"reason", "certainty", "suggestion", "determined"})
-"""Fields for people to read. What they say is in other fields too, so later versions may reword them."""
+"""Text fields. Their content is in other fields too, so later versions may reword them."""
 
 
 class VerifyError(TwinmatchError):
-    """A session that cannot be verified."""
+    """The session cannot be verified."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first place where recorded and recomputed part."""
+    """The first difference between recorded and recomputed verdicts or matches."""
 
     what: str
     """`verdict` or `match`."""
     number: int
-    """Which of them, from 1."""
+    """Its number, from 1."""
     sample: int
-    """Sample that set it off."""
+    """Sample that triggered it."""
     candidate: str
-    """Name of the candidate the field belongs to; empty: none."""
+    """Name of the candidate that the field belongs to; empty: none."""
     field: str
     recorded: Any
     computed: Any
@@ -58,7 +58,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Verification:
-    """What a comparison came to."""
+    """Result of a comparison."""
 
     name: str
     samples: int
@@ -90,21 +90,21 @@ def verify_session(
         path: session folder or `.mcap` file.
         topic: topic of the samples, if the session has several rigs.
         config: parameters to use instead of the recorded ones.
-        candidates: candidates to begin with instead of the recorded ones.
-        plant: name or file of the plant, where the session does not say it or it is in a file.
-        watch: called now and then.
+        candidates: initial candidates instead of the recorded ones.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch: called with the progress.
 
     Raises:
-        VerifyError: no verdicts.
-        TermsError: not the parameters they were made with.
-        ForeignError: not the FMUs they were made with.
+        VerifyError: the session has no verdicts.
+        TermsError: the parameters of the verdicts are not recorded, or cannot be used.
+        ForeignError: the FMUs of the verdicts are missing.
         TwinmatchError: one of the files cannot be used.
     """
     session = open_any(path, topic, plant=plant)
     if not holds_verdicts(session):
         msg = (
-            f"session {session.name}: holds no verdicts on {prefix_of(session)}{SCORES}; "
-            "nothing to verify, twinmatch replay makes some"
+            f"session {session.name}: has no verdicts on {prefix_of(session)}{SCORES} to verify; "
+            "judge it with twinmatch replay"
         )
         raise VerifyError(msg)
     terms = recorded_terms(session, config, candidates)
@@ -113,7 +113,7 @@ def verify_session(
 
 
 def _structures(session: Session) -> list[str]:
-    """Names of the structures that the plant had when the session was recorded, as far as it says so."""
+    """Names of the plant's structures at the time of recording; empty if they were not recorded."""
     name = prefix_of(session) + DESCRIPTION
     topic = next((t for t in session.topics if t.name == name), None)
     if topic is None:
@@ -128,7 +128,7 @@ def holds_verdicts(session: Session) -> int:
 
 
 def compare(session: Session, judgement: Judgement) -> Verification:
-    """Compare what a session holds with a judgement of its samples, bit for bit.
+    """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit.
 
     Raises:
         VerifyError: a recorded message cannot be read.
@@ -165,7 +165,7 @@ def _computed(record: Verdict | MatchReport, stamp: int) -> Tree:
 
 
 def _once(matches: list[Tree]) -> list[Tree]:
-    """Without those that say what the one before says: one asked for twice is answered twice."""
+    """The matches without repeated ones: a match requested twice is answered twice."""
     pairs: Iterator[tuple[Tree, Tree]] = zip(matches, [{}, *matches], strict=False)
     return [match for match, before in pairs if _differ(match, before)]
 
@@ -210,16 +210,16 @@ class _Comparison:
         return None
 
     def notes(self) -> list[str]:
-        """What was not compared, in sentences."""
+        """Notes on what was not compared."""
         notes = []
         if self._apart:
             fields = ", ".join(sorted(self._apart))
             notes.append(
-                f"recorded in another form; only what both forms have was compared, which leaves out {fields}"
+                f"recorded in another form; fields that only one form has were not compared: {fields}"
             )
         if self._worded:
             fields = ", ".join(sorted(self._worded))
-            notes.append(f"sentences are worded differently by this version, and were not compared: {fields}")
+            notes.append(f"this version words some texts differently; they were not compared: {fields}")
         return notes
 
     def _differences(self, one: Tree, other: Tree) -> Iterator[tuple[str, Any, Any]]:

@@ -1,11 +1,11 @@
-"""A judged session as a document to hand around: one HTML file, and its pictures.
+"""A judged session as a document to share: one HTML file, and its figures.
 
-`make_report` judges a session anew, whatever was recorded of verdicts, and gathers what is to be said of it;
-`Report.write` lays that out as one file that loads nothing from anywhere, reads without a script and prints
-well. `write_pictures` writes the same pictures by themselves. What they show comes from `twinmatch.views`,
-as do the live page and the terminal, so that all of them show the same figures.
+`make_report` judges a session again, whether or not verdicts were recorded, and collects the content;
+`Report.write` lays it out as one file that loads nothing else, needs no script and prints well.
+`write_pictures` writes the figures as separate files. The content comes from `twinmatch.views`, as on the
+live page and the terminal, so that all of them show the same values.
 
-Names are fetched when they are used, so that the command line need not wait for numpy to say how it is used.
+Names are imported on first use, so that `twinmatch report --help` does not wait for numpy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`twinmatch report`: a session as a document to hand around."""
+"""`twinmatch report`: a session as a document to share."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT", help="the file to write (default: SESSION.html, here)"
     )
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="write the figures into this folder, too")
-    parser.add_argument("--format", choices=FORMATS, default="png", help="of those figures (default: png)")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="also write the figures into this folder")
+    parser.add_argument("--format", choices=FORMATS, default="png", help="their format (default: png)")
     add_terms(parser)
 
 
@@ -73,10 +73,10 @@ def _stem(session: Path) -> str:
 
 
 def _check(output: Path) -> None:
-    """Before a minute of work, not after."""
+    """Check the file to write before the work, which takes minutes."""
     if not output.absolute().parent.is_dir():
-        msg = f"{output}: there is no folder {output.parent} to write into; create it first"
+        msg = f"{output}: the folder {output.parent} does not exist; create it first"
         raise TwinmatchError(msg)
     if output.is_dir():
-        msg = f"{output}: is a folder; name the file to write, such as {output / 'report.html'}"
+        msg = f"{output}: is a folder; give the file to write, such as {output / 'report.html'}"
         raise TwinmatchError(msg)

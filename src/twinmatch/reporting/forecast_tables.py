@@ -1,4 +1,4 @@
-"""Tables of how good the forecasts were."""
+"""Tables of forecast quality."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ __all__ = ["forecast_tables"]
 
 
 def forecast_tables(tested: Backtest) -> list[Table]:
-    """One for each horizon: everybody's errors and bands; the least error that can be had is bold."""
+    """One table per horizon: errors and bands of every forecaster; the smallest error of those that can be
+    used live is bold."""
     found = []
     for horizon in tested.horizons:
         held = at_horizon(tested.cards, horizon)

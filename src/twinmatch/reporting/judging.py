@@ -1,4 +1,4 @@
-"""From a path to everything that a report needs: the session judged anew, and what was recorded of it."""
+"""From a path to the data of a report: the session judged again, and compared with recorded verdicts."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ __all__ = ["Judged", "judge"]
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A session, its judgement, and how that came about."""
+    """A session, its judgement, and the origin of its parameters and verdicts."""
 
     session: Session
     judgement: Judgement
     tested: Backtest
-    """The forecasts that were made meanwhile, against what came."""
+    """The forecasts made during the judgement, compared with the measurements."""
     parameters: str
     """Where the parameters came from, in words."""
     recorded: str
     """How the verdicts in the session compare with those of the judgement, in a sentence."""
     identical: bool | None
-    """Whether they are the same bit for bit; None where there are none, or where it cannot be told."""
+    """Whether they are the same bit for bit; None if there are none, or they cannot be compared."""
 
 
 def judge(
@@ -43,8 +43,8 @@ def judge(
 ) -> Judged:
     """Judge a session, an `.mcap` file or a recording for a report.
 
-    Without `config` the parameters are those that were recorded with the session, and without those the
-    defaults; the same holds for the candidates to begin with.
+    Without `config` the parameters are those recorded with the session, otherwise the defaults; the same
+    applies to the initial candidates.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
@@ -60,7 +60,7 @@ def judge(
 
 
 def _terms(session: Session, config: Path | None, candidates: Path | None) -> tuple[Terms, str]:
-    """The terms, and why they are not those of the recorded verdicts; empty: they are."""
+    """The terms, and why they differ from those of the recorded verdicts; empty: they do not."""
     try:
         return recorded_terms(session, config, candidates), ""
     except TwinmatchError as error:
@@ -70,21 +70,21 @@ def _terms(session: Session, config: Path | None, candidates: Path | None) -> tu
 def _compared(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
     count = holds_verdicts(session)
     if not count:
-        return "The session holds no recorded verdicts; all of them were computed for this report.", None
+        return "The session has no recorded verdicts; all of them were computed for this report.", None
     try:
         found = None if unlike else compare(session, judgement)
     except TwinmatchError as error:
         found, unlike = None, str(error)
     if found is None:
         return (
-            f"The session holds {count} recorded verdicts. They were computed anew for this report and could "
+            f"The session has {count} recorded verdicts. They were computed again for this report and could "
             f"not be compared with the recorded ones: {unlike}."
         ), None
-    held = f"The session holds {found.verdicts} recorded verdicts and {_matches(found.matches)}."
+    held = f"The session has {found.verdicts} recorded verdicts and {_matches(found.matches)}."
     if found.identical:
-        return f"{held} They were computed anew for this report and are the same, bit for bit.", True
+        return f"{held} They were computed again for this report and are the same, bit for bit.", True
     return (
-        f"{held} Here they are computed anew, and they differ from the recorded ones. "
+        f"{held} They were computed again for this report and differ from the recorded ones. "
         f"First difference: {found.difference}."
     ), False
 

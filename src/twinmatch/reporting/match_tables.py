@@ -1,4 +1,4 @@
-"""Tables of what happened and of the parameters that were found."""
+"""Tables of events, matches and parameters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["event_table", "family_table", "match_table", "nominal_table", "struc
 
 
 def event_table(verdicts: Sequence[Verdict], period: float) -> Table:
-    """What happened, in order."""
+    """The events of the session, in order of time."""
     rows = tuple(
         (
             Cell(f"{event.sample * period:.0f}"),
@@ -40,7 +40,7 @@ def nominal_table(score: CandidateScore, match: Match | None) -> Table:
         if match is not None and name in free:
             value, *rest = _fitted(match, q)
         else:
-            origin = words("given" if match is None else "not fitted")
+            origin = words("candidate file" if match is None else "not fitted")
             value, *rest = (Cell(q.text(score.parameters[name])), Cell("–"), Cell("–"), origin)
         rows.append((head(q.symbol), words(q.words), value, words(q.unit), *rest))
     columns = ("symbol", "meaning", "value", "unit", "standard error", "95 % interval", "from")
@@ -60,11 +60,11 @@ def _fitted(match: Match, shown: Quantity) -> tuple[Cell, Cell, Cell, Cell]:
 def _believed(match: Match, name: str) -> str:
     if not match.believed:
         return "fitted"
-    return "fitted, well determined" if name in match.believed else "fitted, hardly determined"
+    return "fitted, well determined" if name in match.believed else "fitted, poorly determined"
 
 
 def structure_table(verdict: Verdict) -> Table | None:
-    """The plant as the structure has it that the data pay for; None before structures were compared."""
+    """Parameters of the structure that the data support; None before structures were compared."""
     parameters = verdict.structure_parameters
     if parameters is None:
         return None
@@ -75,7 +75,7 @@ def structure_table(verdict: Verdict) -> Table | None:
 
 
 def family_table(members: Sequence[Member]) -> Table:
-    """Parameters of every candidate with their 95 % half-widths."""
+    """Parameters of every candidate with their 95 % intervals."""
     shown, closed = _shown(members), any(m.settings.gains is not None for m in members)
     rows = []
     for m in members:
@@ -91,7 +91,7 @@ def family_table(members: Sequence[Member]) -> Table:
         rows.append(
             (
                 head(m.score.name),
-                Cell(f"{m.score.first} to {m.score.last}" if m.match else "given"),
+                Cell(f"{m.score.first} to {m.score.last}" if m.match else "candidate file"),
                 *cells,
                 Cell(_percent(m.match.fit.y) if m.match else "–"),
                 *([Cell(_percent(m.match.fit.u) if m.match else "–")] if closed else []),
@@ -109,7 +109,7 @@ def family_table(members: Sequence[Member]) -> Table:
 
 
 def _shown(members: Sequence[Member]) -> list[Quantity]:
-    """The free parameters of any match; without matches those that the structures leave free."""
+    """The free parameters of all matches; without matches those of the structures."""
     free = [m.match.free for m in members if m.match is not None]
     free = free or [m.score.parameters.model.structure.free for m in members]
     if not members:
@@ -121,8 +121,8 @@ def _shown(members: Sequence[Member]) -> list[Quantity]:
 def match_table(
     matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float, *, closed: bool = True
 ) -> Table:
-    """Every match, admitted or refused, with why; `closed`: whether it was made in the loop."""
-    said = {v.sample: v.reason.removeprefix("match refused: ") for v in verdicts if v.match == REFUSED}
+    """Every match, admitted or refused, and why; `closed`: whether the loop is known."""
+    reasons = {v.sample: v.reason.removeprefix("match refused: ") for v in verdicts if v.match == REFUSED}
     shown = []
     if matches:
         plant = matches[0].match.parameters.model.plant
@@ -144,7 +144,7 @@ def match_table(
                 *cells,
                 Cell(_percent(report.match.fit.y)),
                 *([Cell(_percent(report.match.fit.u))] if closed else []),
-                words(said.get(report.sample, report.match.reason)),
+                words(reasons.get(report.sample, report.match.reason)),
             )
         )
     columns = (

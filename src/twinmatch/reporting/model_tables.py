@@ -20,7 +20,7 @@ _Extra = tuple[str, Callable[[CandidateScore], str]]
 
 
 def criterion_tables(verdict: Verdict) -> list[Table]:
-    """One for every candidate; of each criterion and output the best order is set in bold."""
+    """One table per candidate; the best order by each criterion and output is bold."""
     shown = computed(verdict.candidates)
     columns = ("output", "order", *(_column(c) for c in shown))
     return [
@@ -54,7 +54,7 @@ def _chosen_rows(candidate: CandidateScore) -> frozenset[int]:
 
 
 def order_table(verdict: Verdict) -> Table | None:
-    """Akaike weights of the orders, both outputs together; None where they were not computed."""
+    """Akaike weights of the orders, for both outputs together; None where they were not computed."""
     if not any(math.isfinite(o.weight) for c in verdict.candidates for o in c.orders):
         return None
     names = [o.order for o in verdict.modelled[0].orders]
@@ -69,7 +69,7 @@ def order_table(verdict: Verdict) -> Table | None:
 
 
 def gap_table(verdict: Verdict) -> Table:
-    """The ν-gaps, their sums, and what else is known of every candidate's distance."""
+    """The ν-gaps, their sums, and further distances and probabilities of every candidate."""
     title, extra = "ν-gap between the plants", _gap_extras(verdict.candidates)
     sums = [c.nu_gap_sum for c in verdict.candidates]
     return _distances(title, verdict.candidates, verdict.nu_gap, sums, extra, nominal=verdict.nominal)
@@ -92,25 +92,25 @@ def _distances(
     *,
     nominal: str | None,
 ) -> Table:
-    """A matrix of distances with its column sums and more columns behind."""
+    """A matrix of distances with its column sums, followed by more columns."""
     rows = []
     for c, gaps, total in zip(candidates, matrix, sums, strict=True):
-        told = (Cell(text(c)) for _, text in extra)
+        more = (Cell(text(c)) for _, text in extra)
         total_cell = Cell(number(total, 3), best=total == min(sums))
-        rows.append((head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *told))
+        rows.append((head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *more))
     names = [c.name for c in candidates]
     columns = ("candidate", *names, "Σ", *(name for name, _ in extra))
     return Table(title, columns, tuple(rows), frozenset(k for k, n in enumerate(names) if n == nominal))
 
 
 def _gap_extras(candidates: Sequence[CandidateScore]) -> list[_Extra]:
-    """Columns that are there only when at least one candidate has a figure for them."""
+    """The columns for which at least one candidate has a value."""
     known: list[_Extra] = [
         ("90 % interval of Σ", lambda c: _span(c.nu_gap_sum_low, c.nu_gap_sum_high)),
         ("P(nominal)", lambda c: number(c.nominal_probability, 2)),
-        ("to the plant now", lambda c: number(c.nu_gap_to_plant, 3)),
+        ("to the current plant", lambda c: number(c.nu_gap_to_plant, 3)),
         ("margin b(P, C)", lambda c: number(c.margin, 3)),
-        ("to the nominal, scaled as the margin", lambda c: number(c.plant_gap_to_nominal, 3)),
+        ("to the nominal, scaled like the margin", lambda c: number(c.plant_gap_to_nominal, 3)),
     ]
     return [(name, text) for name, text in known if any(text(c) != number(None) for c in candidates)]
 
@@ -120,8 +120,8 @@ def _span(low: float, high: float) -> str:
 
 
 def coefficient_table(member: Member) -> Table:
-    """B, C, D and F of every order, set-point to output and to input, as in the paper's table; or input to
-    output."""
+    """B, C, D and F of every order as in the paper's table: set-point to output and input, or, where the
+    loop is not known, input to output."""
     models = member.models
     rows = []
     for output, title in outputs_of(member.score.orders)[:2]:
@@ -136,7 +136,7 @@ def coefficient_table(member: Member) -> Table:
 
 
 def coefficients(values: FloatArray) -> str:
-    """A polynomial in q⁻¹, constant first, to six significant digits."""
+    """A polynomial in q⁻¹, constant term first, to six significant digits."""
     return "  ".join(f"{v:.6g}".replace("-", "−") for v in values.tolist())
 
 

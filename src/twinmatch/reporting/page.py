@@ -1,4 +1,4 @@
-"""Lays a report out with its template."""
+"""Layout of a report with its template."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TEMPLATE = "report.html"
 
 @cache
 def _environment() -> Environment:
-    """Everything is escaped, and a name that the template asks for in vain is an error."""
+    """The template environment: all text is escaped, and an undefined name in the template is an error."""
     environment = Environment(
         loader=PackageLoader("twinmatch.reporting", "."),
         autoescape=True,

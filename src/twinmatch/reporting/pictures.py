@@ -1,4 +1,4 @@
-"""The pictures of a report, each with its title, what it shows, and words for those who cannot see it."""
+"""The figures of a report, each with its title and a description for readers who cannot see it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twinmatch.backtest import Backtest, draw_backtest, sentences
 from twinmatch.discrimination import REFUSED
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Judgement
-from twinmatch.reporting.foretold import fans_of
+from twinmatch.reporting.leader_forecasts import fans_of
 from twinmatch.views.events import admitted, level_stretches
 from twinmatch.views.family import Member
 from twinmatch.views.fan import Fan
@@ -37,31 +37,31 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "Picture", "pictures", "write_pictures"]
 
 FORMATS = ("png", "pdf")
-"""What `write_pictures` writes."""
+"""File formats of `write_pictures`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture."""
+    """One figure."""
 
     name: str
-    """Of its file, without ending."""
+    """Name of its file, without suffix."""
     title: str
     alt: str
-    """What it shows, in words."""
+    """Description in words."""
     figure: Figure
     svg: str
 
     @property
     def uri(self) -> str:
-        """The picture itself as the source of an image, for a file that loads nothing."""
+        """The figure as a data URI, so that the HTML file loads nothing else."""
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode("ascii")
 
 
 def pictures(
     judgement: Judgement, members: Sequence[Member], tested: Backtest | None = None
 ) -> dict[str, Picture]:
-    """Every picture that this session gives, by name and in the order of the report."""
+    """All figures of a session, by name and in the order of the report."""
     j, last = judgement, last_verdict(judgement.verdicts)
     found = [
         _picture(
@@ -80,13 +80,16 @@ def pictures(
     if tested is not None and tested.marked:
         found.append(
             _picture(
-                "forecasts", "Forecasts against what came", _forecasts_alt(tested), draw_backtest(tested)
+                "forecasts",
+                "Forecasts compared with measurements",
+                _forecasts_alt(tested),
+                draw_backtest(tested),
             )
         )
         fans = fans_of(tested, j)
         if fans:
             figure = draw_forecasts(fans, j.settings.plant)
-            found.append(_picture("foretold", "What it foretold", _foretold_alt(fans), figure))
+            found.append(_picture("leader_forecasts", "Forecasts of the leader", _fans_alt(fans), figure))
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
         figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
@@ -98,14 +101,14 @@ def pictures(
                 "responses",
                 "The family on the measured data",
                 f"One panel for each candidate ({names}): set-point, measured {words.output} and control, "
-                "the twin's answer and that of its Box–Jenkins model.",
+                "the response of the twin and that of its Box–Jenkins model.",
                 draw_responses(members),
             ),
             _picture(
                 "uncertainty",
                 "Uncertainty of the twin",
-                f"The twins of all candidates ({names}) on the nominal one's window, and how far each "
-                f"differs from the nominal twin in {words.output} and control.",
+                f"The twins of all candidates ({names}) on the window of the nominal one, and the "
+                f"differences from the nominal twin in {words.output} and control.",
                 draw_uncertainty(members),
             ),
         ]
@@ -134,15 +137,15 @@ def pictures(
 
 
 def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
-    """Write every picture into a folder, which is made if it is not there.
+    """Write every figure into a folder, which is created if it does not exist.
 
     Raises:
-        TwinmatchError: the folder cannot be made or written into.
+        TwinmatchError: the folder cannot be created or written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"{folder}: the folder for the figures cannot be made: {error.strerror}"
+        msg = f"{folder}: the folder for the figures cannot be created: {error.strerror}"
         raise TwinmatchError(msg) from error
     paths = []
     for name, picture in found.items():
@@ -170,37 +173,36 @@ def _session_alt(j: Judgement) -> str:
     if closed:
         twins, fitted = "the closed-loop and the driven twin", "closed-loop"
     return (
-        f"{base}, with {twins} of {shown.name}; below, what is left "
-        f"between plant and twin. The {fitted} twin fits the {words.output} to "
-        f"{100 * j.summary.fit_y:.1f} %."
+        f"{base}, with {twins} of {shown.name}; below, the residuals between plant and twin. "
+        f"The {fitted} twin fits the {words.output} to {100 * j.summary.fit_y:.1f} %."
     )
 
 
 def _health_alt(j: Judgement) -> str:
     period = j.settings.period
-    told = ", ".join(
+    levels = ", ".join(
         f"{s.level.value} from {s.first * period:.0f} to {s.last * period:.0f} s"
         for s in level_stretches(j.verdicts, j.samples[0].index)
     )
     joined = len(admitted(j.verdicts))
     return (
-        f"Trust over time: {told or 'nothing was judged'}. {joined} matches admitted, "
+        f"Trust over time: {levels or 'no verdict'}. {joined} matches admitted, "
         f"{sum(v.match == REFUSED for v in j.verdicts)} refused."
     )
 
 
 def _forecasts_alt(tested: Backtest) -> str:
     return (
-        "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their bands "
-        f"against what came. {' '.join(sentences(tested))}"
+        "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their bands, "
+        f"compared with the measurements. {' '.join(sentences(tested))}"
     )
 
 
-def _foretold_alt(fans: Sequence[Fan]) -> str:
-    told = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
+def _fans_alt(fans: Sequence[Fan]) -> str:
+    origins = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
     return (
-        "Forecasts with their bands ahead of what was known, what came, and what came minus forecast within "
-        f"the band. Made at samples {told}."
+        "Forecasts with their bands, the measurements before and after, and measured minus forecast within "
+        f"the band. Made at samples {origins}."
     )
 
 

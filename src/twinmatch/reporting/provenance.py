@@ -1,4 +1,4 @@
-"""Where the figures of a report come from: programs, files, parameters."""
+"""Provenance of a report: program versions, files, parameters."""
 
 from __future__ import annotations
 
@@ -43,25 +43,25 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True)
 class Provenance:
-    """All of it."""
+    """Everything needed to repeat a report."""
 
     made: str
-    """When, with the offset from UTC."""
+    """Date and time, with the offset from UTC."""
     command: str
-    """The command line, or what stands for it."""
+    """The command line, or a description of the call."""
     versions: tuple[tuple[str, str], ...]
     files: tuple[FileHash, ...]
     settings: tuple[Setting, ...]
 
 
 def provenance(path: Path, settings: TwinSettings, command: str, made: datetime) -> Provenance:
-    """Gather it.
+    """Collect the provenance.
 
     Args:
-        path: the session: a folder, whose files are taken in, or a file.
-        settings: what the session was judged with.
+        path: the session: a file, or a folder with all its files.
+        settings: the settings the session was judged with.
         command: the command line.
-        made: when the report is made, with its time zone.
+        made: date and time of the report, with time zone.
 
     Raises:
         TwinmatchError: a file of the session cannot be read.
@@ -76,7 +76,7 @@ def provenance(path: Path, settings: TwinSettings, command: str, made: datetime)
 
 
 def settings_of(settings: TwinSettings) -> tuple[Setting, ...]:
-    """Every parameter with unit and meaning, by the name it has in a parameter file."""
+    """Every parameter with unit and meaning, under its name in a parameter file."""
     values, model = values_of(settings), settings.start.model
     return tuple(
         Setting(p.name, _text(values[p.name]), p.unit, p.description, values[p.name] != p.default)

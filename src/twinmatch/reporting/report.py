@@ -1,4 +1,4 @@
-"""The report: everything a template needs, and the file it makes."""
+"""The report: the content for its template, and the file."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from twinmatch.backtest import sentences
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Watch
 from twinmatch.reporting.forecast_tables import forecast_tables
-from twinmatch.reporting.foretold import fans_of, foretold_table
 from twinmatch.reporting.judging import Judged, judge
+from twinmatch.reporting.leader_forecasts import fans_of, leader_forecast_table
 from twinmatch.reporting.match_tables import (
     event_table,
     family_table,
@@ -41,7 +41,7 @@ __all__ = ["Report", "build_report", "make_report"]
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What a report says, ready to be laid out."""
+    """The content of a report, ready for layout."""
 
     judged: Judged
     members: tuple[Member, ...]
@@ -50,28 +50,28 @@ class Report:
 
     @property
     def name(self) -> str:
-        """Of the session."""
+        """Name of the session."""
         return self.judged.judgement.name
 
     @property
     def sentence(self) -> str:
-        """All of it in one line."""
+        """The summary in one line."""
         return sentence(self.judged.judgement.summary)
 
     @property
     def nominal(self) -> Member | None:
-        """The nominal candidate, if there is one and its window is at hand."""
+        """The nominal candidate; None without one, or if its window is not in the session."""
         return next((m for m in self.members if m.nominal), None)
 
     def html(self) -> str:
-        """The report as one HTML document that loads nothing from anywhere."""
+        """The report as one HTML document that loads nothing else."""
         return render(self._content())
 
     def write(self, path: Path) -> None:
         """Write the document.
 
         Raises:
-            TwinmatchError: it cannot be written there.
+            TwinmatchError: the file cannot be written.
         """
         try:
             path.write_text(self.html(), encoding="utf-8")
@@ -93,8 +93,8 @@ class Report:
             "level_words": LEVEL_WORDS[level],
             "words": [*plain_words(judgement), *sentences(judged.tested)[-1:]],
             "forecasts": forecast_tables(judged.tested),
-            "foretold": sentences(judged.tested),
-            "fans": foretold_table(fans_of(judged.tested, judgement), plant),
+            "forecast_sentences": sentences(judged.tested),
+            "fans": leader_forecast_table(fans_of(judged.tested, judgement), plant),
             "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
             "confidence": f"{100 * judged.tested.confidence:.0f}",
             "forecast_notes": [
@@ -134,7 +134,7 @@ class Report:
 def build_report(
     judged: Judged, path: Path, *, command: str = "from Python", made: datetime | None = None
 ) -> Report:
-    """Gather a report on a session that was judged; `path` is where it was read from."""
+    """Build the report of a judged session; `path` is where the session was read from."""
     judgement = judged.judgement
     members = family(
         judgement.samples, judgement.matches, last_verdict(judgement.verdicts), judgement.settings
@@ -157,15 +157,15 @@ def make_report(
     watch: Watch | None = None,
     command: str = "from Python",
 ) -> Report:
-    """Judge a session, an `.mcap` file or a recording and gather a report on it.
+    """Judge a session, an `.mcap` file or a recording and build a report on it.
 
     Args:
-        path: what to judge.
-        config: file of parameters; without one those recorded with the session, or the defaults.
-        candidates: file of candidates to begin with.
-        plant: name or file of the plant, where the session does not say it or it is in a file.
-        watch: called now and then.
-        command: what the report says it was made by.
+        path: the session or recording.
+        config: parameter file; without one the parameters recorded with the session, or the defaults.
+        candidates: file of initial candidates.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch: called with the progress.
+        command: command line shown in the report.
 
     Raises:
         TwinmatchError: one of the files cannot be used.

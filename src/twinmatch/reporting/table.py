@@ -1,4 +1,4 @@
-"""A table as cells of text that a template only has to lay out."""
+"""A table as cells of text, ready for layout."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ class Cell(NamedTuple):
     best: bool = False
     """Set in bold."""
     head: bool = False
-    """Names its row."""
+    """Heads its row."""
     number: bool = True
-    """Set flush right."""
+    """Aligned right."""
     rows: int = 1
-    """How many rows it spans."""
+    """Number of rows it spans."""
     mark: str = ""
-    """A word for the style sheet."""
+    """CSS class."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """One table; what it means stands beside it in the template."""
+    """One table; the template explains it."""
 
     caption: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     marked: frozenset[int] = frozenset()
-    """Rows that are set off."""
+    """Highlighted rows."""
 
     @property
     def right(self) -> tuple[bool, ...]:
-        """Whether the names of the columns are set flush right, as the figures below them are."""
+        """Whether each column name is aligned right, like the numbers below it."""
         first = self.rows[0] if self.rows else ()
         return tuple(cell.number for cell in first) or (False,) * len(self.columns)
 
 
 def words(text: str, *, mark: str = "") -> Cell:
-    """A cell of words."""
+    """A cell of text."""
     return Cell(text, number=False, mark=mark)
 
 
 def head(text: str, rows: int = 1) -> Cell:
-    """A cell that names its row, or several."""
+    """A cell that heads its row, or several rows."""
     return Cell(text, head=True, number=False, rows=rows)

@@ -1,4 +1,4 @@
-"""What a session came to, in plain words, for someone who was not there."""
+"""The result of a session in sentences, for readers who were not there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["as_sentence", "duration", "plain_words", "session_facts"]
 
 
 def duration(seconds: float) -> str:
-    """A span of time as a person says it."""
+    """A duration in h, min and s."""
     whole = round(seconds)
     if whole < 60:
         return f"{seconds:.3g} s"
@@ -31,7 +31,7 @@ def duration(seconds: float) -> str:
 
 
 def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
-    """The session in figures."""
+    """The session in numbers: pairs of name and value."""
     samples, period = judgement.samples, judgement.settings.period
     reference = [s.reference for s in samples]
     measured = [s.output for s in samples]
@@ -63,53 +63,53 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
 
 
 def plain_words(judgement: Judgement) -> list[str]:
-    """The story of the session in a few sentences, one thought each."""
-    told = [_what(judgement)]
+    """The session in a few sentences, one topic each."""
+    lines = [_what(judgement)]
     last = judgement.verdicts[-1] if judgement.verdicts else None
     nominal, shown = nominal_score(last_verdict(judgement.verdicts)), shown_twin(last)
-    told.append(_matching(judgement))
+    lines.append(_matching(judgement))
     if last is None or shown is None:
-        told.append(_nothing(judgement))
+        lines.append(_nothing(judgement))
         if judgement.summary.level is TrustLevel.FAULT:
-            told.append(_health(judgement))
-        return told
+            lines.append(_health(judgement))
+        return lines
     if last.leader is not None:
-        told.append(_leader(last, shown))
+        lines.append(_leader(last, shown))
     if nominal is not None:
-        told.append(_choice(last, nominal))
+        lines.append(_choice(last, nominal))
     if last.certainty:
-        told.append(as_sentence(last.certainty))
-    told.append(_fit(judgement, shown))
-    told.append(_trust(judgement))
-    told.append(_health(judgement))
-    return told
+        lines.append(as_sentence(last.certainty))
+    lines.append(_fit(judgement, shown))
+    lines.append(_trust(judgement))
+    lines.append(_health(judgement))
+    return lines
 
 
 def _what(judgement: Judgement) -> str:
     samples, period = judgement.samples, judgement.settings.period
     plant, words = _plant(judgement), _words(judgement)
     if judgement.settings.gains is None:
-        return _what_is_known(judgement)
+        return _what_without_loop(judgement)
     low, high = min(s.reference for s in samples), max(s.reference for s in samples)
     unit = words.output_unit
     asked = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     time = duration((samples[-1].index - samples[0].index + 1) * period)
     return (
-        f"For {time} a plant ({plant.title}) was held by its controller at {asked}; every {period:g} s its "
-        f"{words.output} and the control ({plant.drive.text or plant.drive.name}) were recorded, "
-        f"{len(samples)} times in all."
+        f"For {time} a plant ({plant.title}) was controlled to {asked}; its {words.output} and the control "
+        f"({plant.drive.text or plant.drive.name}) were recorded every {period:g} s, {len(samples)} samples "
+        "in total."
     )
 
 
-def _what_is_known(judgement: Judgement) -> str:
-    """The same where nobody tells of a loop."""
+def _what_without_loop(judgement: Judgement) -> str:
+    """The same where the loop is not known."""
     samples, period, plant = judgement.samples, judgement.settings.period, _plant(judgement)
     time = duration((samples[-1].index - samples[0].index + 1) * period)
     beside = "".join(f" and {d.text or d.name}" for d in plant.disturbances.values())
     return (
         f"For {time} the {_words(judgement).output} of a plant ({plant.title}), its control "
         f"({plant.drive.text or plant.drive.name}){beside} were recorded every {period:g} s, {len(samples)} "
-        "times in all; what controlled it is not known."
+        "samples in total; its controller is not known."
     )
 
 
@@ -120,25 +120,25 @@ def _matching(judgement: Judgement) -> str:
     twin = "of the plant with its controller" if closed else "of the plant under the recorded control"
     if not count:
         return (
-            f"No {kind} step was found that a digital twin could be fitted to, so there was no match and "
-            "no candidate."
+            f"There was no {kind} step that a digital twin could be fitted to, so there is no match and no "
+            "candidate."
         )
     joined = len(admitted(judgement.verdicts))
     refused = count - joined
     return (
-        f"After {kind} steps a digital twin, a simulation {twin}, is fitted to "
-        f"what was measured: of {count} window{_s(count)}, {joined} "
-        f"{'was' if joined == 1 else 'were'} admitted to the family"
-        + (f" and {refused} refused (section 2 says why)." if refused else ".")
+        f"After {kind} steps a digital twin, a simulation {twin}, is fitted to the measurements: of {count} "
+        f"match{'' if count == 1 else 'es'}, {joined} {'was' if joined == 1 else 'were'} admitted to the "
+        "family" + (f" and {refused} refused (see section 2)." if refused else ".")
     )
 
 
 def _nothing(judgement: Judgement) -> str:
     if any(v.match for v in judgement.verdicts):
-        return "No fit stands, so there is no twin to trust."
+        return "There is no valid match, so there is no twin to trust."
     if judgement.settings.gains is None:
         unit, least = _plant(judgement).drive.unit, judgement.settings.least_movement
-        return f"The control has to move by {f'{least:g} {unit}'.rstrip()} or more, for some minutes in all."
+        step = f"{least:g} {unit}".rstrip()
+        return f"The control has to move by {step} or more, for some minutes in total."
     return (
         f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} "
         f"{_words(judgement).output_unit} or more, some "
@@ -149,10 +149,11 @@ def _nothing(judgement: Judgement) -> str:
 def _leader(last: Verdict, shown: Shown) -> str:
     count = len(last.forecasts)
     what = f"structure “{shown.name}”" if shown.words == shown.name else f"match at {shown.name}"
-    whose = f"of the {count} twins that foretell" if count > 1 else "of the only twin that foretells"
+    if count <= 1:
+        return f"The twin to ask what comes next, the leader, is the {what}, the only one with forecasts."
     return (
-        f"The twin to ask what comes next is the {what}. It leads: {whose}, its forecasts have saved the "
-        "most characters against saying that nothing changes."
+        f"The twin to ask what comes next, the leader, is the {what}: among {count} twins its forecasts have "
+        "saved the most characters compared with assuming that nothing changes."
     )
 
 
@@ -161,17 +162,17 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
     if count == 1:
         return (
             f"The family has one candidate, matched at {nominal.name}; it is nominal because there is no "
-            "other to compare it with."
+            "other candidate."
         )
-    written = (
-        f" Its behaviour is written best by a Box–Jenkins model of order {nominal.chosen_order}."
+    described = (
+        f" Its behaviour is described best by a Box–Jenkins model of order {nominal.chosen_order}."
         if nominal.chosen_order
         else ""
     )
     return (
-        f"The family has {count} candidates, matches and structures. Its centre, the nominal one, is "
-        f"{nominal.name}: its plant's ν-gaps to the others (0: behaves the same in a loop, 1: does not) have "
-        f"the smallest sum, {nominal.nu_gap_sum:.3f}.{written}"
+        f"The family has {count} candidates, matches and structures. Its centre, the nominal candidate, is "
+        f"{nominal.name}: it has the smallest sum of ν-gaps to the others, {nominal.nu_gap_sum:.3f} (0: the "
+        f"same behaviour in closed loop, 1: entirely different).{described}"
     )
 
 
@@ -185,10 +186,10 @@ def _driven_fit(judgement: Judgement, shown: Shown) -> str:
     y = root_mean_square([p.driven_residual_y for p in _compared(judgement, shown)])
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
-        f"Given the recorded control, {shown.name} follows the measured {words.output} over the whole "
+        f"Driven by the recorded control, {shown.name} follows the measured {words.output} over the whole "
         f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
         f"{number(y, words.output_decimals + 1)} {words.output_unit} RMS)"
-        f"{'; the time in which the plant was faulty is part of that' if faulty else ''}."
+        f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
     )
 
 
@@ -201,24 +202,24 @@ def _fit(judgement: Judgement, shown: Shown) -> str:
     u = root_mean_square([p.closed_residual_u for p in parts])
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
-        f"Given only the set-points, {shown.name} follows the measured {words.output} over the whole "
+        f"Driven only by the set-points, {shown.name} follows the measured {words.output} over the whole "
         f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
         f"{number(y, words.output_decimals + 1)} {words.output_unit} RMS) and the {words.input} to "
         f"{number(100 * s.fit_u, 1)} % ({number(u, words.input_decimals + 1)} {words.input_unit} RMS)"
-        f"{'; the time in which the plant was faulty is part of that' if faulty else ''}."
+        f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
     )
 
 
 def _trust(judgement: Judgement) -> str:
     s = judgement.summary
     if s.range is None:
-        return f"There is no range of the {_words(judgement).output} in which it has been seen to hold."
-    held = f"It has been seen to hold between {s.range}"
+        return f"There is no range of the {_words(judgement).output} in which its forecasts have held."
+    held = f"Its forecasts have held between {s.range}"
     if s.level is TrustLevel.TRUSTED:
-        return f"{held}, and at the end of the session it is to be trusted there."
+        return f"{held}, and at the end of the session the twin can be trusted there."
     if s.level is TrustLevel.DOUBTFUL:
-        return f"{held}, but at the end of the session it is doubtful: twin and plant have drifted apart."
-    return f"{held}, but at the end of the session it is not to be trusted."
+        return f"{held}, but at the end of the session the twin and the plant have drifted apart."
+    return f"{held}, but at the end of the session the twin is not to be trusted."
 
 
 def _health(judgement: Judgement) -> str:
@@ -231,13 +232,13 @@ def _health(judgement: Judgement) -> str:
         when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in faults)
         what = f" ({', '.join(named)})" if named else ""
         return (
-            f"The plant did what no twin explains{what}: {when}. Look at the plant (drive, sensor, cables) "
-            "before anything else."
+            f"The plant had a fault{what}: {when}. Look at the plant (drive, sensor, cables) before anything "
+            "else."
         )
     if doubts:
         when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in doubts)
-        return f"No fault was seen; the twin was doubtful at {when}."
-    return "No fault was seen: plant and twin never differed by more than healthy ones do."
+        return f"No fault was found; the twin was doubtful: {when}."
+    return "No fault was found: plant and twin never differed by more than is normal for a healthy plant."
 
 
 def _fit_facts(judgement: Judgement, shown: Shown) -> list[tuple[str, str]]:
@@ -267,8 +268,8 @@ def _fit_facts(judgement: Judgement, shown: Shown) -> list[tuple[str, str]]:
 
 def _matches(judgement: Judgement) -> str:
     counts = judgement.summary.matches
-    told = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
-    return f"{sum(counts.values())}" + (f" ({told})" if told else "")
+    parts = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
+    return f"{sum(counts.values())}" + (f" ({parts})" if parts else "")
 
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
@@ -295,6 +296,6 @@ def _s(count: int) -> str:
 
 
 def as_sentence(text: str) -> str:
-    """A remark with a capital and a full stop."""
+    """A remark with an initial capital and a full stop."""
     text = text[:1].upper() + text[1:]
     return text if text.endswith((".", "!", "?")) else f"{text}."

@@ -1,10 +1,10 @@
-"""Sessions: recorded runs as files, and what is read from files of others.
+"""Sessions: recorded runs as files, and imports from other programs' files.
 
 A session is a rosbag2 folder with MCAP files, so every tool of ROS 2 reads it; this room writes and
 reads it without ROS. `SessionWriter` writes serialised messages of any topics, and a live `Recording`
 stops it before the disk is full; `write_session` writes samples, complete or not at all. `read_session`
-reads both, for as far as a torn file goes. `read_recording` imports MATLAB and CSV files of the rig, and
-`open_any` opens either. `resample` puts rows that come at irregular times on one clock.
+reads both, a truncated file as far as it goes. `read_recording` imports MATLAB and CSV files of the rig,
+and `open_any` opens either. `resample` puts rows with irregular times on one clock.
 """
 
 from twinmatch.sessions.errors import RecordingError, SessionError

@@ -1,4 +1,4 @@
-"""The numbers of a bag at a glance, for who is to say which of them is which signal."""
+"""An overview of the numbers in a bag, for choosing which of them is which signal."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from twinmatch.sessions.guesses import Column
 __all__ = ["look_into"]
 
 _ENOUGH: Final = 2000
-"""Messages of a topic that are looked at."""
+"""Messages read per topic."""
 _FIELDS: Final = 20
-"""Numbers of a message that are looked at; those with more are images and clouds."""
+"""Most numbers in a listed message; messages with more are images and point clouds."""
 
 
 def look_into(bag: Bag) -> list[Column]:
-    """The numbers of each topic at a glance, called as a map calls them."""
+    """An overview of the numbers of each topic, under the names a map uses."""
     columns = []
     for topic in bag.topics:
         if not topic.messages or len(topic.numbers) > _FIELDS:
@@ -30,7 +30,7 @@ def look_into(bag: Bag) -> list[Column]:
         try:
             found = bag.series(channels, _ENOUGH)
         except TwinmatchError:
-            continue  # what cannot be read is not proposed
+            continue  # a topic that cannot be read is not proposed
         for channel, series in zip(channels, found, strict=True):
             values = series.values[np.isfinite(series.values)]
             if values.size:

@@ -1,10 +1,10 @@
-"""Signals of a bag, each with times of its own, as a table with a row for each reading of the output.
+"""Signals of a bag, each with its own times, as a table with one row per reading of the output.
 
-In the row of a reading stands the set-point that had been sent last; the mean of the input from this reading
-to the next, each value standing until the one after it; and measured disturbances between their neighbours,
-in a line. What comes then is what becomes of every table: `map_samples`.
+The row of a reading has the latest set-point before it, the mean of the input from this reading to the next
+(zero-order hold), and measured disturbances, interpolated linearly. `map_samples` then treats the table like
+any other.
 
-Times are those of the headers where there are any, else those at which the bag was written.
+Times are those of the message headers where there are any, otherwise those at which the bag was recorded.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ __all__ = ["map_bag"]
 
 TIME: Final = "time"
 _ASTRAY: Final = 1.0
-"""Seconds between headers and the bag's clock from which the headers are of another clock."""
+"""If headers and the bag's clock differ by more, s, the headers are of another clock."""
 
 
 class _Signal(NamedTuple):
     time: FloatArray
-    """s since 1970, growing, shape (N,)."""
+    """s since 1970, increasing, shape (N,)."""
     values: FloatArray
 
 
@@ -47,33 +47,33 @@ def map_bag(
     longest: float | None = None,
     gaps: Gaps = "refuse",
 ) -> Mapped:
-    """The samples of a plant that a bag holds.
+    """The samples of a plant from a bag.
 
     Args:
         path: folder of the bag.
         given: topics and fields by signal.
-        plant: whose signals they are.
-        longest: step from reading to reading that may be bridged, s; three usual ones if not given.
-        gaps: what becomes of longer steps.
+        plant: the plant that the signals belong to.
+        longest: longest step between readings that is interpolated, s; three usual ones if not given.
+        gaps: treatment of longer steps.
 
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
     """
     sources = by_signal(plant, given.sources)
     if TIME in sources:
-        raise RecordingError("--map time: a bag's times are those of its messages; leave it out")
+        raise RecordingError("--map time: a bag has the times of its messages; leave it out")
     for name in (OUTPUT, INPUT):
         if name not in sources:
-            msg = f"{path}: no topic is mapped to {name}; write --map {name}=TOPIC:FIELD (--list shows them)"
+            msg = f"{path}: no topic is mapped to {name}; add --map {name}=TOPIC:FIELD (--list shows them)"
             raise RecordingError(msg)
     with open_bag(path) as bag:
         signals, units, notes = _read(bag, sources)
     columns, left_out = _rows(signals, longest)
     if columns[TIME].size < 2:
-        msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} have an input before them"
+        msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} follow the first input; check --map"
         raise RecordingError(msg)
     if left_out:
-        notes.append(f"The first {left_out} readings came before an input or a set-point and are left out.")
+        notes.append(f"The first {left_out} readings precede the first input or set-point and are left out.")
     table = Table(path, columns, range(left_out + 1, left_out + 1 + columns[TIME].size), "reading")
     named = {TIME: Source((TIME,), "s")}
     named |= {n: Source((n,), s.unit or units[n], s.scale, s.offset) for n, s in sources.items()}
@@ -82,26 +82,28 @@ def map_bag(
 
 
 def _read(bag: Bag, sources: Mapping[str, Source]) -> tuple[dict[str, _Signal], dict[str, str], list[str]]:
-    """Signals with their times, the units their types say, and notes."""
+    """Signals with their times, the units of their message types, and notes."""
     wires = {name: Wire.of(name, s.columns, s.unit, s.scale, s.offset) for name, s in sources.items()}
     series = {name: bag.series(wire.channels) for name, wire in wires.items()}
-    astray = [
+    offsets = [
         f"{wires[name].channels[0].topic} by {off:.3g} s"
         for name, held in series.items()
-        if (off := max(map(_behind, held))) > _ASTRAY
+        if (off := max(map(_clock_offset, held))) > _ASTRAY
     ]
     notes = []
-    if astray:
-        notes.append(f"The headers are of another clock ({', '.join(astray)}); times are those of the bag.")
-    signals = {name: _joined(bag.path, name, held, bool(astray)) for name, held in series.items()}
-    # What is scaled by hand is in another unit than its type says.
+    if offsets:
+        notes.append(
+            f"The headers have another clock ({', '.join(offsets)}); the times of the bag are used instead."
+        )
+    signals = {name: _joined(bag.path, name, held, bool(offsets)) for name, held in series.items()}
+    # A signal with a scale in the map is not in the unit of its message type.
     bare = {name: (s.scale, s.offset) == (1.0, 0.0) for name, s in sources.items()}
     units = {n: usual_unit(held[0].kind, held[0].path) if bare[n] else "" for n, held in series.items()}
     return signals, units, notes
 
 
-def _behind(series: Series) -> float:
-    """How far the headers are from the bag's clock, s; 0 without headers."""
+def _clock_offset(series: Series) -> float:
+    """Median distance of the headers from the bag's clock, s; 0 without headers."""
     apart = np.abs(series.logged - series.stamped)
     return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else 0.0
 
@@ -120,7 +122,7 @@ def _growing(path: Path, name: str, series: Series, logged: bool) -> _Signal:
     if not kept.any():
         raise RecordingError(f"{path}: no message of {name} has a number; map another field")
     time, values = time[kept], series.values[kept]
-    # Of several at one time the last stands; those that overtook others on their way are put in order.
+    # Messages are sorted by time, since some arrive out of order; of several at one time the last is kept.
     order = np.argsort(time, kind="stable")
     time, values = time[order], values[order]
     last = np.append(np.diff(time) > 0, True)
@@ -128,10 +130,10 @@ def _growing(path: Path, name: str, series: Series, logged: bool) -> _Signal:
 
 
 def _rows(signals: Mapping[str, _Signal], longest: float | None) -> tuple[dict[str, FloatArray], int]:
-    """Columns of a table by signal, and how many readings before its first row are left out."""
+    """Columns of a table by signal, and the number of readings left out before its first row."""
     output = signals[OUTPUT]
-    standing = [signals[name].time[0] for name in (INPUT, REFERENCE) if name in signals]
-    begin = int(np.searchsorted(output.time, max(standing)))
+    starts = [signals[name].time[0] for name in (INPUT, REFERENCE) if name in signals]
+    begin = int(np.searchsorted(output.time, max(starts)))
     time = output.time[begin:]
     columns = {TIME: time, OUTPUT: output.values[begin:]}
     if time.size:
@@ -146,7 +148,7 @@ def _rows(signals: Mapping[str, _Signal], longest: float | None) -> tuple[dict[s
 
 
 def _means(signal: _Signal, time: FloatArray, longest: float | None) -> FloatArray:
-    """Means of what stands from each time to the next; before a gap and at the end, over a usual step."""
+    """Mean of the held signal from each time to the next; before a gap and at the end, over a median step."""
     steps = np.diff(time)
     usual = float(np.median(steps)) if steps.size else 0.0
     ends = np.append(time[1:], time[-1] + usual)
@@ -154,9 +156,9 @@ def _means(signal: _Signal, time: FloatArray, longest: float | None) -> FloatArr
         wide = np.flatnonzero(steps > bridged_up_to(time, longest))
         ends[wide] = time[wide] + usual
     edges = np.union1d(signal.time, np.concatenate([time, ends]))
-    standing = signal.values[np.maximum(np.searchsorted(signal.time, edges, side="right") - 1, 0)]
-    given = np.concatenate([[0.0], np.cumsum(standing[:-1] * np.diff(edges))])
-    total = np.interp(ends, edges, given) - np.interp(time, edges, given)
+    held = signal.values[np.maximum(np.searchsorted(signal.time, edges, side="right") - 1, 0)]
+    integral = np.concatenate([[0.0], np.cumsum(held[:-1] * np.diff(edges))])
+    total = np.interp(ends, edges, integral) - np.interp(time, edges, integral)
     widths = ends - time
     before = signal.values[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
     means = np.divide(total, widths, out=before.copy(), where=widths > 0)

@@ -1,7 +1,7 @@
-"""Bags of ROS, whoever recorded them: rosbag2 folders with MCAP or SQLite, and `.bag` files of ROS 1.
+"""Reading any ROS bag: rosbag2 folders with MCAP or SQLite, and `.bag` files of ROS 1.
 
-The library `rosbags` reads them without ROS; message types are those in the bag, or, where an old one has
-none, the standard ones. It is an extra: `pip install twinmatch[bags]`.
+The library `rosbags` reads them without ROS; message types are those in the bag, or the standard ones if an
+old bag has none. It is an extra: `pip install twinmatch[bags]`.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ class BagTopic(NamedTuple):
 
     name: str
     kind: str
-    """Type of its messages."""
+    """Message type."""
     messages: int
     numbers: tuple[str, ...]
-    """Paths of the numbers in them."""
+    """Paths of the numbers in a message."""
 
 
 class Series(NamedTuple):
-    """The numbers of a channel as they were recorded."""
+    """The numbers of a channel as recorded."""
 
     kind: str
-    """Type of the messages."""
+    """Message type."""
     path: str
-    """To the number in them."""
+    """Path of the number in a message."""
     logged: FloatArray
-    """When they were recorded, s since 1970, shape (N,)."""
+    """Times of recording, s since 1970, shape (N,)."""
     stamped: FloatArray
-    """When they were sent by their headers, s since 1970, shape (N,); nan without."""
+    """Header stamps, s since 1970, shape (N,); nan without a header."""
     values: FloatArray
     """Shape (N,)."""
 
@@ -66,33 +66,33 @@ class Bag:
     """An open bag."""
 
     def __init__(self, path: Path, reader: AnyReader) -> None:
-        """Look into what the reader has opened."""
+        """Wrap an open reader."""
         self.path = path
         self._reader = reader
 
     @property
     def topics(self) -> list[BagTopic]:
-        """Its topics by name."""
+        """Its topics, sorted by name."""
         return [self._topic(name) for name in sorted(self._reader.topics)]
 
     @property
     def seconds(self) -> float:
-        """From the first to the last message."""
+        """Duration from the first to the last message, s."""
         return float(self._reader.duration) / 1e9
 
     def fields_of(self, kind: str) -> Mapping[str, Field]:
         """The fields of a message type."""
-        return {name: _field(said) for name, said in self._reader.typestore.fielddefs[kind][1]}
+        return {name: _field(described) for name, described in self._reader.typestore.fielddefs[kind][1]}
 
     def series(self, channels: Sequence[Channel], most: int | None = None) -> list[Series]:
         """The numbers of channels, each as recorded.
 
         Args:
             channels: topics and paths.
-            most: messages of each topic to stop after; all if not given.
+            most: most messages read per topic; all if not given.
 
         Raises:
-            RecordingError: a topic or field that is not there, no messages, or damaged ones.
+            RecordingError: a topic or field is missing, or a topic has no messages or damaged ones.
         """
         found = [self._checked(channel) for channel in channels]
         rows: list[list[tuple[float, float, float]]] = [[] for _ in found]
@@ -115,8 +115,8 @@ class Bag:
         topics = self._reader.topics
         name = channel.topic if channel.topic in topics else f"/{channel.topic.lstrip('/')}"
         if name not in topics:
-            there = ", ".join(sorted(topics)[:_MANY]) or "none"
-            raise RecordingError(f"{self.path}: has no topic {channel.topic}; it has {there}")
+            present = ", ".join(sorted(topics)[:_MANY]) or "none"
+            raise RecordingError(f"{self.path}: has no topic {channel.topic}; it has {present}")
         if not topics[name].msgcount:
             raise RecordingError(f"{self.path}: topic {name} has no messages; map another one")
         kind = topics[name].msgtype
@@ -129,7 +129,9 @@ class Bag:
         except SamplingError as error:
             raise RecordingError(f"{self.path}: {channel.text}: {error}") from None
         except KeyError:
-            raise RecordingError(f"{self.path}: {name}: the definition of {kind} is not in it") from None
+            raise RecordingError(
+                f"{self.path}: {name}: the bag does not contain the definition of {kind}; map another topic"
+            ) from None
 
     def _messages(self, topic: str) -> Iterator[tuple[float, Any]]:
         connections = self._reader.topics[topic].connections
@@ -151,7 +153,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """A bag while it is open.
 
     Raises:
-        RecordingError: there is none, it is damaged, or the library that reads it is not installed.
+        RecordingError: the bag does not exist or is damaged, or the library that reads it is not installed.
     """
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 — an extra
@@ -162,29 +164,29 @@ def open_bag(path: Path) -> Iterator[Bag]:
     if not path.exists():
         raise RecordingError(f"{path}: does not exist")
     if path.is_dir() and not (path / _METADATA).is_file():
-        raise RecordingError(f"{path}: has no {_METADATA}; name the folder of a rosbag2")
+        raise RecordingError(f"{path}: has no {_METADATA}; give the folder of a rosbag2 bag")
     if path.is_file() and path.suffix.lower() != ".bag":
-        raise RecordingError(f"{path}: name the folder of the bag, in which {_METADATA} is")
+        raise RecordingError(f"{path}: is a single file; give the folder of the bag, which has {_METADATA}")
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             yield Bag(path, reader)
     except TwinmatchError:
         raise
-    except Exception as error:  # what the library meets in damaged bytes has many names
+    except Exception as error:  # the library raises many kinds for damaged bytes
         why = (str(error).splitlines() or [type(error).__name__])[0]
-        raise RecordingError(f"{path}: is no bag that can be read, or damaged ({why})") from error
+        raise RecordingError(f"{path}: cannot be read as a bag, or is damaged ({why})") from error
 
 
 def _stamp(message: Any) -> float:
-    """Of the header, s since 1970; nan if there is none."""
+    """The stamp of the header, s since 1970; nan without one."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     seconds = float("nan") if stamp is None else stamp.sec + stamp.nanosec / 1e9
     return seconds or float("nan")
 
 
-def _field(said: Any) -> Field:
-    """From what rosbags says of a field: its kind of node, and of what."""
-    node, of = said
+def _field(described: Any) -> Field:
+    """Convert a field description of rosbags: a pair of node kind and content."""
+    node, of = described
     name = node.name
     if name in ("ARRAY", "SEQUENCE"):
         inner, length = of

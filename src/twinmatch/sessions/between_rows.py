@@ -1,4 +1,4 @@
-"""What belongs between the rows of a column, by its kind; see `resampling`."""
+"""Values between the rows of a column, by its kind; see `resampling`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twinmatch.signals import FloatArray
 __all__ = ["MOVES", "Kind"]
 
 Kind = Literal["reading", "held", "set"]
-"""What a column is, and so what belongs between its rows."""
+"""Kind of a column, which determines its values between rows."""
 
 
 def _reading(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
@@ -20,11 +20,11 @@ def _reading(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period:
 
 
 def _held(stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float) -> FloatArray:
-    """What has been given up to a time is a line from row to row; a mean is a difference of two such sums."""
-    ends = np.append(stamps, max(stamps[-1], clock[-1]) + period)  # the last row's value stands on
-    given = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
-    means = (np.interp(clock + period, ends, given) - np.interp(clock, ends, given)) / period
-    # Differences of sums are off in the last digits, and a limit of the input must not be passed by them.
+    """Means as differences of the integral, which is linear between rows."""
+    ends = np.append(stamps, max(stamps[-1], clock[-1]) + period)  # the last value is held
+    integral = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
+    means = (np.interp(clock + period, ends, integral) - np.interp(clock, ends, integral)) / period
+    # Rounding errors of the differences must not exceed a limit of the input.
     return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""A file of candidates to begin with, such as the parameter sets of a paper or of an earlier session.
+"""A file of initial candidates, such as the parameter sets of a paper or of an earlier session.
 
 candidates:
   - name: paper, 50 °C
@@ -6,7 +6,7 @@ candidates:
     seebeck: 0.0825          # V/K
     conductance: 0.35        # W/K
     heat_capacity: 31.93     # J/K
-    # other parameters of the structure: as the plant file has them unless given
+    # other parameters of the structure: those of the plant file, unless given
     # plant: peltier          # the first of a plant's structures unless given
     # structure: held sink
 """
@@ -33,14 +33,14 @@ MOST_NAME = 200
 
 
 class CandidateFileError(TwinmatchError):
-    """A file of candidates that cannot be used."""
+    """A file of candidates cannot be used."""
 
 
 def read_candidates(path: Path) -> list[Candidate]:
-    """Read a family to begin with.
+    """Read initial candidates from a file.
 
     Raises:
-        CandidateFileError: the file is not there, is no YAML, or an entry is incomplete or wrong.
+        CandidateFileError: the file does not exist, is not YAML, or an entry is incomplete or wrong.
     """
     try:
         return parse_candidates(read_text(path), str(path), find_plant)
@@ -51,16 +51,16 @@ def read_candidates(path: Path) -> list[Candidate]:
 def parse_candidates(
     text: str, path: str, find: Callable[[str], type[Plant]] = plant_named
 ) -> list[Candidate]:
-    """A family to begin with from the text of a file.
+    """Parse initial candidates from the text of a file.
 
     Args:
-        text: of the file.
-        path: begins the messages.
-        find: gives the plants that entries name. A text that was recorded may not name files to be run; one
-            that a user wrote may.
+        text: the text.
+        path: its file, for error messages.
+        find: returns the plant of a name. A recorded text may not name plant files, since these are
+            executed; a text that the user wrote may.
 
     Raises:
-        CandidateFileError: the text is no YAML, or an entry is incomplete or wrong.
+        CandidateFileError: the text is not YAML, or an entry is incomplete or wrong.
     """
     try:
         content = parse_yaml(text, path)
@@ -68,13 +68,13 @@ def parse_candidates(
         raise CandidateFileError(str(error)) from error
     entries = content.get("candidates") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
-        msg = f"{path}: has no list 'candidates'"
+        msg = f"{path}: has no list 'candidates'; add one with an entry per candidate"
         raise CandidateFileError(msg)
     candidates = [_candidate(entry, f"{path}: candidate {k}", find) for k, entry in enumerate(entries, 1)]
     names = [c.name for c in candidates]
     for name in names:
         if names.count(name) > 1:
-            msg = f"{path}: two candidates are called {shown(name)}; give each a name of its own"
+            msg = f"{path}: two candidates are called {shown(name)}; give each its own name"
             raise CandidateFileError(msg)
     return candidates
 
@@ -104,7 +104,7 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
 
 def _word(key: str, value: Any) -> str:
     if isinstance(value, dict | list) or not str(value).isprintable() or len(str(value)) > MOST_NAME:
-        msg = f"{key} is {shown(value)}; give at most {MOST_NAME} letters that can be printed"
+        msg = f"{key} is {shown(value)}; give at most {MOST_NAME} printable characters"
         raise CandidateFileError(msg)
     return str(value)
 
@@ -120,5 +120,5 @@ def _check_operating_point(value: float, output: Output, place: str) -> None:
     low, high = output.span
     if not low <= value <= high:
         unit = f" {output.unit}".rstrip()
-        msg = f"{place}: operating_point is {value:g}{unit}; a reading is within {low:g} and {high:g}{unit}"
+        msg = f"{place}: operating_point is {value:g}{unit}; give a value within {low:g} and {high:g}{unit}"
         raise CandidateFileError(msg)

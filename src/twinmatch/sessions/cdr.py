@@ -1,10 +1,9 @@
-"""The CDR encoding of the few messages that sessions are written with and read from.
+"""The CDR encoding of the few message types that sessions are written with and read from.
 
 A message begins with four bytes that name the encoding (here little-endian CDR, 00 01 00 00), and
-every field is aligned to its own size **counted from behind those four bytes**. So the place of the
-fields after a string depends on the string's length. A sequence is its length and its elements. Written
-out for these few types it is short, and an hour of samples decodes in milliseconds without a library to
-load first.
+every field is aligned to its own size, **counted from after those four bytes**. The position of the
+fields after a string therefore depends on the string's length. A sequence is its length and its elements.
+The code for these few types is short, needs no library, and decodes an hour of samples in milliseconds.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _HEADER = {order: struct.Struct(order + "iII") for order in "<>"}
 _SCALARS = {order: struct.Struct(order + "Qddd") for order in "<>"}
 _ARRAYS = {order: struct.Struct(order + "QI4xdI4xdI4xdI") for order in "<>"}
-"""One reference, one output, one input, and how many disturbances follow."""
+"""One reference, one output, one input, and the number of disturbances that follow."""
 _INDEX = {order: struct.Struct(order + "Q") for order in "<>"}
 _LENGTH = {order: struct.Struct(order + "I") for order in "<>"}
 _FLOAT64 = struct.Struct("<4sd")
@@ -43,7 +42,7 @@ _FLOAT64 = struct.Struct("<4sd")
 
 @lru_cache(maxsize=16)
 def _stamped(frame: bytes, fields: str) -> struct.Struct:
-    """Layout of a header with this frame (its closing NUL included) and 8-byte fields behind it."""
+    """Layout of a header with this frame (including its final NUL), followed by 8-byte fields."""
     padding = -(12 + len(frame)) % 8
     return struct.Struct(f"<4siII{len(frame)}s{padding}x{fields}")
 
@@ -58,7 +57,7 @@ def _header(stamp: int, frame: str) -> tuple[bytes, int, int, int, bytes]:
 
 
 def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
-    """`twinmatch_msgs/msg/LoopSample` of a sample.
+    """Encode a sample as `twinmatch_msgs/msg/LoopSample`.
 
     Raises:
         SessionError: the stamp is negative or past 2038.
@@ -71,7 +70,7 @@ def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
 
 
 def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME) -> bytes:
-    """`sensor_msgs/msg/Temperature`, °C and °C²; a variance of 0 means unknown.
+    """Encode a `sensor_msgs/msg/Temperature`, °C and °C²; a variance of 0 means unknown.
 
     Raises:
         SessionError: the stamp is negative or past 2038.
@@ -81,12 +80,12 @@ def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, fr
 
 
 def encode_float64(value: float) -> bytes:
-    """`std_msgs/msg/Float64`."""
+    """Encode a `std_msgs/msg/Float64`."""
     return _FLOAT64.pack(_LITTLE, value)
 
 
 def decode_sample(data: bytes) -> Sample:
-    """The sample in a `twinmatch_msgs/msg/LoopSample`, in either byte order.
+    """Decode the sample of a `twinmatch_msgs/msg/LoopSample`, in either byte order.
 
     Raises:
         SessionError: another encoding than CDR, too few bytes, or not one reference, output and input.
@@ -95,8 +94,8 @@ def decode_sample(data: bytes) -> Sample:
 
 
 def decode_scalar_sample(data: bytes) -> tuple[Sample, str]:
-    """The sample in a `LoopSample` of the first definition (reference, temperature and PWM as numbers) and
-    the frame it was measured in.
+    """Decode a `LoopSample` of the first definition (reference, temperature and PWM as numbers): the sample,
+    and the frame it was measured in.
 
     Raises:
         SessionError: another encoding than CDR, or too few bytes.
@@ -138,7 +137,7 @@ def _arrays(order: str, data: bytes, at: int) -> _Fields:
 
 
 def _lengths(order: str, data: bytes, at: int) -> list[int]:
-    """Of the first three sequences of float64; `at` is where the first begins."""
+    """Lengths of the first three sequences of float64; `at` is the position of the first."""
     found = []
     for _ in range(3):
         found.append(_LENGTH[order].unpack_from(data, at)[0])

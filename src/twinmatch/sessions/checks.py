@@ -1,4 +1,4 @@
-"""What the samples of a session must be, where one is missing, and how far apart they are."""
+"""Checks of a session's samples: finite values, gaps, sampling period."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ VALUES = ("reference", "output", "input")
 
 
 def check_samples(samples: Sequence[Sample], place: str) -> None:
-    """Refuse samples that are no session.
+    """Refuse samples that cannot be judged.
 
     Args:
         samples: the samples in the order they were taken.
-        place: begins the message, such as `session night_run`.
+        place: start of the error message, such as `session night_run`.
 
     Raises:
-        SessionError: none at all, or a value that is not finite.
+        SessionError: there are no samples, or a value is not finite.
     """
     if not samples:
-        msg = f"{place}: there is no sample"
+        msg = f"{place}: has no samples"
         raise SessionError(msg)
     for sample in samples:
         for name in VALUES:
@@ -36,12 +36,12 @@ def check_samples(samples: Sequence[Sample], place: str) -> None:
 
 
 def gaps_of(samples: Sequence[Sample]) -> list[tuple[int, int]]:
-    """Index before and index behind every place where a sample does not follow the one before it."""
+    """Index before and index after every gap in the samples' indices."""
     return [(a.index, b.index) for a, b in pairwise(samples) if b.index != a.index + 1]
 
 
 def period_of(samples: Sequence[Sample]) -> float:
-    """Sample time in seconds from the stamps of samples that follow each other; 1 s if there are none.
+    """Sampling period in seconds from the stamps of consecutive samples; 1 s if there are none.
 
     Raises:
         SessionError: the stamps do not advance.
@@ -57,10 +57,10 @@ def period_of(samples: Sequence[Sample]) -> float:
 
 
 def rounded_period(mean: float) -> float:
-    """The period a loop was meant to have, s, from the mean it kept.
+    """The nominal period of a loop, s, from its measured mean.
 
-    A loop is set to whole milliseconds, and its clock and its stamps are a little off; a mean within half
-    a percent of whole milliseconds is taken for them, any other is kept to the nanosecond.
+    Loops are set to whole milliseconds, and clocks and stamps are slightly off: a mean within half a percent
+    of whole milliseconds is rounded to them, any other to the nanosecond.
     """
     whole = round(mean, 3)
     if whole > 0 and abs(mean - whole) <= 0.005 * whole:

@@ -1,6 +1,6 @@
-"""The records in a chunk of an MCAP file, unpacked no further than the chunk says.
+"""The records in a chunk of an MCAP file, unpacked only up to the size the chunk states.
 
-A chunk of some kilobytes may unpack to gigabytes, and the size it states may be wrong.
+A chunk of some kilobytes may unpack to gigabytes, and the stated size may be wrong.
 """
 
 from __future__ import annotations
@@ -12,29 +12,29 @@ from mcap.records import Chunk
 __all__ = ["MOST_UNPACKED", "ChunkError", "unpacked"]
 
 MOST_UNPACKED = 1 << 28
-"""Longest chunk, bytes unpacked: recorders gather a few megabytes, or one message if it is longer."""
+"""Longest chunk, unpacked bytes: recorders write chunks of a few megabytes, or one longer message."""
 
 
 class ChunkError(Exception):
-    """Why the records of a chunk cannot be had."""
+    """The records of a chunk cannot be read; the message says why."""
 
 
 def unpacked(chunk: Chunk) -> bytes:
-    """The records in a chunk, checked against the size and the CRC it carries.
+    """The records in a chunk, checked against its stated size and CRC.
 
     Raises:
         ChunkError: it is compressed in an unknown way, unpacks to another size, or is too large.
     """
     size = chunk.uncompressed_size
     if size > MOST_UNPACKED:
-        raise ChunkError(f"a chunk of {size} bytes is longer than the {MOST_UNPACKED} that are read")
+        raise ChunkError(f"a chunk of {size} bytes is longer than the limit of {MOST_UNPACKED}")
     data = chunk.data
     if chunk.compression:
         try:
             data = _decompressed(chunk.compression, data, size + 1)
         except ChunkError:
             raise
-        except Exception as error:  # each compressor has its own
+        except Exception as error:  # every compressor raises its own
             raise ChunkError(
                 f"a chunk compressed with {chunk.compression} cannot be unpacked ({error})"
             ) from error
@@ -44,9 +44,9 @@ def unpacked(chunk: Chunk) -> bytes:
 
 
 def _decompressed(compression: str, data: bytes, most: int) -> bytes:
-    """The first bytes of what was compressed, at most so many."""
+    """The first `most` unpacked bytes."""
     if compression == "zstd":
-        import zstandard  # noqa: PLC0415 - only who meets it needs it
+        import zstandard  # noqa: PLC0415 - rarely needed
 
         with zstandard.ZstdDecompressor(max_window_size=MOST_UNPACKED).stream_reader(data) as reader:
             return bytes(reader.read(most))
@@ -54,4 +54,4 @@ def _decompressed(compression: str, data: bytes, most: int) -> bytes:
         from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415
 
         return bytes(LZ4FrameDecompressor().decompress(data, max_length=most))
-    raise ChunkError(f"a chunk is compressed with {compression[:40]!r}, which is not known")
+    raise ChunkError(f"a chunk is compressed with {compression[:40]!r}, which is not supported")

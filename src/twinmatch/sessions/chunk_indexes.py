@@ -1,4 +1,4 @@
-"""Where the chunks of an MCAP file are, kept on the disk until the file is finished."""
+"""The index of the chunks of an MCAP file, kept on disk until the file is finished."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 __all__ = ["ChunkIndexes"]
 
 BLOCK = 1 << 20
-"""Bytes given to the summary at once."""
+"""Bytes written to the summary at once."""
 
 
 class _Block(NamedTuple):
-    """Chunk index records as they stand in the summary."""
+    """Encoded chunk index records for the summary."""
 
     data: bytes
 
@@ -27,20 +27,20 @@ class _Block(NamedTuple):
 
 
 class ChunkIndexes:
-    """Takes the place of the list in which a writer gathers its chunk indexes.
+    """Replaces the list in which a writer collects its chunk indexes.
 
-    The file has no name: it goes with the process, however that ends.
+    The file has no name: it vanishes with the process, however it ends.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Begin empty; the file lies in this folder, on the disk of the session."""
+        """Start empty; the file is in this folder, on the disk of the session."""
         from mcap.data_stream import RecordBuilder  # noqa: PLC0415 - as for the writer
 
         self._file = tempfile.TemporaryFile(dir=folder, prefix=".chunks-")  # noqa: SIM115 - closed with the object
         self._record = RecordBuilder()
 
     def append(self, index: ChunkIndex) -> None:
-        """Take the index of a chunk; raises `OSError` if the disk refuses it."""
+        """Append the index of a chunk; raises `OSError` if writing fails."""
         index.write(self._record)
         self._file.write(self._record.end())  # type: ignore[no-untyped-call]
 
@@ -50,5 +50,5 @@ class ChunkIndexes:
             yield _Block(data)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file, which deletes it."""
         self._file.close()

@@ -1,21 +1,21 @@
-"""Which column of somebody's table is which signal of a plant.
+"""The map from the columns of a table to the signals of a plant.
 
-Written on a command line, signal by signal:
+On a command line, signal by signal:
 
     time=elapsed   output="t2, t3"   input="Heater 1 (%)"   "room=t_room; unit=K"   "input=duty; scale=100"
 
-or as YAML, where the plant and the sample time may stand too:
+or as YAML, which may also give the plant and the sampling period:
 
     plant: incubator
-    period: 3.0                # s; if not given, that of the rows
+    period: 3.0                # s; that of the rows if not given
     columns:
       time: {column: time, unit: ns}
       output: [t2, t3]         # the mean of both
       input: heater_on
       room: {column: t1, scale: 0.1, offset: -40}
 
-A signal is the scale times the column plus the offset, then brought from the unit (of the column's title,
-where none is written) to the plant's. Several columns give their mean.
+A signal is scale · column + offset, converted from the given unit (by default the one in the column's title)
+to the plant's. Several columns give their mean.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scal
 
 @dataclass(frozen=True)
 class Source:
-    """Where a signal comes from."""
+    """The columns of a signal and their conversion."""
 
     columns: tuple[str, ...]
-    """Titles; more than one: their mean. A single one may hold commas, of itself or between several."""
+    """Titles; of several, the mean is used. A single text with commas may be one title, or several."""
     unit: str = ""
-    """Of scale·column + offset; empty: as the column's title says, or the plant's."""
+    """Unit of scale·column + offset; empty: that in the column's title, or the plant's."""
     scale: float = 1.0
     offset: float = 0.0
 
     @property
     def text(self) -> str:
-        """As it is written on a command line."""
+        """The source as written on a command line."""
         more = [f"unit={self.unit}"] if self.unit else []
         more += [
             f"{n}={v:g}"
@@ -63,12 +63,12 @@ class ColumnMap:
 
     sources: Mapping[str, Source] = field(default_factory=dict)
     plant: str = ""
-    """Name or file; empty: not said."""
+    """Name or file; empty: not given."""
     period: float | None = None
-    """Sample time, s."""
+    """Sampling period, s."""
 
     def joined(self, other: ColumnMap) -> ColumnMap:
-        """This map with what another says instead."""
+        """This map, updated with the entries of another."""
         return ColumnMap(
             {**self.sources, **other.sources},
             other.plant or self.plant,
@@ -77,10 +77,10 @@ class ColumnMap:
 
 
 def parse_map(entries: Sequence[str]) -> ColumnMap:
-    """A map from what stands on a command line.
+    """Parse a map from a command line.
 
     Raises:
-        RecordingError: an entry is no map.
+        RecordingError: an entry is not SIGNAL=COLUMN, or a signal is given twice.
     """
     sources: dict[str, Source] = {}
     for entry in entries:
@@ -95,14 +95,14 @@ def parse_map(entries: Sequence[str]) -> ColumnMap:
 
 
 def parse_source(place: str, text: str) -> Source:
-    """What stands behind the `=` of an entry, such as `T; unit=K`.
+    """Parse what follows the `=` of an entry, such as `T; unit=K`.
 
     Args:
-        place: begins the message of an error.
-        text: the column, and what is to be known of it.
+        place: start of the error message.
+        text: the column, and its conversion.
 
     Raises:
-        RecordingError: it names no column, or something that is not known.
+        RecordingError: the column is missing, or a setting is unknown.
     """
     column, *settings = (part.strip() for part in text.split(";"))
     if not column:
@@ -115,10 +115,10 @@ def parse_source(place: str, text: str) -> Source:
 
 
 def read_map(path: Path) -> ColumnMap:
-    """A map from a YAML file.
+    """Read a map from a YAML file.
 
     Raises:
-        RecordingError: the file is not there, is no YAML, or holds something else.
+        RecordingError: the file does not exist, is not YAML, or is not a map.
     """
     try:
         content = read_yaml(path)
@@ -131,10 +131,10 @@ def read_map(path: Path) -> ColumnMap:
         )
     unknown = sorted(str(name) for name in content if name not in ("plant", "period", "columns"))
     if unknown:
-        raise RecordingError(f"{path}: {unknown[0]} is not known; a map has plant, period and columns")
+        raise RecordingError(f"{path}: unknown entry {unknown[0]}; a map has plant, period and columns")
     period = content.get("period")
     if period is not None and not (_is_number(period) and period > 0):
-        raise RecordingError(f"{path}: period is {period!r}; give seconds")
+        raise RecordingError(f"{path}: period is {period!r}; give a positive number of seconds")
     sources = {str(name): _source(f"{path}: {name}", given) for name, given in columns.items()}
     return ColumnMap(sources, str(content.get("plant", "")), None if period is None else float(period))
 
@@ -143,15 +143,15 @@ def _source(place: str, given: Any) -> Source:
     if isinstance(given, str | list):
         given = {"column": given}
     if not isinstance(given, dict):
-        raise RecordingError(f"{place}: is {given!r}; name a column")
+        raise RecordingError(f"{place}: is {given!r}; give the title of a column")
     known = {"column", "columns", "unit", "scale", "offset"}
     unknown = sorted(str(name) for name in given if name not in known)
     if unknown:
-        raise RecordingError(f"{place}: {unknown[0]!r} is not known; there are unit, scale and offset")
+        raise RecordingError(f"{place}: unknown setting {unknown[0]!r}; there are unit, scale and offset")
     columns = given.get("column", given.get("columns"))
     columns = [columns] if isinstance(columns, str) else columns
     if not isinstance(columns, list) or not columns or not all(isinstance(c, str) and c for c in columns):
-        raise RecordingError(f"{place}: names no column; give one, or a list of which the mean is taken")
+        raise RecordingError(f"{place}: the column is missing; give one, or a list to average")
     for name in ("scale", "offset"):
         if not _is_number(given.get(name, 1.0)):
             raise RecordingError(f"{place}: {name} is {given[name]!r}; give a number")
@@ -159,7 +159,7 @@ def _source(place: str, given: Any) -> Source:
     if not isinstance(unit, str):
         raise RecordingError(f"{place}: unit is {unit!r}; give its name")
     if given.get("scale", 1.0) == 0:
-        raise RecordingError(f"{place}: scale is 0, which leaves nothing of the column; give another")
+        raise RecordingError(f"{place}: scale is 0, which makes the whole column 0; give another")
     return Source(tuple(columns), unit, float(given.get("scale", 1.0)), float(given.get("offset", 0.0)))
 
 

@@ -1,6 +1,6 @@
-"""Definitions of the messages that sessions are written with, so that no ROS installation is needed.
+"""Definitions of the messages in sessions, so that no ROS installation is needed.
 
-The texts are those of the installed `.msg` files, comments included, because readers show them; the
+The texts are those of the installed `.msg` files, including comments, because readers show them; the
 hashes are the RIHS01 type hashes that ROS 2 computes from the fields. Tests compare both with an
 installed ROS 2, and the hashes with an independent implementation.
 Header, Time, Temperature and Float64 are definitions of the ROS 2 common interfaces (Apache-2.0).
@@ -23,7 +23,7 @@ __all__ = [
 
 
 class MessageType(NamedTuple):
-    """A ROS message type and all that a session file says about it."""
+    """A ROS message type as a session file describes it."""
 
     name: str
     """Full name, `package/msg/Type`."""
@@ -32,11 +32,11 @@ class MessageType(NamedTuple):
     type_hash: str
     """RIHS01 hash of the fields."""
     parts: tuple[MessageType, ...] = ()
-    """Types of the nested fields, in the order a depth-last walk meets them."""
+    """Types of the nested fields, in breadth-first order."""
 
     @property
     def schema(self) -> str:
-        """The `ros2msg` schema: this text, then those of the nested types, each under its name."""
+        """The `ros2msg` schema: this text, then those of the nested types, each after its name."""
         blocks = [self.text]
         for part in self.parts:
             package, _, name = part.name.split("/")
@@ -45,7 +45,7 @@ class MessageType(NamedTuple):
 
 
 def fields_of(schema: str) -> list[str]:
-    """The field lines of a schema's first type, without comments and spare blanks."""
+    """The field lines of a schema's first type, without comments and extra spaces."""
     own = schema.split("=" * 80, maxsplit=1)[0]
     lines = (" ".join(line.split("#", 1)[0].split()) for line in own.splitlines())
     return [line for line in lines if line]
@@ -107,7 +107,7 @@ SCALAR_SAMPLE = (
     "float64 temperature",
     "float64 pwm",
 )
-"""Fields of the first definition of LoopSample; sessions recorded with it are read as today's."""
+"""Fields of the first definition of LoopSample; sessions recorded with it are converted when read."""
 
 TEMPERATURE = MessageType(
     "sensor_msgs/msg/Temperature",

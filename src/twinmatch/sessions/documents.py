@@ -1,10 +1,10 @@
-"""YAML and JSON from outside: the one place where either is read, as far as a document of ours goes.
+"""Bounded reading of YAML and JSON from outside; no other module reads either.
 
-A few hundred bytes of YAML can stand for gigabytes (aliases of aliases), nest deeper than Python can follow,
-hold numbers that no float and no message can, or name objects to be made. So a document is bounded in bytes,
-depth, values once aliases are written out, and the size of its numbers, and what it may hold are lists,
-mappings and plain scalars. The events of the parser (libyaml, where it is there) are put together here;
-nothing is made before it has been counted.
+A few hundred bytes of YAML can expand to gigabytes (aliases of aliases), nest deeper than Python's recursion
+limit, contain numbers that fit neither a float nor a message, or construct objects. A document is therefore
+limited in bytes, depth, number of values after expansion of aliases, and size of numbers, and may contain
+only lists, mappings and plain scalars. This module builds the values from the events of the parser (libyaml
+if available) and counts each value before creating it.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ __all__ = ["MOST_BYTES", "parse_json", "parse_yaml", "read_text", "read_yaml", "
 MOST_BYTES = 1 << 20
 """Longest document: a thousand candidates, or the metadata of a session of a thousand files."""
 MOST_VALUES = 20_000
-"""Most lists, mappings and scalars, each alias counted as what it stands for."""
+"""Most lists, mappings and scalars, with aliases expanded."""
 MOST_DEPTH = 32
 MOST_TEXT = 10_000
 """Longest text among the values, characters."""
 MOST_DIGITS = 400
-"""Longest text of a number; the longest float in decimals has 325 places before its digits."""
+"""Longest text of a number; the smallest float in decimals has 325 places before its digits."""
 WHOLE = 2**63
-"""Whole numbers are below this, as in messages and parameters of ROS."""
+"""Limit of whole numbers, as in messages and parameters of ROS."""
 
 _PREFIX = "tag:yaml.org,2002:"
 _KINDS = {f"{_PREFIX}{kind}" for kind in ("null", "bool", "int", "float", "str")}
 
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file holds: lists, mappings by text, and scalars.
+    """Read a YAML file: lists, mappings with text keys, and scalars.
 
     Raises:
-        DocumentError: it cannot be read, is no YAML, or goes beyond the bounds.
+        DocumentError: the file cannot be read, is not YAML, or exceeds a limit.
     """
     return parse_yaml(read_text(path), str(path))
 
 
 def read_text(path: Path) -> str:
-    """The text of a file of at most `MOST_BYTES` in UTF-8.
+    """Read a UTF-8 text file of at most `MOST_BYTES`.
 
     Raises:
-        DocumentError: it is none, or cannot be read.
+        DocumentError: the file cannot be read, is too long, or is not UTF-8 text.
     """
     try:
         return read_bounded(path, MOST_BYTES).decode("utf-8-sig")
@@ -58,15 +58,15 @@ def read_text(path: Path) -> str:
         msg = f"{path}: cannot be read: {error.strerror or error}"
         raise DocumentError(msg) from error
     except UnicodeDecodeError as error:
-        msg = f"{path}: is no text in UTF-8 (byte {error.start})"
+        msg = f"{path}: is not UTF-8 text (byte {error.start})"
         raise DocumentError(msg) from None
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """What a YAML text holds; `place` begins the messages. Keys are the text they were written as.
+    """Parse a YAML text; keys stay text as written. Error messages start with `place`.
 
     Raises:
-        DocumentError: the text is no YAML, or goes beyond the bounds.
+        DocumentError: the text is not YAML, or exceeds a limit.
     """
     import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
 
@@ -79,21 +79,21 @@ def parse_yaml(text: str, place: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" in line {mark.line + 1}"
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise DocumentError(f"{place}: is no YAML file{where}: {problem}") from None
+        raise DocumentError(f"{place}: is not valid YAML{where}: {problem}") from None
 
 
 def parse_json(text: str, place: str) -> Any:
-    """What a JSON text holds; `place` begins the messages.
+    """Parse a JSON text. Error messages start with `place`.
 
     Raises:
-        DocumentError: the text is no JSON, or goes beyond the bounds.
+        DocumentError: the text is not JSON, or exceeds a limit.
     """
     try:
         return json.loads(text, parse_int=lambda digits: _whole(digits, place))
     except RecursionError:
-        raise DocumentError(f"{place}: is nested too deep") from None
+        raise DocumentError(f"{place}: is nested too deeply") from None
     except json.JSONDecodeError as error:
-        raise DocumentError(f"{place}: is no JSON: {error}") from None
+        raise DocumentError(f"{place}: is not valid JSON: {error}") from None
 
 
 def shown(value: object) -> str:
@@ -102,7 +102,7 @@ def shown(value: object) -> str:
 
 
 class _Builder:
-    """Puts the events of a parser together, counting what it makes."""
+    """Builds values from the events of a parser, counting them."""
 
     def __init__(self, yaml: Any, place: str) -> None:
         self._yaml = yaml
@@ -114,12 +114,12 @@ class _Builder:
         self._anchored: dict[str, tuple[Any, int]] = {}
 
     def built(self, events: Iterator[Any]) -> Any:
-        """The one document of a stream; an empty one is None."""
+        """The only document of a stream; None for an empty stream."""
         documents: list[Any] = []
         for event in events:
             if isinstance(event, self._yaml.DocumentStartEvent):
                 if documents:
-                    raise self._error(event, "a second document begins; give one")
+                    raise self._error(event, "a second document begins; give only one")
                 documents.append(self._value(next(events), events))
         return documents[0] if documents else None
 
@@ -135,7 +135,7 @@ class _Builder:
             if self._depth > MOST_DEPTH:
                 raise self._error(event, f"is nested deeper than {MOST_DEPTH} levels")
             if event.tag not in (None, f"{_PREFIX}seq", f"{_PREFIX}map"):
-                raise self._error(event, f"has a {event.tag[:60]}, which is not read")
+                raise self._error(event, f"has a {event.tag[:60]}, which is not supported")
             a_list = isinstance(event, self._yaml.SequenceStartEvent)
             value = self._list(events) if a_list else self._mapping(events)
             self._depth -= 1
@@ -154,7 +154,7 @@ class _Builder:
         merged: dict[str, Any] = {}
         while not isinstance(event := next(events), self._yaml.MappingEndEvent):
             if not isinstance(event, self._yaml.ScalarEvent):
-                raise self._error(event, "has a name that is no text")
+                raise self._error(event, "has a key that is not text")
             self._count(event, 1)
             name, value = event.value[:MOST_TEXT], self._value(next(events), events)
             if name == "<<" and event.implicit[0]:
@@ -166,15 +166,15 @@ class _Builder:
         return {**merged, **values}
 
     def _merged(self, event: Any, value: Any) -> dict[str, Any]:
-        """What `<<: *name` brings in; of several the first one counts."""
+        """The entries merged by `<<: *name`; of several mappings the first has priority."""
         given = value if isinstance(value, list) else [value]
         if not all(isinstance(one, dict) for one in given):
-            raise self._error(event, "merges what is no mapping")
+            raise self._error(event, "merges a value that is not a mapping")
         return {name: one[name] for one in reversed(given) for name in one}
 
     def _alias(self, event: Any) -> Any:
         if event.anchor not in self._anchored:
-            raise self._error(event, f"*{event.anchor[:40]} stands for nothing that is complete before it")
+            raise self._error(event, f"*{event.anchor[:40]} has no complete anchor before it")
         value, size = self._anchored[event.anchor]
         self._count(event, size)
         return value
@@ -186,10 +186,10 @@ class _Builder:
         tag = event.tag
         if tag in (None, "!"):
             tag = self._resolver.resolve(self._yaml.ScalarNode, text, event.implicit)
-            if tag not in _KINDS:  # what looks like a date is the text it is
+            if tag not in _KINDS:  # dates stay text
                 tag = f"{_PREFIX}str"
         if tag not in _KINDS:
-            raise self._error(event, f"has a {tag[:60]}, which is not read")
+            raise self._error(event, f"has a {tag[:60]}, which is not supported")
         kind = tag.removeprefix(_PREFIX)
         if kind == "str":
             return text
@@ -198,14 +198,14 @@ class _Builder:
         try:
             value = getattr(self._constructor, f"construct_yaml_{kind}")(self._yaml.ScalarNode(tag, text))
         except (ValueError, LookupError, OverflowError):
-            raise self._error(event, f"{shown(text)} is no {kind}") from None
+            raise self._error(event, f"{shown(text)} is not a valid {kind}") from None
         return self._checked(event, value, text)
 
     def _checked(self, event: Any, value: Any, text: str) -> Any:
         if isinstance(value, float) and math.isnan(value):
-            raise self._error(event, f"{text} is no number")
+            raise self._error(event, f"{text} is not a number")
         if isinstance(value, float) and math.isinf(value) and "inf" not in text.lower():
-            raise self._error(event, f"{shown(text)} is beyond what a number can be")
+            raise self._error(event, f"{shown(text)} is too large for a number")
         if type(value) is int and abs(value) >= WHOLE:
             raise self._error(
                 event, f"{shown(text)} is too large for a whole number; write it with an exponent"
@@ -215,7 +215,7 @@ class _Builder:
     def _count(self, event: Any, values: int) -> None:
         self._values += values
         if self._values > MOST_VALUES:
-            raise self._error(event, f"stands for more than {MOST_VALUES} values")
+            raise self._error(event, f"the document has more than {MOST_VALUES} values")
 
     def _error(self, event: Any, problem: str) -> DocumentError:
         return DocumentError(f"{self._place}: line {event.start_mark.line + 1}: {problem}")

@@ -1,4 +1,4 @@
-"""What can be wrong with files of sessions and recordings.
+"""Errors of session files and recordings.
 
 TwinmatchError
 ├── SessionError           a session cannot be read or written

@@ -1,4 +1,4 @@
-"""One MCAP file of a session while it is written."""
+"""One MCAP file of a session during writing."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from twinmatch.sessions.topics import Topic
 __all__ = ["CHUNK_SIZE", "SessionFile"]
 
 CHUNK_SIZE = 64 * 1024
-"""Bytes gathered before they are written: what a killed recorder loses if it never flushes."""
+"""Bytes buffered before they are written: what a killed recorder loses if it never flushes."""
 
 
 class SessionFile:
-    """Topics, messages and records into one file; whatever the disk refuses is an `OSError`."""
+    """Writes topics, messages and records into one file; failures of the disk are an `OSError`."""
 
     def __init__(self, path: Path) -> None:
-        """Begin the file."""
-        from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - 70 ms that reading can do without
+        """Create the file."""
+        from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - takes 70 ms, not needed to read
 
         self.path = path
         self.counts: dict[Topic, int] = {}
@@ -33,24 +33,24 @@ class SessionFile:
         self._file = path.open("wb")
         self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
         # The writer keeps an object for every chunk until the end: 170 MB for a day that is flushed every
-        # 0.4 s. It has no option to keep them elsewhere; a test holds that this attribute is the one it uses.
+        # 0.4 s. It has no option to keep them elsewhere; a test checks that it uses this attribute.
         self._chunks = ChunkIndexes(path.parent)
         self._mcap._Writer__chunk_indices = self._chunks  # type: ignore[attr-defined]
         self._mcap.start(profile="ros2", library="twinmatch")
 
     @property
     def size(self) -> int:
-        """Bytes written so far, without the chunk that is being gathered."""
+        """Bytes written so far, without the current chunk."""
         return 0 if self._file.closed else self._file.tell()
 
     @property
     def part(self) -> Part:
-        """The file as the metadata name it."""
+        """The file's entry in the metadata."""
         start, end = self._span or (0, 0)
         return Part(self.path.name, start, end, sum(self.counts.values()))
 
     def add_topic(self, topic: Topic) -> None:
-        """Announce a topic that is not in the file yet."""
+        """Add a topic that is not in the file yet."""
         schema = self._schemas.get(topic.type)
         if schema is None:
             schema = self._mcap.register_schema(topic.type, "ros2msg", topic.schema.encode())
@@ -60,7 +60,7 @@ class SessionFile:
         self.counts[topic] = 0
 
     def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
-        """Write one message of an announced topic."""
+        """Write one message of an added topic."""
         count = self.counts[topic]
         self._mcap.add_message(self._channels[topic.name], log_time, data, publish_time, sequence=count)
         start, end = self._span or (log_time, log_time)
@@ -68,16 +68,16 @@ class SessionFile:
         self.counts[topic] = count + 1
 
     def add_record(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record, behind the messages so far."""
+        """Write a metadata record, after the messages so far."""
         self._mcap.add_metadata(name, dict(values))
 
     def flush(self) -> None:
-        """Bring everything so far to the disk."""
+        """Write everything so far to the disk."""
         self._mcap.flush()  # type: ignore[no-untyped-call]
         os.fsync(self._file.fileno())
 
     def finish(self, ros_distro: str) -> None:
-        """Write what rosbag2 asks of a file, the index, and close it."""
+        """Write the rosbag2 record and the index, and close the file."""
         summary = Summary((self.part,), self.counts, ros_distro)
         self.add_record("rosbag2", {"serialized_metadata": summary.text()})
         self._mcap.finish()  # type: ignore[no-untyped-call]
@@ -87,7 +87,7 @@ class SessionFile:
         self._chunks.close()
 
     def abandon(self) -> None:
-        """Close the file as it is."""
+        """Close the file without finishing it."""
         for file in (self._file, self._chunks):
-            with contextlib.suppress(OSError):  # the buffer of a full disk
+            with contextlib.suppress(OSError):  # the buffer cannot be written to a full disk
                 file.close()

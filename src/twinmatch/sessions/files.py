@@ -1,8 +1,8 @@
-"""Files that come from outside: opened without waiting for anybody, and read only so far.
+"""Reading files from outside: opened without blocking, and bounded.
 
-A name may stand for a pipe that nobody fills or a device that never ends, and a file may hold more than
-there is memory. What cannot be used is an `OSError` whose `strerror` says why, as the operating system's own
-are, so that a caller has one thing to catch and name.
+A path may be a pipe without a writer or an endless device, and a file may be larger than the memory. A file
+that cannot be used raises an `OSError` with a `strerror`, like errors of the operating system, so that
+callers catch only one kind.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["Told", "lines_of", "open_regular", "read_bounded"]
+__all__ = ["ProgressCallback", "lines_of", "open_regular", "read_bounded"]
 
-Told = Callable[[int, int], None]
-"""Is told how many of how many are done."""
+ProgressCallback = Callable[[int, int], None]
+"""Called with the amount done and the total."""
 
 MOST_LINE = 1 << 20
-"""Longest line of a table, characters: no table of samples has one like it, a file without line ends has."""
+"""Longest line of a table, characters: tables of samples are far below, files without line ends above."""
 LINES_BETWEEN = 10_000
-"""Lines between two words about how far it has come."""
+"""Lines between two reports of progress."""
 
 
 def open_regular(path: Path) -> BinaryIO:
     """Open a file for reading; pipes, devices, sockets and folders are refused without being opened.
 
     Raises:
-        OSError: it is none, is not there, or cannot be opened.
+        OSError: it does not exist, is not a regular file, or cannot be opened.
     """
     try:
         _require_regular(os.stat(path).st_mode)  # noqa: PTH116 - as `fstat` below
-        # It may have been exchanged since: without O_NONBLOCK a pipe would still be waited for.
+        # It may have been replaced since: O_NONBLOCK keeps the call from waiting for a pipe's writer.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except ValueError as error:  # a name with a zero byte in it
         raise OSError(errno.EINVAL, str(error)) from None
@@ -48,28 +48,28 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_bounded(path: Path, most: int) -> bytes:
-    """All bytes of a file that has at most `most` of them.
+    """All bytes of a file of at most `most` bytes.
 
     Raises:
-        OSError: it is no regular file, has more, or cannot be read.
+        OSError: it is not a regular file, is longer, or cannot be read.
     """
     with open_regular(path) as file:
         content = file.read(most + 1)
     if len(content) > most:
-        raise OSError(errno.EFBIG, f"has more than {most} bytes, which is too long for what it is")
+        raise OSError(errno.EFBIG, f"has more than {most} bytes, the limit for such a file")
     return content
 
 
-def lines_of(path: Path, told: Told | None = None) -> Iterator[str]:
-    """The lines of a text in UTF-8, without their ends, one after the other.
+def lines_of(path: Path, progress: ProgressCallback | None = None) -> Iterator[str]:
+    """The lines of a UTF-8 text file, without line ends.
 
     Args:
         path: a regular file.
-        told: called now and then with the bytes read so far and all of them.
+        progress: called every `LINES_BETWEEN` lines with the bytes read so far and the total.
 
     Raises:
-        OSError: it is no regular file, cannot be read, or has a line of more than `MOST_LINE` characters.
-        UnicodeDecodeError: it is no text.
+        OSError: it is not a regular file, cannot be read, or has a line of more than `MOST_LINE` characters.
+        UnicodeDecodeError: it is not UTF-8 text.
     """
     with open_regular(path) as file, TextIOWrapper(file, encoding="utf-8-sig") as text:
         size = os.fstat(file.fileno()).st_size
@@ -78,8 +78,8 @@ def lines_of(path: Path, told: Told | None = None) -> Iterator[str]:
             number += 1
             if len(line) == MOST_LINE and not line.endswith("\n"):
                 raise OSError(errno.EFBIG, f"line {number} has more than {MOST_LINE} characters")
-            if told is not None and number % LINES_BETWEEN == 0:
-                told(min(file.tell(), size), size)
+            if progress is not None and number % LINES_BETWEEN == 0:
+                progress(min(file.tell(), size), size)
             yield line.rstrip("\n")
 
 

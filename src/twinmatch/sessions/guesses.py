@@ -1,4 +1,4 @@
-"""What the columns of somebody's table may be, for who sees the table for the first time."""
+"""Guesses which signals the columns of an unknown table may be."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ _INPUT: Final = re.compile(
 _AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
 _TIME: Final = re.compile(r"^t$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
 _FEW: Final = 12
-"""Different values of a column up to which it rather looks commanded than measured."""
+"""A column with at most so many different values looks commanded rather than measured."""
 
 
 class Column(NamedTuple):
-    """A column at a glance."""
+    """Summary of a column."""
 
     title: str
     unit: str
-    """As its title says; empty if it does not."""
+    """Unit in its title; empty without one."""
     low: float
     high: float
     different: int
-    """How many different values it has."""
+    """Number of different values."""
     empty: int
     """Rows without a value."""
     kind: str
-    """`time` (it only grows), `numbers`, `on or off`, `constant` or `text`."""
+    """`time` (strictly increasing), `numbers`, `on or off`, `constant` or `text`."""
 
 
 def look(table: Table) -> list[Column]:
-    """Every column at a glance."""
+    """Summaries of all columns."""
     return [_column(table, title) for title in table.columns]
 
 
@@ -77,7 +77,7 @@ def _column(table: Table, title: str) -> Column:
 
 
 def proposed(columns: Sequence[Column]) -> dict[str, Source]:
-    """Which of the columns may be time, output, input, reference and room, to be looked over by a person."""
+    """A guess at the columns of time, output, input, reference and room, for a person to check."""
     found: dict[str, Source] = {}
     taken: set[str] = set()
     for signal, candidates in (
@@ -109,5 +109,5 @@ def _of(columns: Sequence[Column], kind: str) -> Iterator[Column]:
 
 
 def _liveliest(columns: Iterator[Column]) -> Iterator[Column]:
-    """Those with most different values first: of several readings, a room's changes least."""
+    """Columns with most different values first: of several temperatures, the room's varies least."""
     return iter(sorted(columns, key=lambda column: -column.different))

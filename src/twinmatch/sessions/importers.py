@@ -3,9 +3,9 @@
 A **.mat** file (MATLAB version 5, 6 or 7) holds the matrix `simout` with one row per sample and four
 columns: PWM command (−255 to 255), temperature (°C), time (s), set-point (°C).
 
-A **.csv** file has one line of column names, then one line per sample; columns are divided by commas,
-semicolons or tabs, and decimals by points. The four columns may stand in any order and others may
-stand between them; case and a unit in brackets do not matter to the names:
+A **.csv** file has one line of column names, then one line per sample; columns are separated by commas,
+semicolons or tabs; the decimal separator is the point. The four columns may be in any order, with others
+between them; case and a unit in brackets do not matter in the names:
 
     time          t, seconds                     s
     reference     r, setpoint, set_point         °C
@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.files import Told, lines_of
+from twinmatch.sessions.files import ProgressCallback, lines_of
 from twinmatch.sessions.matlab import MAT_BEGINNING, read_matrix
 from twinmatch.sessions.recordings import Columns, gather
 from twinmatch.signals import Window
@@ -37,7 +37,7 @@ __all__ = ["MAT_BEGINNING", "RECORDING_SUFFIXES", "read_recording"]
 RECORDING_SUFFIXES = (".mat", ".csv")
 MATRIX = "simout"
 MOST_ROWS = 10_000_000
-"""Samples of one recording, a day at 100 Hz: as objects in memory they take 2.5 GB."""
+"""Most samples of one recording, a day at 100 Hz: in memory they take 2.5 GB."""
 
 _NAMES = {
     "time": ("time", "t", "seconds"),
@@ -49,28 +49,29 @@ _UNITS = {"time": ("s",), "reference": ("°c", "degc", "c"), "temperature": ("°
 _NAME = re.compile(r"^\s*(?P<name>[^(\[]*?)\s*(?:[(\[]\s*(?P<unit>[^)\]]*?)\s*[)\]])?\s*$")
 
 
-def read_recording(path: Path | str, told: Told | None = None) -> Window:
+def read_recording(path: Path | str, progress: ProgressCallback | None = None) -> Window:
     """Read a recording as one window; its samples are counted from 0.
 
     Args:
         path: a `.mat` or `.csv` file as this module describes them.
-        told: called now and then with how much of how much has been read.
+        progress: called with the amount read and the total.
 
     Raises:
-        RecordingError: no such file, no recording, missing columns, values or times that cannot be used.
+        RecordingError: the file does not exist, is not a recording, lacks columns, or has values or times
+            that cannot be used.
     """
     path = Path(path)
     try:
         if path.is_dir():
-            msg = f"recording {path}: is a folder; name the file in it"
+            msg = f"recording {path}: is a folder; give the file in it"
             raise RecordingError(msg)
         path.stat()
         suffix = path.suffix.lower()
         if suffix not in RECORDING_SUFFIXES:
             endings = " or ".join(RECORDING_SUFFIXES)
-            msg = f"recording {path}: a recording's name ends in {endings}, not in {suffix!r}"
+            msg = f"recording {path}: has the suffix {suffix!r}; a recording has {endings}"
             raise RecordingError(msg)
-        return _read_mat(path) if suffix == ".mat" else _read_csv(path, told)
+        return _read_mat(path) if suffix == ".mat" else _read_csv(path, progress)
     except FileNotFoundError:
         msg = f"recording {path}: does not exist"
         raise RecordingError(msg) from None
@@ -82,14 +83,14 @@ def read_recording(path: Path | str, told: Told | None = None) -> Window:
 def _read_mat(path: Path) -> Window:
     matrix = read_matrix(path, MATRIX, len(Columns._fields), MOST_ROWS)
     if not (isinstance(matrix, np.ndarray) and matrix.dtype.kind in "fiu"):
-        msg = f"recording {path}: {MATRIX} is no matrix of real numbers; log it as an array"
+        msg = f"recording {path}: {MATRIX} is not a matrix of real numbers; log it as an array"
         raise RecordingError(msg)
     pwm, temperature, time, reference = np.asarray(matrix, dtype=np.float64).T
     return gather(Columns(time, reference, temperature, pwm), path.name, lambda i: f"row {i + 1}")
 
 
-def _read_csv(path: Path, told: Told | None) -> Window:
-    lines = lines_of(path, told)
+def _read_csv(path: Path, progress: ProgressCallback | None) -> Window:
+    lines = lines_of(path, progress)
     try:
         first = next(lines, None)
         if first is None:
@@ -100,10 +101,10 @@ def _read_csv(path: Path, told: Told | None) -> Window:
         places = _places(next(rows), path)
         numbers, values = _values(rows, places, path)
     except UnicodeDecodeError:
-        msg = f"recording {path}: is no text in UTF-8"
+        msg = f"recording {path}: is not UTF-8 text; save it as UTF-8"
         raise RecordingError(msg) from None
     except csv.Error as error:
-        msg = f"recording {path}: is no table ({error})"
+        msg = f"recording {path}: cannot be read as a table ({error})"
         raise RecordingError(msg) from None
     table = np.frombuffer(values, dtype=np.float64).reshape(-1, len(places))
     return gather(Columns(*table.T), path.name, lambda i: f"line {numbers[i]}")
@@ -119,10 +120,13 @@ def _places(header: list[str], path: Path) -> list[int]:
             continue
         if match["unit"] and match["unit"] not in _UNITS[column]:
             unit = {"time": "s", "pwm": "steps of −255 to 255, without unit"}.get(column, "°C")
-            msg = f"recording {path}: column {title.strip()!r}: {column} is needed in {unit}"
+            msg = f"recording {path}: column {title.strip()!r}: give {column} in {unit}"
             raise RecordingError(msg)
         if column in found:
-            msg = f"recording {path}: columns {header[found[column]]!r} and {title!r} are both the {column}"
+            msg = (
+                f"recording {path}: columns {header[found[column]]!r} and {title!r} are both {column}; "
+                "rename or remove one"
+            )
             raise RecordingError(msg)
         found[column] = place
     missing = [column for column in Columns._fields if column not in found]
@@ -136,13 +140,13 @@ def _places(header: list[str], path: Path) -> list[int]:
 
 
 def _values(rows: Iterator[list[str]], places: list[int], path: Path) -> tuple[array[int], array[float]]:
-    """Line numbers of the rows that are not blank, and their values, row by row."""
+    """Line numbers of the non-blank rows, and their values, row by row."""
     numbers, values = array("q"), array("d")
     for number, row in enumerate(rows, start=2):
         if not "".join(row).strip():
             continue
         if len(numbers) == MOST_ROWS:
-            msg = f"recording {path}: has more than {MOST_ROWS} rows; cut it into parts"
+            msg = f"recording {path}: has more than {MOST_ROWS} rows; split it into parts"
             raise RecordingError(msg)
         numbers.append(number)
         for column, place in zip(Columns._fields, places, strict=True):

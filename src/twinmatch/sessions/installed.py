@@ -1,4 +1,4 @@
-"""Definitions of message types that are installed here, as the schemas of a session's topics."""
+"""Definitions of the message types installed on this machine, as schemas of a session's topics."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ PRIMITIVE = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} 
 
 
 def schema_of(kind: str, environment: Mapping[str, str] = os.environ) -> str:
-    """The `ros2msg` schema of an installed type: its definition, then those of its parts.
+    """The `ros2msg` schema of an installed type: its definition, then those of its nested types.
 
     Args:
         kind: full name, `package/msg/Type`.
-        environment: says with AMENT_PREFIX_PATH where packages are; where Python is, is looked at last.
+        environment: its AMENT_PREFIX_PATH lists where packages are; Python's prefix is searched last.
 
     Raises:
-        SessionError: the type or one of its parts is not installed, or `kind` is no such name.
+        SessionError: the type or a nested one is not installed, or `kind` is not such a name.
     """
     texts = {kind: _text(kind, environment)}
     todo = [kind]
@@ -46,7 +46,7 @@ def schema_of(kind: str, environment: Mapping[str, str] = os.environ) -> str:
 def _text(kind: str, environment: Mapping[str, str]) -> str:
     match = re.fullmatch(r"(\w+)/msg/(\w+)", kind)
     if match is None:
-        msg = f"session: {kind!r} is no message type; package/msg/Type is"
+        msg = f"session: {kind!r} is not a message type; give package/msg/Type"
         raise SessionError(msg)
     package, name = match.groups()
     prefixes = [*filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
@@ -62,7 +62,7 @@ def _parts(owner: str, text: str) -> Iterator[str]:
     """Full names of the types of the nested fields."""
     for line in text.splitlines():
         field = line.split("#", 1)[0].strip()
-        if not field or re.match(r"\S+\s+\w+\s*=", field):  # nothing, or a constant
+        if not field or re.match(r"\S+\s+\w+\s*=", field):  # empty, or a constant
             continue
         kind = re.split(r"[\[<\s]", field)[0]
         if kind in PRIMITIVE:

@@ -1,4 +1,4 @@
-"""Somebody's table as samples of a plant: columns by a map, units brought to the plant's, one clock."""
+"""A table as samples of a plant: columns chosen by a map, converted to the plant's units, on one clock."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ __all__ = ["Mapped", "by_signal", "map_samples", "with_plant_names"]
 TIME, OUTPUT, INPUT, REFERENCE = "time", "output", "input", "reference"
 
 _ODD = 0.01
-"""Share of the readings beyond a sensor's span up to which the sensor is blamed, not the unit."""
+"""Up to this share of readings beyond the sensor's span, the sensor is suspected rather than the unit."""
 
 
 class Mapped(NamedTuple):
-    """Samples of a plant, and what was done to get them."""
+    """Samples of a plant, and how they were obtained."""
 
     samples: list[Sample]
     period: float
-    """Seconds from sample to sample."""
+    """Sampling period, s."""
     sources: Mapping[str, Source]
-    """By signal, with the titles as they stand in the table."""
+    """By signal, with the titles as in the table."""
     has_reference: bool
-    """Whether the table has set-points; without, every sample has the same reference, which says nothing."""
+    """Whether the table has set-points; without, every sample has the same meaningless reference."""
     notes: list[str]
-    """What its owner should know, as sentences."""
+    """Sentences for the user."""
 
 
 class _Signal(NamedTuple):
-    """What a plant says of one of its signals."""
+    """Properties of one of the plant's signals."""
 
     kind: Kind
     unit: str
@@ -53,7 +53,7 @@ class _Signal(NamedTuple):
 
 
 def with_plant_names(table: Table, plant: type[Plant], given: ColumnMap) -> ColumnMap:
-    """The map, and columns that are called as the signals they are."""
+    """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, given.sources))
     for signal, names in _names(plant).items():
         if signal not in sources:
@@ -73,18 +73,18 @@ def map_samples(
     longest: float | None = None,
     gaps: Gaps = "refuse",
 ) -> Mapped:
-    """The samples of a plant that a table holds.
+    """The samples of a plant from a table.
 
     Args:
-        table: somebody's columns.
-        given: which of them is which signal.
-        plant: whose signals they are.
-        longest: step from row to row that may be bridged, s; three usual ones if not given.
-        gaps: what becomes of longer steps; where they split the table, the samples' indices skip.
+        table: the table.
+        given: its columns by signal.
+        plant: the plant that the signals belong to.
+        longest: longest step between rows that is interpolated, s; three usual ones if not given.
+        gaps: treatment of longer steps; where they split the table, the samples' indices skip.
 
     Raises:
-        RecordingError: a signal or column that is not there, units that do not fit, values that the plant
-            cannot have, gaps.
+        RecordingError: a signal or column is missing, units do not fit, values are outside the plant's
+            range, or a gap is too long.
     """
     sources = {signal: _found(table, source) for signal, source in by_signal(plant, given.sources).items()}
     signals, notes = _wanted(table, plant, sources)
@@ -118,7 +118,7 @@ def map_samples(
 
 
 def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
-    """The signals of a plant, and how each may be called."""
+    """The signals of a plant, each with its accepted names."""
     return {
         TIME: (TIME,),
         OUTPUT: (OUTPUT, plant.output.name),
@@ -129,14 +129,14 @@ def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
 
 
 def by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, Source]:
-    """The sources of a plant's signals, whichever of their names was used.
+    """The sources by signal, from sources by any accepted name.
 
     Raises:
-        RecordingError: the plant has no signal of a name, or one is named twice.
+        RecordingError: the plant has no signal of that name, or a signal is given twice.
     """
     known = {name: signal for signal, names in _names(plant).items() for name in names}
     found: dict[str, Source] = {}
-    said: dict[str, str] = {}
+    used: dict[str, str] = {}
     for name, source in sources.items():
         if name not in known:
             signals = ", ".join(
@@ -145,13 +145,13 @@ def by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, So
             msg = f"--map: plant {plant.name} has no signal {name!r}; it has {signals}"
             raise RecordingError(msg)
         if known[name] in found:
-            raise RecordingError(f"--map: {said[known[name]]} and {name} are the same signal; name it once")
-        found[known[name]], said[known[name]] = source, name
+            raise RecordingError(f"--map: {used[known[name]]} and {name} are the same signal; give it once")
+        found[known[name]], used[known[name]] = source, name
     return found
 
 
 def _found(table: Table, source: Source) -> Source:
-    """The source with the titles of the table; a single text with commas may be several columns."""
+    """The source with the table's own titles; a single text with commas may be several columns."""
     columns = source.columns
     if len(columns) == 1 and "," in columns[0]:
         try:
@@ -164,12 +164,12 @@ def _found(table: Table, source: Source) -> Source:
 def _wanted(
     table: Table, plant: type[Plant], sources: Mapping[str, Source]
 ) -> tuple[dict[str, _Signal], list[str]]:
-    """The signals that the table is to give, and notes on those it does not have."""
+    """The signals to read from the table, and notes on those it does not have."""
     missing = [signal for signal in (TIME, OUTPUT, INPUT) if signal not in sources]
     if missing:
         msg = (
             f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
-            f"write --map {' '.join(f'{signal}=COLUMN' for signal in missing)} (--list shows the columns)"
+            f"add --map {' '.join(f'{signal}=COLUMN' for signal in missing)} (--list shows the columns)"
         )
         raise RecordingError(msg)
     y, u = plant.output, plant.drive
@@ -182,17 +182,17 @@ def _wanted(
             signals[name] = _Signal("reading", disturbance.unit)
         else:
             value = f"{disturbance.default:g} {disturbance.unit}".strip()
-            notes.append(f"{name} is not in the table: {value} stands in for it, as the plant says.")
+            notes.append(f"{name} is not in the table: the plant's default, {value}, is used.")
     if REFERENCE not in sources:
         notes.append(
-            "The table has no set-point: the loop is taken as not known, the twin is driven by the input."
+            "The table has no set-point: the loop is treated as unknown, the twin is driven by the input."
         )
     return signals, notes
 
 
 def _times(table: Table, source: Source) -> Times:
     if len(source.columns) > 1:
-        raise RecordingError(f"--map time={source.text}: time is one column")
+        raise RecordingError(f"--map time={source.text}: names several columns; give one for time")
     return read_times(table, source.columns[0], source.unit, source.scale)
 
 
@@ -210,11 +210,11 @@ def _conversion(table: Table, title: str, unit: str, signal: str, wanted: str) -
     try:
         return conversion(unit, wanted)
     except TwinmatchError:
-        if not measure(unit).known:  # what stands in the brackets is a remark
+        if not measure(unit).known:  # the text in brackets is a remark
             return Conversion()
         msg = (
             f"{table.path}: {title!r} is in {unit}, the plant's {signal} in {wanted or 'plain numbers'}; map "
-            f"another column, or say what it is in: '{signal}={title}; unit={wanted or '1'}; scale=…'"
+            f"another column, or give its conversion: '{signal}={title}; unit={wanted or '1'}; scale=…'"
         )
         raise RecordingError(msg) from None
 
@@ -222,8 +222,8 @@ def _conversion(table: Table, title: str, unit: str, signal: str, wanted: str) -
 def _check_range(
     table: Table, signal: str, known: _Signal, values: FloatArray, kept: np.ndarray
 ) -> list[str]:
-    """Refuses values that the plant cannot have; a few odd readings are those of a sensor that failed, which
-    the twin's health monitor is there to tell."""
+    """Refuse values outside the plant's range; keep a few odd readings as those of a failed sensor, which the
+    health monitor detects."""
     slack = 1e-9 * max(abs(known.low), abs(known.high)) if math.isfinite(known.high - known.low) else 0.0
     outside = kept[(values[kept] < known.low - slack) | (values[kept] > known.high + slack)]
     if not outside.size:
@@ -234,12 +234,12 @@ def _check_range(
     span = f"{known.low:g} to {known.high:g}"
     found = f"{signal} is {values[first]:g} {known.unit}{others}, beyond the {what}, {span}"
     if known.kind == "reading" and outside.size <= _ODD * kept.size:
-        return [f"In {table.row} {table.lines[first]}, {found}; kept as readings of a sensor that failed."]
+        return [f"In {table.row} {table.lines[first]}, {found}; kept as readings of a failed sensor."]
     raise RecordingError(f"{table.place(first)}: {found}; {_hint(signal, known, values[kept])}")
 
 
 def _hint(signal: str, known: _Signal, values: FloatArray) -> str:
-    """What may be meant by values that the plant cannot have."""
+    """A suggestion for values outside the plant's range."""
     for unit in ("K", "degF", "mV", "mA", "mW", "kW", "ms", "min", ""):
         try:
             change = conversion(unit, known.unit)
@@ -252,12 +252,12 @@ def _hint(signal: str, known: _Signal, values: FloatArray) -> str:
         within = values * scale
         if within.max() > 0.2 * known.high and ((within >= known.low) & (within <= known.high)).all():
             return f"if it is in another unit, write '{signal}=COLUMN; scale={scale:.6g}'"
-    return "map another column, give its unit, or widen the plant's range if it is right"
+    return "map another column, give its unit, or widen the plant's range if the values are right"
 
 
 def _samples(plant: type[Plant], done: Resampled, start: int) -> list[Sample]:
     columns, size = done.columns, done.index.size
-    # A twin without set-points is driven by the input and asks no reference; the field has to be finite.
+    # Without set-points the twin is driven by the input and ignores the reference, which must be finite.
     reference = columns.get(REFERENCE, np.full(size, columns[OUTPUT][0]))
     rows = [columns.get(name, np.full(size, d.default)) for name, d in plant.disturbances.items()]
     disturbances = np.array(rows).reshape(len(rows), size).T

@@ -1,8 +1,8 @@
-"""One matrix of a MATLAB file of version 5 (`save -v6` and `-v7`), looked at before it is unpacked.
+"""One matrix of a MATLAB file of version 5 (`save -v6` and `-v7`), checked before it is unpacked.
 
-A few kilobytes may unpack to gigabytes, and what a file says of its sizes may be wrong. So the walk over the
-variables unpacks of each no more than its beginning, which has name, class and dimensions; only the wanted
-one is unpacked, no further than its dimensions say, and what is then in memory is decoded by `scipy`.
+A few kilobytes may unpack to gigabytes, and the sizes a file states may be wrong. The search over the
+variables therefore unpacks only the beginning of each, which has name, class and dimensions; only the wanted
+one is unpacked, at most to the size given by its dimensions, and then decoded in memory by `scipy`.
 
 Source: MathWorks, *MAT-File Format*, section "Level 5 MAT-File Format".
 """
@@ -25,12 +25,12 @@ MAT_BEGINNING = b"MATLAB 5.0 MAT-file"
 HEADER = 128
 """Bytes before the first variable."""
 HEAD = 1024
-"""Bytes of a variable in which its flags, dimensions and name are looked for."""
+"""Bytes of a variable that are searched for its flags, dimensions and name."""
 SLACK = 64 * 1024
 """Bytes that a variable may have besides its values: tags, name, padding."""
 MOST_VARIABLES = 10_000
 MOST_SHOWN = 20
-"""Names of variables in one message."""
+"""Most names of variables in one message."""
 
 _MATRIX, _COMPRESSED = 14, 15
 _NUMERIC = range(6, 16)
@@ -39,11 +39,11 @@ _COMPLEX = 0x08
 
 
 class _DamagedError(Exception):
-    """The bytes are not what the format asks for."""
+    """The bytes do not follow the format."""
 
 
 class _Variable(NamedTuple):
-    """A variable as the file's bytes announce it."""
+    """A variable, from its header in the file."""
 
     name: str
     shape: tuple[int, ...]
@@ -54,15 +54,15 @@ class _Variable(NamedTuple):
     kind: int
     """Matrix or compressed matrix."""
     size: int
-    """Bytes behind the tag."""
+    """Bytes after the tag."""
 
 
 def read_matrix(path: Path, name: str, columns: int, most_rows: int) -> Any:
-    """A matrix of real numbers of `columns` columns, shape (N, columns).
+    """Read a matrix of real numbers, shape (N, columns).
 
     Raises:
-        RecordingError: no such file of version 5, no such matrix in it, or one of another shape or size.
-        OSError: it cannot be read.
+        RecordingError: the file is not of version 5, or has no such matrix of this shape and size.
+        OSError: the file cannot be read.
     """
     with open_regular(path) as file:
         header = file.read(HEADER)
@@ -88,14 +88,14 @@ def _check_beginning(path: Path, header: bytes) -> None:
         msg = f"recording {path}: is a MATLAB 7.3 file; save it again with the option -v7"
         raise RecordingError(msg)
     if not header.startswith(MAT_BEGINNING):
-        msg = f"recording {path}: is no MATLAB file of version 5"
+        msg = f"recording {path}: is not a MATLAB file of version 5; save it with the option -v7"
         raise RecordingError(msg)
 
 
 def _check(path: Path, wanted: _Variable, columns: int, most_rows: int) -> None:
-    """Refuse a matrix that cannot be meant, before a byte of it is unpacked."""
+    """Refuse a matrix of wrong type, shape or size before it is unpacked."""
     if not wanted.real:
-        msg = f"recording {path}: {wanted.name} is no matrix of real numbers; log it as an array"
+        msg = f"recording {path}: {wanted.name} is not a matrix of real numbers; log it as an array"
         raise RecordingError(msg)
     if len(wanted.shape) != 2 or wanted.shape[0] < 0 or wanted.shape[1] != columns:
         msg = (
@@ -104,12 +104,13 @@ def _check(path: Path, wanted: _Variable, columns: int, most_rows: int) -> None:
         )
         raise RecordingError(msg)
     if wanted.shape[0] > most_rows:
-        msg = f"recording {path}: {wanted.name} has {wanted.shape[0]} rows; cut it into parts of {most_rows}"
+        rows = wanted.shape[0]
+        msg = f"recording {path}: {wanted.name} has {rows} rows; split it into parts of {most_rows}"
         raise RecordingError(msg)
 
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
-    """What the file announces, one variable after the other."""
+    """The variables of the file, from their headers."""
     at = HEADER
     for _ in range(MOST_VARIABLES):
         file.seek(at)
@@ -133,7 +134,7 @@ def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
 
 
 def _head(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:
-    """Name, shape and whether it is a real matrix, from the beginning of a variable."""
+    """Name, shape, and whether it is a real matrix, from the beginning of a variable."""
     (flags,) = struct.unpack_from(f"{order}I", head, 8)
     real = flags & 0xFF in _NUMERIC and not (flags >> 8) & _COMPLEX
     dimensions, at = _part(head, 16, order)
@@ -143,17 +144,17 @@ def _head(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:
 
 
 def _part(head: bytes, at: int, order: str) -> tuple[bytes, int]:
-    """The bytes of the part that begins at a position, and where the next one does."""
+    """The bytes of the part at a position, and the position of the next part."""
     kind, size = struct.unpack_from(f"{order}II", head, at)
-    if kind >> 16:  # up to four bytes stand in the tag itself
+    if kind >> 16:  # up to four bytes are in the tag itself
         return head[at + 4 : at + 4 + min(kind >> 16, 4)], at + 8
     if size > len(head) - at - 8:
-        raise IndexError("a part is longer than all of it")
+        raise IndexError("a part is longer than the whole")
     return head[at + 8 : at + 8 + size], at + 8 + -(-size // 8) * 8
 
 
 def _unpacked(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
-    """The variable as an uncompressed file has it, tag included."""
+    """The variable as in an uncompressed file, including its tag."""
     most = wanted.shape[0] * wanted.shape[1] * 8 + SLACK
     file.seek(wanted.at + 8)
     content = file.read(min(wanted.size, most))
@@ -172,9 +173,9 @@ def _unpacked(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
 
 
 def _decoded(content: bytes, name: str) -> Any:
-    from scipy.io import loadmat  # noqa: PLC0415 - a quarter of a second that sessions can do without
+    from scipy.io import loadmat  # noqa: PLC0415 - takes 0.25 s, not needed for sessions
 
     try:
-        return loadmat(BytesIO(content), variable_names=[name])[name]  # type: ignore[arg-type]  # it takes files, too
-    except Exception as error:  # what the library meets in damaged bytes has many names
+        return loadmat(BytesIO(content), variable_names=[name])[name]  # type: ignore[arg-type]  # it accepts files too
+    except Exception as error:  # the library raises many kinds for damaged bytes
         raise _DamagedError(str(error)) from error

@@ -1,4 +1,4 @@
-"""The text that makes a folder with an MCAP file a rosbag2 bag: `metadata.yaml`, version 9."""
+"""The `metadata.yaml` of a rosbag2 bag, version 9."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ class Part(NamedTuple):
     end: int
     """Log time of the latest message, ns."""
     messages: int
-    """How many are in it."""
+    """Number of messages."""
 
 
 class Summary(NamedTuple):
-    """What the metadata say about a session."""
+    """The content of a session's metadata."""
 
     parts: tuple[Part, ...]
     """Its files, at least one."""
     counts: Mapping[Topic, int]
     """Messages per topic."""
     ros_distro: str
-    """ROS 2 distribution that recorded, or `unknown`."""
+    """ROS 2 distribution of the recorder, or `unknown`."""
 
     def text(self) -> str:
-        """The information as YAML, as it is repeated inside each MCAP file for that file."""
+        """The content as YAML; each MCAP file repeats it for itself."""
         return _dump(self._information())
 
     def file_text(self) -> str:
@@ -91,9 +91,9 @@ def qos_text(qos: Qos) -> str:
 
 
 def parse_qos(text: str) -> Qos:
-    """The first offered profile of a channel; what is missing or unknown falls back to the defaults.
+    """Parse the first offered profile of a channel; missing or unknown values give the default profile.
 
-    rosbag2 wrote numbers before version 9 and writes words since.
+    rosbag2 wrote numbers before version 9, and writes words since.
     """
     try:
         profile = parse_yaml(text, "offered_qos_profiles")[0]
@@ -104,12 +104,12 @@ def parse_qos(text: str) -> Qos:
         return Qos()
     if reliability not in {"reliable", "best_effort"} or durability not in {"volatile", "transient_local"}:
         return Qos()
-    # A recorder sees depth 0 where discovery does not tell it.
+    # A recorder sees depth 0 where discovery does not report it.
     return Qos(reliability, durability, depth if depth > 0 else Qos().depth)
 
 
 def files_listed(folder: Path) -> list[str]:
-    """Names of the MCAP files that `metadata.yaml` lists; none if it cannot be read."""
+    """Names of the MCAP files listed in `metadata.yaml`; empty if it cannot be read."""
     try:
         return [Path(name).name for name in _read(folder)["relative_file_paths"]]
     except (OSError, ValueError, TypeError, LookupError):
@@ -117,7 +117,7 @@ def files_listed(folder: Path) -> list[str]:
 
 
 def distro_of(folder: Path) -> str:
-    """The ROS 2 distribution that `metadata.yaml` names; `unknown` if it cannot be read."""
+    """The ROS 2 distribution in `metadata.yaml`; `unknown` if it cannot be read."""
     try:
         return str(_read(folder)["ros_distro"])
     except (OSError, ValueError, TypeError, LookupError):

@@ -1,7 +1,7 @@
-"""Messages of sessions that were recorded with older definitions, as today's.
+"""Conversion of messages recorded with older definitions.
 
-Samples are all that is translated here: whoever plays or judges a session needs nothing else of it. What a
-twin had published is read through the definition in the file by those who compare with it.
+Only samples are converted: playing or judging a session needs nothing else. Recorded verdicts and matches are
+decoded with the definitions in the file where they are compared.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ __all__ = ["current", "current_topic"]
 
 @lru_cache(maxsize=64)
 def current_topic(topic: Topic) -> Topic:
-    """The topic with today's definition of its messages; itself if it has that, or an unknown one."""
+    """The topic with the current definition of its messages; unchanged if it is current or unknown."""
     if topic.type == LOOP_SAMPLE.name and fields_of(topic.schema) == list(SCALAR_SAMPLE):
         return Topic.of(topic.name, LOOP_SAMPLE, topic.qos)
     return topic
 
 
 def current(message: Message) -> Message:
-    """The message as it would be recorded today.
+    """Convert a message to the current definition.
 
     Raises:
-        SessionError: it is no message of the definition in its file.
+        SessionError: the message does not match the definition in its file.
     """
     topic = current_topic(message.topic)
     if topic == message.topic:

@@ -1,4 +1,4 @@
-"""Reads a session: its samples at once, its messages as a stream for a player."""
+"""Reads a session: all its samples, and its messages as a stream."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Session:
 
     name: str
     path: Path
-    """Where it was read from: a folder or a file."""
+    """The folder or file it was read from."""
     topic: str
     """Topic the samples were published on."""
     samples: list[Sample]
-    """All samples, finite; a tick that took place without one is missing in their indices."""
+    """All samples, with finite values; their indices skip ticks without a sample."""
     topics: list[Topic]
     """All topics of the session."""
     counts: dict[str, int]
@@ -45,15 +45,15 @@ class Session:
     end: int
     """Log time of the latest message, ns."""
     notes: list[str]
-    """What a reader of results from this session should know, as sentences."""
+    """Remarks on the data for readers of the results, as sentences."""
     source: Callable[[], Iterable[Message]] = field(repr=False)
-    """Yields the messages anew at each call."""
+    """Yields the messages from the beginning at each call."""
     records: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    """Metadata records of the recorder by their name; of one that changed the last."""
+    """Metadata records of the recorder by name; the last of those with the same name."""
     plant: str = ""
-    """Of which plant it is, by name; empty where nothing says so, as in sessions of the Peltier rig."""
+    """Name of the plant; empty where it is not recorded, as in sessions of the Peltier rig."""
     has_reference: bool = True
-    """Whether its set-points say anything; without, the loop is taken as not known."""
+    """Whether its set-points are meaningful; otherwise the loop is treated as unknown."""
 
     @property
     def duration(self) -> float:
@@ -62,14 +62,14 @@ class Session:
 
     @property
     def period(self) -> float:
-        """Sample time, s, as the stamps of the samples show it."""
+        """Sampling period, s, computed from the stamps of the samples."""
         return period_of(self.samples)
 
     def window(self, period: float | None = None) -> Window:
-        """All samples as one window; `period` (s) if the stamps are not to be asked.
+        """All samples as one window; `period` (s) overrides the one computed from the stamps.
 
         Raises:
-            SignalError: some are missing, as `notes` say.
+            SignalError: samples are missing, see `notes`.
         """
         return Window.from_samples(self.samples, self.period if period is None else period)
 
@@ -80,7 +80,7 @@ class Session:
             topics: names of the wanted topics; all if not given.
 
         Raises:
-            SessionError: the session has no topic of a name, or the file has gone.
+            SessionError: the session has no such topic, or the file no longer exists.
         """
         unknown = sorted(set(topics or ()) - self.counts.keys())
         if unknown:
@@ -94,17 +94,17 @@ class Session:
 def read_session(path: Path | str, topic: str | None = None) -> Session:
     """Read a session folder or a single MCAP file of one.
 
-    Of a torn or damaged file all that comes before the damage is read, and `notes` say so; they also say
-    where samples are missing because the loop had no temperature, came too late or was started again.
+    A truncated or damaged file is read up to the damage, with a remark in `notes`. They also list where
+    samples are missing because the loop had no temperature, was late, or was restarted.
 
     Args:
         path: the folder or the `.mcap` file.
-        topic: the topic with the samples, if there are several rigs in the session; otherwise the one
-            topic of type LoopSample whose name ends in `plant/sample`.
+        topic: the topic with the samples, if the session has several rigs; by default the only topic of type
+            LoopSample with a name ending in `plant/sample`.
 
     Raises:
-        SessionError: nothing there, no session, no or several plant topics, no samples, values that are
-            not finite, stamps that do not advance from first to last.
+        SessionError: the path does not exist or is not a session; it has no plant topic, several, or no
+            samples; values are not finite, or the stamps do not advance.
     """
     path = Path(path)
     files, notes = _files(path)
@@ -144,7 +144,7 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
 
 
 def _files(path: Path) -> tuple[list[Path], list[str]]:
-    """The MCAP files of a session and what is to be noted about them."""
+    """The MCAP files of a session, and notes on them."""
     if not path.exists():
         msg = f"session {path}: does not exist"
         raise SessionError(msg)
@@ -157,7 +157,7 @@ def _files(path: Path) -> tuple[list[Path], list[str]]:
         present = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
         notes = [f"{METADATA} is missing or unreadable: the recording was not finished"]
     if not present:
-        msg = f"session {path}: is no session; the folder holds no MCAP file"
+        msg = f"session {path}: is not a session: the folder has no MCAP file"
         raise SessionError(msg)
     return present, notes
 
@@ -169,11 +169,11 @@ def _plant_topic(topics: list[Topic], wanted: str | None, place: str) -> Topic:
     else:
         plants = [topic for topic in plants if topic.name == wanted]
     if not plants:
-        asked = wanted or f"a topic ending in {SUFFIX}"
-        msg = f"{place}: {asked} of type {LOOP_SAMPLE.name} is not in it; it has {_names(topics)}"
+        asked = f"topic {wanted}" if wanted else f"topic ending in {SUFFIX}"
+        msg = f"{place}: has no {asked} of type {LOOP_SAMPLE.name}; it has {_names(topics)}"
         raise SessionError(msg)
     if len(plants) > 1:
-        msg = f"{place}: has samples of several rigs ({_names(plants)}); name the topic to use"
+        msg = f"{place}: has samples of several rigs ({_names(plants)}); give the topic to use"
         raise SessionError(msg)
     if fields_of(current_topic(plants[0]).schema) != fields_of(LOOP_SAMPLE.schema):
         msg = (
@@ -194,17 +194,17 @@ def _extent(fault: str, samples: list[Sample]) -> str:
 
 
 def _gaps(samples: list[Sample]) -> list[str]:
-    """A note on samples that are missing."""
+    """A note on missing samples."""
     gaps = gaps_of(samples)
     if not gaps:
         return []
     shown = ", ".join(f"from {before} to {behind}" for before, behind in gaps[:3])
     more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
-    return [f"the samples' indices step {shown}{more}: windows begin anew there"]
+    return [f"the samples' indices step {shown}{more}: windows start over there"]
 
 
 def _clock(samples: list[Sample]) -> list[str]:
-    """Notes on a clock that was set while recording; the samples are still those of every tick."""
+    """A note on a clock that was set during recording; no samples are missing then."""
     period = period_of(samples)
     for before, after in pairwise(samples):
         seconds = (after.stamp - before.stamp) / 1e9

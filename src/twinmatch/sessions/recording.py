@@ -1,7 +1,7 @@
-"""A session in the making: messages as they come, brought to the disk again and again, split, and stopped
-before the disk is full.
+"""A session being recorded: messages are written as they arrive and flushed regularly; files are split, and
+recording stops before the disk is full.
 
-It knows neither ROS nor threads; a recorder calls it from the one thread that writes.
+It depends on neither ROS nor threads; a recorder calls it from its writing thread.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ NANOSECONDS = 1_000_000_000
 
 
 class DiskFullError(SessionError):
-    """There is too little room to record, or to go on recording."""
+    """There is too little disk space to start or continue recording."""
 
 
 class RecordingLimits(NamedTuple):
-    """When to split and when to stop."""
+    """When to split a file and when to stop."""
 
     min_free_mb: float = 200.0
-    """Room that has to stay on the disk, MB; what ends a session needs some."""
+    """Disk space that must stay free, MB; finishing a session needs some."""
     split_mb: float = 0.0
-    """A file is ended when it has this size, MB; 0: never."""
+    """Size at which the next file is started, MB; 0: never."""
     split_s: float = 0.0
-    """A file is ended when its messages span this time, s; 0: never."""
+    """Time span of the messages at which the next file is started, s; 0: never."""
 
 
 class Recording:
@@ -50,23 +50,23 @@ class Recording:
         """Create the folder.
 
         Args:
-            folder: where the session goes; it must not exist.
+            folder: folder of the session; it must not exist.
             limits: when to split and to stop.
-            ros_distro: ROS 2 distribution that records.
-            free: says how many bytes are free where a path is; by default the file system does.
+            ros_distro: ROS 2 distribution of the recorder.
+            free: returns the free bytes at a path; by default asks the file system.
 
         Raises:
-            DiskFullError: too little room to begin with.
-            SessionError: the folder exists or cannot be made.
+            DiskFullError: too little disk space to start.
+            SessionError: the folder exists or cannot be created.
         """
         self.limits = limits or RecordingLimits()
         self._free = free or _free
-        self._require_room(folder, "will not begin")
+        self._require_space(folder, "not started")
         self._writer = SessionWriter(folder, ros_distro=ros_distro)
 
     @property
     def folder(self) -> Path:
-        """Where the session is."""
+        """Folder of the session."""
         return self._writer.folder
 
     @property
@@ -80,39 +80,39 @@ class Recording:
         return sum(self._writer.counts.values())
 
     def add_topic(self, topic: Topic) -> None:
-        """Announce a topic.
+        """Add a topic.
 
         Raises:
-            SessionError: it was announced as another, or the disk refuses.
+            SessionError: it was added with another type or QoS, or writing fails.
         """
         self._writer.add_topic(topic)
 
     def add_record(self, name: str, values: Mapping[str, str]) -> None:
-        """Note something about the session that is no message.
+        """Write a metadata record about the session.
 
         Raises:
-            SessionError: the disk refuses.
+            SessionError: writing fails.
         """
         self._writer.add_record(name, values)
 
     def write(self, name: str, data: bytes, log_time: int) -> None:
-        """Write one message of an announced topic, recorded at `log_time` (ns).
+        """Write one message of an added topic, recorded at `log_time` (ns).
 
         Raises:
-            SessionError: the topic is not announced, the time is negative, or the disk refuses.
+            SessionError: the topic was not added, the time is negative, or writing fails.
         """
         self._writer.write(name, data, log_time)
 
     def flush(self) -> None:
-        """Bring everything so far to the disk, begin another file if it is time, and look at the room.
+        """Flush to the disk, check the free space, and start the next file if it is due.
 
         Raises:
-            DiskFullError: too little room; the session has been closed and is whole.
-            SessionError: the disk refuses.
+            DiskFullError: too little disk space; the session has been closed and is complete.
+            SessionError: writing fails.
         """
         self._writer.flush()
         try:
-            self._require_room(self.folder, f"stopped after {self.messages} messages")
+            self._require_space(self.folder, f"stopped after {self.messages} messages")
         except DiskFullError:
             self.close()
             raise
@@ -123,7 +123,7 @@ class Recording:
         """Finish the session.
 
         Raises:
-            SessionError: the disk refuses.
+            SessionError: writing fails.
         """
         self._writer.close()
 
@@ -132,18 +132,18 @@ class Recording:
         span = (part.end - part.start) / NANOSECONDS
         return (0 < limits.split_mb <= self._writer.size / MEGABYTE) or (0 < limits.split_s <= span)
 
-    def _require_room(self, folder: Path, consequence: str) -> None:
+    def _require_space(self, folder: Path, consequence: str) -> None:
         free = self._free(folder) / MEGABYTE
         if free < self.limits.min_free_mb:
             msg = (
-                f"recording {folder.name}: {consequence}, {free:.0f} MB are free on the disk and "
-                f"{self.limits.min_free_mb:g} MB have to stay; make room or lower min_free_mb"
+                f"recording {folder.name}: {consequence}: {free:.0f} MB are free on the disk, but "
+                f"{self.limits.min_free_mb:g} MB must stay free; free some space or lower min_free_mb"
             )
             raise DiskFullError(msg)
 
 
 def _free(path: Path) -> int:
-    """Free bytes where a path is or will be."""
+    """Free bytes on the disk of a path, which need not exist yet."""
     place = path.absolute()
     while not place.exists():
         place = place.parent

@@ -1,4 +1,4 @@
-"""Checks and gathers the columns of an imported recording."""
+"""Checks the columns of an imported recording and makes a window of them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from twinmatch.signals import KELVIN, FloatArray, Window
 __all__ = ["Columns", "gather"]
 
 JITTER = 0.1
-"""Largest deviation of a step in time from the mean step, as a part of it."""
+"""Largest deviation of a time step from the usual step, as a share of it."""
 
 
 class Columns(NamedTuple):
     """The four columns of a recording, each of shape (N,)."""
 
     time: FloatArray
-    """Seconds, from any beginning."""
+    """Seconds, from any origin."""
     reference: FloatArray
     """Set-point, °C."""
     temperature: FloatArray
@@ -32,16 +32,16 @@ class Columns(NamedTuple):
 
 
 def gather(columns: Columns, name: str, row: Callable[[int], str]) -> Window:
-    """The window in these columns, after checking all of it.
+    """Make a window of the columns, after checking all values.
 
     Args:
         columns: equally long columns.
         name: the file's name, for messages.
-        row: names the place of the i-th value (from 0) as the file's owner counts.
+        row: returns the place of the i-th value (from 0) in the file, such as `line 12`.
 
     Raises:
-        RecordingError: fewer than two rows, values not finite, time that is irregular or goes back,
-            PWM beyond ±255, temperatures below absolute zero.
+        RecordingError: fewer than two rows, values that are not finite, irregular or decreasing time, PWM
+            beyond ±255, or temperatures below absolute zero.
     """
     if columns.time.size < 2:
         msg = f"recording {name}: has {columns.time.size} rows; at least two are needed"
@@ -68,15 +68,15 @@ def _period(time: FloatArray, name: str, row: Callable[[int], str]) -> float:
             f"to {time[at + 1]:g} s in {row(at + 1)}"
         )
         raise RecordingError(msg)
-    # The median, because a single long gap would draw the mean away from all the good steps; the lower one,
-    # because of two different steps the shorter is the usual.
+    # The median, because a single long gap would bias the mean; the lower median, because the shorter of two
+    # different steps is the usual one.
     usual = float(np.quantile(steps, 0.5, method="lower"))
     odd = np.flatnonzero(np.abs(steps - usual) > JITTER * usual)
     if odd.size:
         at = int(odd[0])
         msg = (
-            f"recording {name}: {steps[at]:g} s pass from {row(at)} to {row(at + 1)}, elsewhere {usual:g} s; "
-            "cut the recording there or resample it to one sample time"
+            f"recording {name}: {steps[at]:g} s from {row(at)} to {row(at + 1)}, elsewhere {usual:g} s; "
+            "split the recording there or resample it to one sampling period"
         )
         raise RecordingError(msg)
     return rounded_period(float(steps.mean()))

@@ -1,9 +1,8 @@
-"""Makes a whole session of one whose recorder was killed or whose disk was full.
+"""Repairs a session after its recorder was killed or the disk was full.
 
-The messages that can be read are written anew beside the session; only when the copy has been compared
-with what the original still gives does it take the original's place. The original stays as
-`<session>.broken` if it was damaged in the middle, where another tool may find more behind the damage;
-one that merely ends too early holds nothing more and is removed.
+The readable messages are written to a copy beside the session; the copy replaces the original only after it
+has been compared with it. The original is kept as `<session>.broken` if it was damaged in the middle, where
+another tool may recover more; an original that is merely truncated contains nothing more and is removed.
 """
 
 from __future__ import annotations
@@ -24,26 +23,26 @@ from twinmatch.sessions.writer import SessionWriter, sync_folder
 __all__ = ["BROKEN", "Repair", "repair_session"]
 
 BROKEN = ".broken"
-"""What is appended to the name of the original."""
+"""Suffix appended to the name of the original."""
 
 TORN = "truncated"
 
 
 class Repair(NamedTuple):
-    """What a repair came to."""
+    """Result of a repair."""
 
     folder: Path
-    """The session, whole now."""
+    """The session, now complete."""
     faults: tuple[str, ...]
-    """What was wrong, as sentences; empty: nothing, and nothing was done."""
+    """What was wrong; empty: nothing, and nothing was changed."""
     messages: int
-    """How many it holds."""
+    """Number of messages."""
     start: int
     """Log time of the earliest, ns."""
     end: int
     """Log time of the latest, ns."""
     original: Path | None
-    """Where the original was kept, if it was."""
+    """Where the original was kept; None if it was not."""
 
     @property
     def duration(self) -> float:
@@ -52,15 +51,15 @@ class Repair(NamedTuple):
 
 
 def repair_session(folder: Path | str) -> Repair:
-    """Make a session whole; one that is whole is left alone.
+    """Repair a session; a complete one is left unchanged.
 
     Args:
-        folder: the session's folder. If a repair was interrupted just before its end, it may be gone and
-            `<folder>.broken` there instead; then the repair is done again.
+        folder: the session's folder. If a repair was interrupted just before its end, only
+            `<folder>.broken` may exist; the repair is then repeated.
 
     Raises:
-        SessionError: there is no session, no message of it can be read, an earlier original is in the way,
-            or the disk refuses.
+        SessionError: there is no session, no message can be read, the original of an earlier repair exists,
+            or writing fails.
     """
     folder = Path(folder).absolute()
     broken = folder.with_name(folder.name + BROKEN)
@@ -79,18 +78,18 @@ def repair_session(folder: Path | str) -> Repair:
 
 def _files(folder: Path) -> list[Path]:
     if not folder.is_dir():
-        what = "is a file; give the folder it is in" if folder.is_file() else "does not exist"
+        what = "is a file; give its folder" if folder.is_file() else "does not exist"
         msg = f"session {folder}: {what}"
         raise SessionError(msg)
     files = sorted(folder.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
     if not files:
-        msg = f"session {folder}: is no session; the folder holds no MCAP file"
+        msg = f"session {folder}: is not a session: the folder has no MCAP file"
         raise SessionError(msg)
     return files
 
 
 def _examine(folder: Path, files: list[Path]) -> Repair:
-    """Read everything; what is wrong and what there is."""
+    """Read all messages; collect faults and counts."""
     faults: list[str] = []
     count, start, end = 0, 2**64, 0
     for file in files:
@@ -107,21 +106,21 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
     if not listed:
         faults.append(f"{METADATA} is missing or unreadable")
     elif sorted(listed) != sorted(file.name for file in files):
-        faults.append(f"{METADATA} lists other files than there are")
+        faults.append(f"{METADATA} does not list the files that exist")
     return Repair(folder, tuple(faults), count, start if count else 0, end, None)
 
 
 def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Repair:
     if found.messages == 0:
-        msg = f"session {folder}: {'; '.join(found.faults)}; not one message can be read, nothing was changed"
+        msg = f"session {folder}: {'; '.join(found.faults)}; no message can be read, nothing was changed"
         raise SessionError(msg)
     if broken.exists():
-        msg = f"session {folder}: {broken} is in the way, of an earlier repair; move or remove it first"
+        msg = f"session {folder}: {broken} of an earlier repair exists; move or remove it first"
         raise SessionError(msg)
     readable = [file for file in files if file.stat().st_size]
-    workshop = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".partial", dir=folder.parent))
+    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".partial", dir=folder.parent))
     try:
-        copy = workshop / folder.name
+        copy = scratch / folder.name
         _write(copy, readable, distro_of(folder))
         _compare(copy, readable)
         folder.rename(broken)
@@ -132,7 +131,7 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Re
             raise
         sync_folder(folder.parent)
     finally:
-        shutil.rmtree(workshop, ignore_errors=True)
+        shutil.rmtree(scratch, ignore_errors=True)
     if all(TORN in fault or METADATA in fault or "empty" in fault for fault in found.faults):
         shutil.rmtree(broken, ignore_errors=True)
         return found
@@ -140,7 +139,7 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Re
 
 
 def _write(copy: Path, files: list[Path], ros_distro: str) -> None:
-    """The same messages and records, in as many files."""
+    """Write the same messages and records, in as many files."""
     with SessionWriter(copy, ros_distro=ros_distro) as writer:
         for number, file in enumerate(files):
             if number:
@@ -157,7 +156,7 @@ def _write(copy: Path, files: list[Path], ros_distro: str) -> None:
 
 
 def _compare(copy: Path, files: list[Path]) -> None:
-    """Whether the copy is whole and gives what the original gives."""
+    """Check that the copy is complete and has the messages of the original."""
     written = _files(copy)
     for new, old in zip_longest(_messages(written), _messages(files)):
         if new is None or old is None or new[1:] != old[1:] or new.topic.name != old.topic.name:
@@ -165,9 +164,7 @@ def _compare(copy: Path, files: list[Path]) -> None:
             raise SessionError(msg)
     faults = _examine(copy, written).faults
     if faults:
-        msg = (
-            f"session {copy.name}: the repaired copy is not whole ({'; '.join(faults)}); nothing was changed"
-        )
+        msg = f"session {copy.name}: the repaired copy has faults ({'; '.join(faults)}); nothing was changed"
         raise SessionError(msg)
 
 

@@ -1,4 +1,4 @@
-"""Columns on one clock, as `resampling` makes them."""
+"""Columns on one clock, the result of `resampling`."""
 
 from __future__ import annotations
 
@@ -19,49 +19,49 @@ class Resampled:
     """Columns on one clock."""
 
     time: FloatArray
-    """Of the samples, s, as the rows count it; equally far apart within a stretch, the first of which begins
-    with the first row; shape (M,)."""
+    """Times of the samples, s, on the rows' time axis; equidistant within a stretch, which starts at its
+    first row; shape (M,)."""
     index: NDArray[np.int64]
-    """Numbers of the samples, from 0; they skip at least one where a gap splits the recording; shape (M,)."""
+    """Indices of the samples, from 0; at least one is skipped where a gap splits the rows; shape (M,)."""
     columns: Mapping[str, FloatArray]
     """By name, each of shape (M,)."""
     period: float
-    """Seconds from sample to sample."""
+    """Sampling period, s."""
     rows: int
-    """How many there were."""
+    """Number of input rows."""
     steps: tuple[float, float, float]
-    """Seconds from row to row within the stretches: the shortest, the median and the longest."""
+    """Shortest, median and longest step between rows within the stretches, s."""
     jitter: float
-    """How far a row lay from the nearest tick of the clock, root mean square, s."""
+    """Distance of the rows from the nearest tick, root mean square, s."""
     bridged: tuple[int, ...]
-    """Rows (from 0) behind which others are missing: steps longer than one and a half of the usual."""
+    """Rows (from 0) after which others are missing: the step is longer than 1.5 usual ones."""
     gaps: tuple[float, ...]
-    """Lengths of the gaps at which the recording is split, s, in the order of time."""
+    """Lengths of the gaps at which the recording is split, s, in order of time."""
 
     @property
     def stretches(self) -> list[slice]:
-        """The samples without a gap between them, in the order of time."""
+        """The stretches of samples without a gap, in order of time."""
         ends = [0, *(np.flatnonzero(np.diff(self.index) != 1) + 1).tolist(), self.index.size]
         return [slice(*pair) for pair in pairwise(ends)]
 
     @property
     def moved(self) -> bool:
-        """Whether the values were put elsewhere; otherwise they are those of the rows."""
+        """Whether values were interpolated; otherwise they are those of the rows."""
         return self.jitter > 0
 
     @property
     def sentence(self) -> str:
-        """What was done, in plain words."""
+        """Description of the resampling."""
         if not self.moved:
             return f"{self.rows} rows, one every {self.period:g} s{self._splits}"
         short, usual, long = self.steps
         text = (
-            f"{self.rows} rows {short:.3g} to {long:.3g} s apart (half of them up to {usual:.3g} s) put on a "
-            f"clock of {self.period:g} s; they lie {self.jitter:.2g} s beside it (RMS)"
+            f"{self.rows} rows, {short:.3g} to {long:.3g} s apart (median {usual:.3g} s), resampled to a "
+            f"period of {self.period:g} s; jitter {self.jitter:.2g} s (RMS)"
         )
         if self.bridged:
             places = "one place" if len(self.bridged) == 1 else f"{len(self.bridged)} places"
-            text += f"; rows are missing in {places}"
+            text += f"; rows are missing at {places}"
         return text + self._splits
 
     @property

@@ -1,19 +1,19 @@
-"""Puts rows that come at irregular times on one clock.
+"""Resampling of rows with irregular times to a constant period.
 
-A twin steps from sample to sample in equal periods. Loggers seldom keep such a clock: a loop that sleeps
-between its turns has steps of 2.96 and 3.04 s, and now and then a row is lost. What belongs between two rows
-depends on what a column is:
+A twin needs a constant sampling period. Loggers rarely keep one: a loop that sleeps between its cycles has
+steps of 2.96 and 3.04 s, and rows are lost now and then. The value between two rows depends on the kind of
+column:
 
-    reading   a sensor's value, which changes all the time: linear between the rows before and after
-    held      an input that stands from its row until the next: its mean over the period that follows, so
-              that the plant is given what it was given, however the rows lie about the clock
-    set       a set-point or a mode, of which no mean makes sense: that of the nearest row
+    reading   a sensor's value, which changes continuously: linear interpolation between its neighbours
+    held      an input that is held from its row to the next: its mean over the following period, so that the
+              twin gets the same total input as the plant
+    set       a set-point or a mode, for which a mean makes no sense: the value of the nearest row
 
-Readings are not smoothed. Where rows come much faster than the period, most of them are not used.
+Readings are not smoothed. If rows are much closer together than the period, most of them are not used.
 
-Nothing is known of a long gap. It is refused, or the recording is split there: each stretch has a clock that
-begins with its own first row, because a logger may be started again at any moment, and the samples are
-numbered on by the periods that are missing, so that no window reaches across.
+A long gap is refused, or the recording is split there: the clock of each stretch starts at its first row,
+because a logger may be restarted at any time, and the sample indices skip the missing periods, so that no
+window spans the gap.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from twinmatch.signals import FloatArray
 __all__ = ["Gaps", "bridged_up_to", "resample"]
 
 Gaps = Literal["refuse", "split"]
-"""What becomes of a gap that is too long to bridge."""
+"""Treatment of a gap that is too long to interpolate."""
 
 _ON_CLOCK: Final = 1e-3
-"""Part of a period by which a row may miss its tick and still be taken as it is."""
+"""A row this close to its tick, as a share of the period, is used unchanged."""
 _BRIDGED: Final = 3.0
-"""Steps that are bridged where nothing else is said, in usual steps: up to two lost rows."""
+"""Longest step that is interpolated by default, in usual steps: up to two lost rows."""
 _USUAL: Final = 1.5
-"""Steps longer than so many medians have lost rows in them."""
+"""Longer steps, in medians, contain lost rows."""
 _ROUNDED: Final = 5e-3
-"""Part by which a period may be rounded; what is between the rows follows their own times all the same."""
+"""Share by which a period may be rounded; interpolation still uses the rows' own times."""
 _DIGITS: Final = 9
-"""To which the period of a regular recording is kept."""
+"""Significant digits of the period of a regular recording."""
 _CROWDED: Final = 0.5
-"""Shortest period that can be asked for, in usual steps: most ticks need a row of their own."""
+"""Shortest period that can be requested, in usual steps, so that most ticks have their own row."""
 
 
 def resample(
@@ -60,23 +60,22 @@ def resample(
     place: str = "recording",
     row: Callable[[int], str] = lambda i: f"row {i + 1}",
 ) -> Resampled:
-    """Put columns on one clock that begins with the first row. Rows on such a clock stay as they are.
+    """Resample columns to a constant period, starting at the first row. Regular rows are not changed.
 
     Args:
-        time: when each row was taken, s, from any beginning; shape (N,).
+        time: time of each row, s, from any origin; shape (N,).
         columns: by name, each of shape (N,).
-        kinds: what each column is, by the same names.
-        period: of the clock, s; if not given, the mean step where no row is lost. Rows that keep no clock
-            are put on the roundest one within half a percent of that, so that two recordings of one logger
-            have the same.
-        longest: step from row to row that may be bridged, s; three usual ones if not given.
-        gaps: what becomes of longer steps.
-        place: begins the message of an error, such as `recording monday.csv`.
-        row: names the place of the i-th row (from 0) as the file's owner counts.
+        kinds: kind of each column, by the same names.
+        period: sampling period, s; by default the mean step without lost rows. For irregular rows it is
+            rounded as far as half a percent allows, so that two recordings of one logger have the same.
+        longest: longest step between rows that is interpolated, s; three usual ones if not given.
+        gaps: treatment of longer steps.
+        place: start of the error message, such as `recording monday.csv`.
+        row: returns the place of the i-th row (from 0) in the file, such as `line 12`.
 
     Raises:
         RecordingError: fewer than two rows, values that are not finite, time that does not advance, a step
-            that is too long to bridge, a period that is too short for the rows, or a column without a kind.
+            that is too long, a period that is too short for the rows, or a column without a kind.
     """
     stamps, values = _checked(time, columns, kinds, place, row)
     steps = np.diff(stamps)
@@ -89,12 +88,12 @@ def resample(
     kept = steps[steps <= limit]
     stretches = np.split(stamps, cuts + 1)
     if period is None:
-        ticks = float(np.sum(np.rint(kept / usual)))  # periods, those of lost rows among them
+        ticks = float(np.sum(np.rint(kept / usual)))  # number of periods, including those of lost rows
         period = _period(stretches, sum(float(part[-1] - part[0]) for part in stretches) / ticks)
     elif not (np.isfinite(period) and period >= _CROWDED * usual):
         msg = (
-            f"{place}: a period of {period:g} s is asked for; its rows are {usual:g} s apart, so give at "
-            "least half of that"
+            f"{place}: a period of {period:g} s does not fit rows {usual:g} s apart; give at least half of "
+            "that"
         )
         raise RecordingError(msg)
     clocks, found, squares = [], [], 0.0
@@ -121,22 +120,22 @@ def resample(
 
 
 def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
-    """The longest step from row to row that is bridged, s.
+    """The longest step between rows that is interpolated, s.
 
     Args:
-        stamps: when the rows were taken, s; growing, shape (N,), N at least two.
-        longest: what the user allows, s.
+        stamps: times of the rows, s; increasing, shape (N,), N at least two.
+        longest: the user's limit, s.
     """
     return _BRIDGED * _usual_step(np.diff(stamps)) if longest is None else longest
 
 
 def _usual_step(steps: FloatArray) -> float:
-    """Of two different steps the shorter is the usual; a mean would be drawn by each lost row."""
+    """The lower median, since the shorter of two different steps is the usual one; lost rows bias a mean."""
     return float(np.quantile(steps, 0.5, method="lower"))
 
 
 def _numbers(clocks: list[FloatArray], period: float) -> NDArray[np.int64]:
-    """Of the samples: counted on through each stretch, and by the missing periods from one to the next."""
+    """Indices of the samples: consecutive within a stretch; missing periods between stretches are skipped."""
     numbers = [np.arange(clocks[0].size)]
     for before, clock in pairwise(clocks):
         missing = max(round(float(clock[0] - before[-1]) / period), 2)
@@ -151,7 +150,7 @@ def _checked(
     place: str,
     row: Callable[[int], str],
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Time and columns as arrays of one length, all of it finite."""
+    """Time and columns as arrays of equal length, with finite values."""
     stamps = np.asarray(time, dtype=np.float64)
     values = {name: np.asarray(column, dtype=np.float64) for name, column in columns.items()}
     if stamps.ndim != 1 or stamps.size < 2:
@@ -159,7 +158,7 @@ def _checked(
     for name, column in values.items():
         if name not in kinds or kinds[name] not in MOVES:
             known = ", ".join(MOVES)
-            raise RecordingError(f"{place}: say for column {name} which it is of: {known}")
+            raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {known}")
         if column.shape != stamps.shape:
             msg = f"{place}: {name} has the shape {column.shape}, time {stamps.shape}; they must be equal"
             raise RecordingError(msg)
@@ -180,7 +179,7 @@ def _refuse_standing(stamps: FloatArray, place: str, row: Callable[[int], str]) 
         at = int(back[0])
         msg = (
             f"{place}: time does not advance from {stamps[at]:.12g} s in {row(at)} to "
-            f"{stamps[at + 1]:.12g} s in {row(at + 1)}; sort the rows, and keep one of each time"
+            f"{stamps[at + 1]:.12g} s in {row(at + 1)}; sort the rows, and keep one per time"
         )
         raise RecordingError(msg)
 
@@ -198,15 +197,15 @@ def _refuse_gap(
 
 
 def _period(stretches: list[FloatArray], mean: float) -> float:
-    """The clock's period where none is given, from the mean period of the rows: the roundest that they keep,
-    else the roundest."""
+    """The default period, from the mean period of the rows: the roundest one that the rows keep exactly, or
+    else the roundest within `_ROUNDED`."""
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _DIGITS + 1))
     near = [period for period in rounded if abs(period - mean) <= _ROUNDED * mean]
     return next((period for period in near if all(_clock(s, period)[1] for s in stretches)), near[0])
 
 
 def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
-    """The ticks, and whether the rows lie on them."""
+    """The ticks, and whether the rows are on them."""
     ticks = round(float(np.floor((stamps[-1] - stamps[0]) / period + _ON_CLOCK))) + 1
     clock = stamps[0] + period * np.arange(ticks)
     bare = clock.size == stamps.size and bool(np.all(np.abs(stamps - clock) <= _ON_CLOCK * period))

@@ -1,9 +1,9 @@
-"""Reads an MCAP file from its beginning for as far as it goes.
+"""Reads an MCAP file from its beginning as far as it is intact.
 
-A recorder that was killed leaves a file without index, often torn within a record. Libraries refuse
-such a file or return short data as if it were whole, so the walk over the records is done here; what
-is in a record, the `mcap` library knows. Each record is read whole before it is looked into, each
-chunk is checked against its CRC, and the walk ends at the first thing that is not right.
+A killed recorder leaves a file without index, often truncated within a record. Libraries refuse such a file
+or return partial data as if complete, so this module iterates over the records; the `mcap` library parses
+each. A record is read completely before it is parsed, each chunk is checked against its CRC, and reading ends
+at the first fault.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _Record = TypeVar("_Record", Schema, Channel, Chunk, Metadata, Statistics)
 
 
 class _FaultError(Exception):
-    """Why the walk over the records ends here."""
+    """Reading ends here; the message says why."""
 
 
 class _TornError(Exception):
-    """The bytes end within a record."""
+    """The file ends within a record."""
 
     def __init__(self, opcode: int, body: bytes) -> None:
         super().__init__("the file is truncated")
@@ -51,21 +51,21 @@ class _TornError(Exception):
 
 
 class Scan:
-    """One walk over a file: iterate it for the messages, then see what else was found."""
+    """One pass over a file: iterate it for the messages, then read topics, records and fault."""
 
     def __init__(self, path: Path) -> None:
         """Prepare to read a file; nothing is opened yet.
 
         Args:
-            path: an MCAP file, complete or torn.
+            path: an MCAP file, complete or truncated.
         """
         self.path = path
         self.topics: list[Topic] = []
-        """Topics announced so far, with or without messages."""
+        """Topics found so far, with or without messages."""
         self.records: dict[str, dict[str, str]] = {}
-        """Metadata records read so far; of several with one name the last."""
+        """Metadata records found so far; the last of those with the same name."""
         self.fault = ""
-        """Why reading ended before the end of the messages; empty if it did not."""
+        """Why reading ended early; empty if it did not."""
         self._count = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Topic] = {}
@@ -74,7 +74,7 @@ class Scan:
         """The messages in the order in which they were written.
 
         Raises:
-            SessionError: the file cannot be opened, is empty, or is no MCAP file.
+            SessionError: the file cannot be opened, is empty, or is not an MCAP file.
         """
         try:
             with open_regular(self.path) as file:
@@ -93,7 +93,7 @@ class Scan:
             msg = f"session {self.path}: the file is empty"
             raise SessionError(msg)
         if beginning != MAGIC:
-            msg = f"session {self.path}: is no session; an MCAP file begins otherwise"
+            msg = f"session {self.path}: is not a session: it does not begin like an MCAP file"
             raise SessionError(msg)
 
     def _messages(self, file: BinaryIO) -> Iterator[Message]:
@@ -118,17 +118,17 @@ class Scan:
             yield from self._record(opcode, body)
 
     def _torn_chunk(self, body: bytes) -> Iterator[Message]:
-        """What is whole in the beginning of a chunk; of a compressed one nothing is."""
+        """The complete messages of a truncated chunk; none if it is compressed."""
         try:
             chunk = _parsed(Chunk, body)
-        except _FaultError:  # torn before its data
+        except _FaultError:  # truncated before its data
             return
         if not chunk.compression:
             with contextlib.suppress(_TornError):
                 yield from self._chunk(chunk.data)
 
     def _check_end(self, records: Iterator[tuple[int, bytes]], file: BinaryIO) -> None:
-        """Compare what was read with what the file says of itself behind its messages."""
+        """Compare the number of messages read with the statistics after them."""
         try:
             for opcode, body in records:
                 if opcode == Opcode.STATISTICS:
@@ -142,7 +142,7 @@ class Scan:
         except _TornError:
             pass
         if file.read() != MAGIC:
-            raise _FaultError("the file is truncated behind its last message")
+            raise _FaultError("the file is truncated after its last message")
 
     def _record(self, opcode: int, body: bytes) -> Iterator[Message]:
         if opcode == Opcode.MESSAGE:
@@ -179,7 +179,7 @@ class Scan:
 
 
 def _records(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, bytes]]:
-    """Opcode and body of the records between two byte positions, each of them whole."""
+    """Opcode and body of the records between two byte positions."""
     at = begin
     while at < end:
         head = file.read(_RECORD.size)

@@ -1,4 +1,4 @@
-"""Names of the metadata records that say of which plant a session is, and how it was made."""
+"""Metadata records of a session: its plant, the parameters of its nodes, its initial candidates."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from twinmatch.sessions.errors import DocumentError, SessionError
 __all__ = ["CANDIDATES", "PLANT", "has_reference", "parameters_of", "parameters_record", "plant_of"]
 
 PLANT = "twinmatch/plant"
-"""Record with the name of the `plant`; an import adds `source`, `map` and whether there is a `reference`."""
+"""Record with the name of the `plant`; an import adds `source`, `map`, and `reference` if there is none."""
 NO_REFERENCE = "none"
 SAMPLED = "map.reference"
-"""Parameter of the sampler that says which topic the set-points come from; empty: there are none."""
+"""Parameter of the sampler with the topic of the set-points; empty: there are none."""
 PARAMETERS = "twinmatch/parameters"
 CANDIDATES = "twinmatch/candidates"
-"""Record with the `text` of the file of candidates that the discriminator began with; empty: not readable."""
+"""Record with the `text` of the discriminator's file of initial candidates; empty: it was not readable."""
 
 
 def parameters_record(node: str) -> str:
-    """Name of the record with the parameters of a node, given by its full name; the values are JSON."""
+    """Name of the record with the parameters of a node (full name); the values are JSON."""
     return PARAMETERS + node
 
 
 def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[str, Any] | None:
-    """The parameters of a node, given by its full name; None if they were not recorded.
+    """The parameters of a node (full name); None if they were not recorded.
 
     Raises:
-        SessionError: a value is no JSON.
+        SessionError: a value is not valid JSON.
     """
     found = records.get(parameters_record(node))
     if found is None:
@@ -42,20 +42,19 @@ def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[s
 
 
 def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
-    """The plant that a session says it is of, by its name; empty if it does not say. Where a twin took the
-    plant from a file, this is that file's path."""
-    said = records.get(PLANT, {}).get("plant", "")
+    """The recorded plant of a session: its name, or the path of its file; empty if not recorded."""
+    plant = records.get(PLANT, {}).get("plant", "")
     for name, values in records.items():
-        if not said and name.startswith(PARAMETERS) and "plant" in values:
+        if not plant and name.startswith(PARAMETERS) and "plant" in values:
             try:
-                said = str(parse_json(values["plant"], name))
+                plant = str(parse_json(values["plant"], name))
             except DocumentError:
                 continue
-    return said
+    return plant
 
 
 def has_reference(records: Mapping[str, Mapping[str, str]]) -> bool:
-    """Whether the session's set-points say anything; False where an import found none, or the sampler of
-    somebody else's rig was told of none."""
-    heard = (values.get(SAMPLED) for name, values in records.items() if name.startswith(PARAMETERS))
-    return records.get(PLANT, {}).get("reference", "") != NO_REFERENCE and '""' not in heard
+    """Whether the session's set-points are meaningful; False if an import found none, or the sampler had no
+    topic for them."""
+    topics = (values.get(SAMPLED) for name, values in records.items() if name.startswith(PARAMETERS))
+    return records.get(PLANT, {}).get("reference", "") != NO_REFERENCE and '""' not in topics

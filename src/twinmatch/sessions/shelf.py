@@ -1,7 +1,7 @@
-"""Everything that was heard of one run, on the disk, to be given again to who missed it.
+"""The samples and messages of one run, kept on disk for late-joining and restarted subscribers.
 
-A day of samples ten times a second is 40 MB, which no process that has to run for weeks can hold. The files
-have no name: they go with the process, however it ends.
+A day of samples at 10 Hz is 40 MB, too much for the memory of a process that runs for weeks. The files have
+no name: they vanish with the process, however it ends.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Rows = NDArray[np.void]
 
 
 class Shelf:
-    """Samples by their index."""
+    """Samples by index."""
 
     def __init__(self, disturbances: int = 0) -> None:
-        """Begin empty; every sample has so many measured disturbances."""
+        """Start empty; every sample has this number of measured disturbances."""
         self.disturbances = disturbances
         self._row = np.dtype(
             [
@@ -39,7 +39,7 @@ class Shelf:
         )
         self._file = tempfile.TemporaryFile(prefix="twinmatch-samples-")  # noqa: SIM115 - closed with the object
         self._count = 0
-        # Where unbroken runs begin: their first index, and its row. As many as the rig missed ticks.
+        # First index and first row of each unbroken run; there are few, since a new one needs a missed tick.
         self._firsts, self._rows = array("Q"), array("Q")
         self.end = 0
         """Index of the newest sample, plus one; 0 before the first."""
@@ -48,7 +48,7 @@ class Shelf:
         return self._count
 
     def push(self, sample: Sample) -> None:
-        """Take a sample; its index has to be greater than that of the one before."""
+        """Append a sample; its index must be greater than the previous one."""
         if not self._count or sample.index != self.end:
             self._firsts.append(sample.index)
             self._rows.append(self._count)
@@ -62,7 +62,7 @@ class Shelf:
         self.end = sample.index + 1
 
     def rows(self, first: int, count: int, most: int) -> Rows:
-        """What there is of the `count` indices from `first` on, in their order, at most `most` rows."""
+        """The samples among the `count` indices from `first` on, in order, at most `most` rows."""
         begin, end = self._row_of(first), self._row_of(first + count)
         number = min(end - begin, most)
         self._file.seek(begin * self._row.itemsize)
@@ -70,18 +70,18 @@ class Shelf:
 
     @property
     def stretches(self) -> int:
-        """How many unbroken runs of indices there are."""
+        """Number of unbroken runs of indices."""
         return len(self._firsts)
 
     def longest(self, period: float) -> Window:
-        """The longest of them, the first of several, as a window of this sample time (s).
+        """The longest run, the first of equals, as a window with this sampling period (s).
 
         Raises:
-            SignalError: there is no sample.
+            SignalError: there are no samples.
         """
         begins = np.array(self._rows, dtype=np.int64)
         if not begins.size:
-            raise SignalError("window: there is no sample to gather")
+            raise SignalError("window: there are no samples")
         lengths = np.diff(np.append(begins, self._count))
         run = int(np.argmax(lengths))
         rows = self.rows(self._firsts[run], int(lengths[run]), int(lengths[run]))
@@ -91,11 +91,11 @@ class Shelf:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file, which deletes it."""
         self._file.close()
 
     def _row_of(self, index: int) -> int:
-        """The row of the first sample that has this index or a greater one."""
+        """The row of the first sample with this or a greater index."""
         run = bisect_right(self._firsts, index) - 1
         if run < 0:
             return 0
@@ -104,10 +104,10 @@ class Shelf:
 
 
 class Texts:
-    """Serialised messages, by their number."""
+    """Serialised messages, by number."""
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Start empty."""
         self._file = tempfile.TemporaryFile(prefix="twinmatch-messages-")  # noqa: SIM115 - as above
         self._ends = array("Q")
         self._newest = b""
@@ -116,7 +116,7 @@ class Texts:
         return len(self._ends)
 
     def push(self, data: bytes) -> None:
-        """Take a message, unless it says again what the one before said."""
+        """Append a message, unless it equals the previous one."""
         if data == self._newest:
             return
         self._newest = data
@@ -125,7 +125,7 @@ class Texts:
         self._ends.append((self._ends[-1] if self._ends else 0) + len(data))
 
     def since(self, number: int, most: int) -> Sequence[bytes]:
-        """The messages from a number (from 0) on, at most so many."""
+        """The messages from a number on (counted from 0), at most `most`."""
         begin = self._ends[number - 1] if 0 < number <= len(self._ends) else 0
         found = []
         self._file.seek(begin)
@@ -135,5 +135,5 @@ class Texts:
         return found
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file, which deletes it."""
         self._file.close()

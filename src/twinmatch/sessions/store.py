@@ -1,4 +1,4 @@
-"""Writes a whole session at once: either it is there, complete, or it is not there."""
+"""Writes a whole session atomically: it exists completely or not at all."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from twinmatch.sessions.checks import check_samples, gaps_of
 from twinmatch.sessions.errors import SessionError
-from twinmatch.sessions.files import Told
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.sessions.metadata import METADATA
 from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, Topic, plant_messages
 from twinmatch.sessions.writer import SessionWriter, sync_folder
@@ -20,14 +20,14 @@ __all__ = ["EPOCH", "samples_of", "write_session"]
 EPOCH = 946_684_800_000_000_000
 """Stamp of the first sample of an imported recording: 2000-01-01 00:00 UTC, ns.
 
-A recording counts seconds from its own beginning and does not say when that was. The date of the file
-or of the import would make every import of it a different session. And zero will not do: ROS 2 reads
-a clock at zero as "no time yet". So an imported session visibly carries a date nobody measured.
+A recording counts seconds from its own start, without a date. The date of the file or of the import would
+make every import a different session, and ROS 2 treats a clock at zero as "no time yet". An imported session
+therefore has a date that is visibly artificial.
 """
 
 
 SAMPLES_BETWEEN = 10_000
-"""Samples between two words about how many have been written."""
+"""Samples between two reports of progress."""
 
 
 def samples_of(window: Window, start: int = EPOCH) -> list[Sample]:
@@ -44,31 +44,31 @@ def write_session(
     samples: Sequence[Sample],
     *,
     overwrite: bool = False,
-    told: Told | None = None,
+    progress: ProgressCallback | None = None,
     records: Mapping[str, Mapping[str, str]] | None = None,
     gaps: bool = False,
     topics: Sequence[Topic] = PLANT_TOPICS,
 ) -> Path:
     """Write samples as a session with the topics `plant/sample`, `plant/temperature`, `plant/reference`.
 
-    The session is written into a hidden folder beside its place, brought to the disk and then renamed, so
+    The session is written to a hidden folder beside its destination, flushed to disk and then renamed, so
     that an error or a kill leaves nothing under its name. The same samples give the same bytes.
 
     Args:
         folder: the session's folder; its last part is the session's name.
-        samples: at least one; growing indices, finite values.
-        overwrite: replace a session that is there; anything else than a session is never replaced.
-        told: called now and then with how many samples of how many have been written.
-        records: what is to be noted about the session, by the names of `settings`.
-        gaps: whether indices may skip; otherwise they have to be consecutive.
-        topics: fewer topics, for a plant that has no temperature or no loop; see `plant_topics`.
+        samples: at least one; increasing indices, finite values.
+        overwrite: replace an existing session; anything other than a session is never replaced.
+        progress: called with the number of samples written and the total.
+        records: metadata records, under the names in `settings`.
+        gaps: whether indices may skip; otherwise they must be consecutive.
+        topics: fewer topics, for a plant without a temperature or a loop; see `plant_topics`.
 
     Returns:
         The folder.
 
     Raises:
-        SessionError: no samples, gaps, values that are not finite, stamps outside ROS time; the folder
-            exists; the disk refuses.
+        SessionError: there are no samples, gaps, values that are not finite, or stamps outside ROS time; the
+            folder exists; or writing fails.
     """
     target = Path(folder).absolute()
     check_samples(samples, f"session {target.name}")
@@ -76,18 +76,18 @@ def write_session(
     _check_target(target, overwrite)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        workshop = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".partial", dir=target.parent))
+        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".partial", dir=target.parent))
     except OSError as error:
         msg = f"session {target}: cannot be written ({error.strerror})"
         raise SessionError(msg) from error
     try:
-        _write(workshop / target.name, samples, topics, told, records or {})
-        _move(workshop, target)
+        _write(scratch / target.name, samples, topics, progress, records or {})
+        _move(scratch, target)
     except OSError as error:
-        msg = f"session {target}: cannot be put in its place ({error.strerror})"
+        msg = f"session {target}: cannot be moved to its destination ({error.strerror})"
         raise SessionError(msg) from error
     finally:
-        shutil.rmtree(workshop, ignore_errors=True)
+        shutil.rmtree(scratch, ignore_errors=True)
     return target
 
 
@@ -103,7 +103,7 @@ def _write(
     folder: Path,
     samples: Sequence[Sample],
     topics: Sequence[Topic],
-    told: Told | None,
+    progress: ProgressCallback | None,
     records: Mapping[str, Mapping[str, str]],
 ) -> None:
     with SessionWriter(folder) as writer:
@@ -115,18 +115,18 @@ def _write(
         for message in plant_messages(samples, topics):
             if message.topic is SAMPLE:
                 written += 1
-                if told is not None and written % SAMPLES_BETWEEN == 0:
-                    told(written, len(samples))
+                if progress is not None and written % SAMPLES_BETWEEN == 0:
+                    progress(written, len(samples))
             writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
 
 
-def _move(workshop: Path, target: Path) -> None:
-    """Put the finished session in its place; one that is there stays until the new one takes over."""
-    old = workshop / "replaced"
+def _move(scratch: Path, target: Path) -> None:
+    """Move the finished session to its destination; an existing one is restored if that fails."""
+    old = scratch / "replaced"
     if target.exists():
         target.rename(old)
     try:
-        (workshop / target.name).rename(target)
+        (scratch / target.name).rename(target)
     except OSError:
         if old.exists():
             old.rename(target)
@@ -144,12 +144,12 @@ def _check_target(target: Path, overwrite: bool) -> None:
         msg = f"session {target}: exists already; choose another name or ask to overwrite it"
         raise SessionError(msg)
     if not _is_session(target):
-        msg = f"session {target}: is something else than a session and will not be overwritten"
+        msg = f"session {target}: is not a session and will not be overwritten; choose another name"
         raise SessionError(msg)
 
 
 def _is_session(folder: Path) -> bool:
-    """Whether a folder holds metadata and MCAP files and nothing besides."""
+    """Whether a folder contains only metadata and MCAP files."""
     if folder.is_symlink() or not folder.is_dir():
         return False
     names = [path.name for path in folder.iterdir()]

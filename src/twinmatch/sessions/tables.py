@@ -1,12 +1,12 @@
-"""Tables of other programs, with whatever columns they have: `.csv` and MATLAB `.mat`.
+"""Tables of other programs, with any columns: `.csv` and MATLAB `.mat`.
 
-A **.csv** file has a line of column names, then a line per row. Columns are divided by commas, semicolons or
-tabs; lines that begin with `#` are passed over. Where commas do not divide the columns, they may be the
-decimal points. `true`, `on` and `yes` are 1, `false`, `off` and `no` 0; an empty cell, `nan` and `null` are
-nothing.
+A **.csv** file has a line of column names, then a line per row. Columns are separated by commas, semicolons
+or tabs; lines that begin with `#` are ignored. Where commas do not separate columns, they may be decimal
+separators. `true`, `on` and `yes` are 1, `false`, `off` and `no` 0; an empty cell, `nan` and `null` have no
+value.
 
-A **.mat** file (MATLAB version 5, 6 or 7) has a column for each vector in it, called as the variable, and for
-each column of a matrix, called `name[1]`, `name[2]` and so on.
+A **.mat** file (MATLAB version 5, 6 or 7) gives a column for each vector, with the variable's name, and for
+each column of a matrix, with the names `name[1]`, `name[2]` and so on.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from twinmatch.signals import FloatArray
 __all__ = ["Table", "number", "read_table", "split_title"]
 
 MOST_BYTES = 500_000_000
-"""Of a file; what is larger is no recording of a loop, or better cut before it is imported."""
+"""Largest file; anything larger is not a recording of a loop, or should be split before the import."""
 _WORDS = {
     **dict.fromkeys(("true", "on", "yes"), 1.0),
     **dict.fromkeys(("false", "off", "no"), 0.0),
@@ -40,22 +40,22 @@ _TITLE = re.compile(r"^(?P<name>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*(?:\([^()]*\))
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length as they were written."""
+    """Columns of equal length as written in a file."""
 
     path: Path
     columns: Mapping[str, Sequence[str] | FloatArray]
-    """By title: texts of a .csv, numbers of a .mat. Titles are as in the file, without blanks around them."""
+    """By title: texts of a .csv, numbers of a .mat. Titles are as in the file, stripped of spaces."""
     lines: Sequence[int]
-    """Where each row stands in the file, from 1."""
+    """Place of each row in the file, from 1."""
     row: str = "line"
-    """What the file's owner calls a row."""
+    """Word for a row in messages."""
     decimal: str = "."
 
     def find(self, name: str) -> str:
-        """The title of the column that is meant: case and a unit in brackets need not be written.
+        """The title of a column; case and a unit in brackets may be omitted in `name`.
 
         Raises:
-            RecordingError: there is none, or there are several.
+            RecordingError: no column matches, or several do.
         """
         wanted = name.strip()
         if wanted in self.columns:
@@ -66,17 +66,17 @@ class Table:
             if len(found) == 1:
                 return found[0]
             if found:
-                msg = f"{self.path}: {name!r} may be {' or '.join(map(repr, found))}; write it out"
+                msg = f"{self.path}: {name!r} may be {' or '.join(map(repr, found))}; give its full title"
                 raise RecordingError(msg)
         titles = ", ".join(repr(title[:40]) for title in list(self.columns)[:30]) or "none"
         msg = f"{self.path}: has no column {name!r}; it has {titles}"
         raise RecordingError(msg)
 
     def values(self, title: str) -> FloatArray:
-        """The numbers of a column, shape (N,); nan where a cell has none.
+        """The numbers of a column, shape (N,); nan for cells without a value.
 
         Raises:
-            RecordingError: a cell holds something else.
+            RecordingError: a cell has other text.
         """
         column = self.columns[title]
         if isinstance(column, np.ndarray):
@@ -91,22 +91,22 @@ class Table:
         return values
 
     def unit(self, title: str) -> str:
-        """The unit that a column's title has in brackets; variables of a .mat have none."""
+        """The unit in brackets in a column's title; empty for variables of a .mat."""
         return "" if isinstance(self.columns[title], np.ndarray) else split_title(title)[1]
 
     def place(self, k: int) -> str:
-        """Where the k-th row is, for messages."""
+        """Place of the k-th row, for messages."""
         return f"{self.path}, {self.row} {self.lines[k]}"
 
 
 def split_title(title: str) -> tuple[str, str]:
-    """Name and unit of a column: `Temperature 1 (degC)` has both."""
+    """Name and unit of a column, such as `Temperature 1 (degC)`."""
     match = _TITLE.match(title.strip())
     return (match["name"].strip(), match["unit"].strip()) if match else (title.strip(), "")
 
 
 def number(text: str, decimal: str = ".") -> float | None:
-    """The number in a cell, nan for none; None if it holds something else."""
+    """The number in a cell; nan without a value, None for other text."""
     plain = text.strip().lower()
     if plain in _WORDS:
         return _WORDS[plain]
@@ -117,16 +117,16 @@ def number(text: str, decimal: str = ".") -> float | None:
 
 
 def read_table(path: Path) -> Table:
-    """The columns of a file.
+    """Read the columns of a file.
 
     Raises:
-        RecordingError: no such file, no table, or a damaged one.
+        RecordingError: the file does not exist, is not a table, or is damaged.
     """
     suffix = path.suffix.lower()
     try:
         with open_regular(path) as file:
             if os.fstat(file.fileno()).st_size > MOST_BYTES:
-                msg = f"{path}: has more than {MOST_BYTES / 1e6:.0f} MB; cut it into parts first"
+                msg = f"{path}: has more than {MOST_BYTES / 1e6:.0f} MB; split it into parts first"
                 raise RecordingError(msg)
         if suffix in (".csv", ".txt", ".tsv"):
             return _read_csv(path)
@@ -138,7 +138,7 @@ def read_table(path: Path) -> Table:
     except OSError as error:
         msg = f"{path}: cannot be read ({error.strerror or error})"
         raise RecordingError(msg) from error
-    msg = f"{path}: a table's name ends in .csv or .mat; save it as one of these"
+    msg = f"{path}: is neither a .csv nor a .mat file; save it as one of these"
     raise RecordingError(msg)
 
 
@@ -146,21 +146,21 @@ def _read_csv(path: Path) -> Table:
     try:
         text = list(lines_of(path))
     except UnicodeDecodeError:
-        msg = f"{path}: is no text in UTF-8; save it as UTF-8"
+        msg = f"{path}: is not UTF-8 text; save it as UTF-8"
         raise RecordingError(msg) from None
     held = [(k, line) for k, line in enumerate(text, 1) if line.strip(" ,;\t") and line.lstrip()[:1] != "#"]
     if len(held) < 3:
-        msg = f"{path}: has {len(held)} lines; a table has column names and at least two rows"
+        msg = f"{path}: has {len(held)} lines; give column names and at least two rows"
         raise RecordingError(msg)
     lines, rows = zip(*held, strict=True)
     divider = max(",;\t", key=rows[0].count)
     try:
         titles, *cells = csv.reader(rows, delimiter=divider, skipinitialspace=True)
     except csv.Error as error:
-        msg = f"{path}: is no table ({error})"
+        msg = f"{path}: cannot be read as a table ({error})"
         raise RecordingError(msg) from None
     if len(cells) != len(rows) - 1:
-        msg = f"{path}: a quoted cell runs over several lines; write it without line breaks"
+        msg = f"{path}: a quoted cell spans several lines; write it without line breaks"
         raise RecordingError(msg)
     for k, row in enumerate(cells):
         if len(row) > len(titles):
@@ -171,19 +171,19 @@ def _read_csv(path: Path) -> Table:
             raise RecordingError(msg)
         row.extend([""] * (len(titles) - len(row)))
     if all(number(title, ".") is not None for title in titles):
-        msg = f"{path}, line {lines[0]}: holds numbers; the first line has to name the columns"
+        msg = f"{path}, line {lines[0]}: has numbers; the first line must name the columns"
         raise RecordingError(msg)
     columns = dict(zip(_distinct(titles), zip(*cells, strict=True), strict=True))
     return Table(path, columns, lines[1:], decimal="." if divider == "," else _decimal(cells))
 
 
 def _decimal(rows: Sequence[Sequence[str]]) -> str:
-    """Which character divides a number from its decimals, where commas do not divide the columns."""
+    """The decimal separator, where commas do not separate columns."""
     return "," if any(re.fullmatch(r"\s*-?\d+,\d+\s*", cell) for row in rows[:50] for cell in row) else "."
 
 
 def _distinct(titles: Sequence[str]) -> list[str]:
-    """Titles with a number behind those that stand there twice, and for those that are empty."""
+    """Titles with a number appended to duplicates, and for empty ones."""
     distinct: list[str] = []
     for k, title in enumerate(titles, 1):
         plain = title.strip() or f"column {k}"
@@ -192,7 +192,7 @@ def _distinct(titles: Sequence[str]) -> list[str]:
 
 
 def _read_mat(path: Path) -> Table:
-    from scipy.io import loadmat  # noqa: PLC0415 (a quarter of a second that others can do without)
+    from scipy.io import loadmat  # noqa: PLC0415 (takes 0.25 s, not needed for .csv)
 
     with open_regular(path) as file:
         if file.read(19).startswith(b"MATLAB 7.3"):
@@ -200,8 +200,8 @@ def _read_mat(path: Path) -> Table:
             raise RecordingError(msg)
     try:
         held: dict[str, Any] = loadmat(path)
-    except Exception as error:  # what the library meets in damaged bytes has many names
-        msg = f"{path}: is no MATLAB file of version 5 to 7, or damaged ({error})"
+    except Exception as error:  # the library raises many kinds for damaged bytes
+        msg = f"{path}: is not a MATLAB file of version 5 to 7, or is damaged ({error})"
         raise RecordingError(msg) from error
     found: dict[str, FloatArray] = {}
     for name, array in held.items():
@@ -218,6 +218,6 @@ def _read_mat(path: Path) -> Table:
     length = max((column.size for column in found.values()), default=0)
     columns = {name: column for name, column in found.items() if column.size == length}
     if not columns:
-        msg = f"{path}: holds no vector and no matrix of real numbers; save the signals as arrays"
+        msg = f"{path}: has no vector or matrix of real numbers; save the signals as arrays"
         raise RecordingError(msg)
     return Table(path, columns, range(1, length + 1), row="row")

@@ -1,7 +1,7 @@
-"""Times as loggers write them, as seconds: numbers of a unit, counts since 1970, dates.
+"""Times of loggers as seconds: numbers with a unit, counts since 1970, dates.
 
-Numbers far beyond any recording's length are counts since 1970, and their size says of what: seconds from 1e8
-(1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates are ISO 8601
+Numbers far beyond any recording's length are counts since 1970, and their size gives the unit: seconds from
+1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates are ISO 8601
 (`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`); without a time zone they are taken as UTC.
 """
 
@@ -22,20 +22,20 @@ from twinmatch.units import conversion
 __all__ = ["Times", "is_date", "read_times"]
 
 _COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
-"""From which size on a number counts since 1970, and how many of its unit are a second."""
+"""Size from which a number is a count since 1970, and its units per second."""
 
 
 class Times(NamedTuple):
-    """When each row was taken."""
+    """Times of the rows."""
 
     seconds: FloatArray
-    """Since `origin`, shape (N,); nan where a row has none."""
+    """Seconds since `origin`, shape (N,); nan for rows without a time."""
     origin: float | None
-    """Seconds since 1970; None where the table does not say when it began."""
+    """Seconds since 1970; None if the table has no absolute time."""
 
 
 def is_date(text: str) -> bool:
-    """Whether a cell holds a date and time."""
+    """Whether a cell is a date with time."""
     return _date(text) is not None
 
 
@@ -43,13 +43,13 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     """The times in a column.
 
     Args:
-        table: where it stands.
-        title: of the column.
-        unit: of the numbers; empty: as the title says, or by their size.
-        scale: what to multiply the numbers with first.
+        table: the table.
+        title: title of the column.
+        unit: unit of the numbers; empty: that in the title, or judged by their size.
+        scale: factor applied to the numbers first.
 
     Raises:
-        RecordingError: a cell that is no time, or a unit that is not one of time.
+        RecordingError: a cell is not a time, or the unit is not one of time.
     """
     column = table.columns[title]
     if not isinstance(column, np.ndarray):
@@ -63,7 +63,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
         try:
             per_second = 1.0 / conversion(unit, "s").scale
         except TwinmatchError:
-            msg = f"{table.path}: {title!r} is in {unit}, no unit of time; write time='{title}; unit=s'"
+            msg = f"{table.path}: {title!r} is in {unit}, not a unit of time; write time='{title}; unit=s'"
             raise RecordingError(msg) from None
     else:
         per_second = next((count for least, count in _COUNTS if size >= least), 1.0)
@@ -73,7 +73,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
 
 
 def _since(seconds: FloatArray) -> Times:
-    """Times from the first on, and when that was; less is lost of them so."""
+    """Times relative to the first one, which keeps their precision."""
     origin = float(seconds[np.flatnonzero(np.isfinite(seconds))[:1]].sum())
     return Times(seconds - origin, origin)
 
@@ -98,7 +98,7 @@ def _date(text: str) -> float | None:
     plain = text.strip().replace("/", "-").replace(",", ".")
     plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
     head, dot, tail = plain.partition(".")
-    if dot:  # Python 3.10 takes three or six decimals, loggers write any number of them
+    if dot:  # Python 3.10 accepts three or six decimals, loggers write any number
         digits = len(tail) - len(tail.lstrip("0123456789"))
         plain = f"{head}.{tail[:digits][:6]:0<6}{tail[digits:]}"
     try:

@@ -1,4 +1,4 @@
-"""Topics of a session: name, message type, quality of service, and the plant topics of a sample."""
+"""Topics of a session: name, message type, quality of service; and the plant topics of its samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twinmatch.signals import Sample
 __all__ = ["PLANT_TOPICS", "Message", "Qos", "Topic", "plant_messages", "plant_topics"]
 
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
-"""How ROS 2 writes a duration without end."""
+"""An infinite duration in ROS 2."""
 
 
 class Qos(NamedTuple):
@@ -48,11 +48,11 @@ class Topic(NamedTuple):
     type: str
     """Message type, `package/msg/Type`."""
     schema: str
-    """Its definition and those of its parts as one `ros2msg` text."""
+    """Its definition and those of nested types as one `ros2msg` text."""
     type_hash: str
     """RIHS01 hash of the type; empty where it is not known."""
     qos: Qos = Qos()
-    """What the publisher offered."""
+    """Profile offered by the publisher."""
 
     @classmethod
     def of(cls, name: str, message: MessageType, qos: Qos) -> Topic:
@@ -61,24 +61,24 @@ class Topic(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A message as it is stored: serialised, with the two times of MCAP."""
+    """A stored message: serialised, with the two times of MCAP."""
 
     topic: Topic
     log_time: int
-    """When it was recorded, ns since the epoch of its clock."""
+    """Time of recording, ns since the epoch of its clock."""
     publish_time: int
-    """When it was published, ns; equal to `log_time` where it is not known."""
+    """Time of publication, ns; equal to `log_time` if not known."""
     data: bytes
-    """The CDR bytes, encapsulation header included."""
+    """The CDR bytes, including the encapsulation header."""
 
 
 SAMPLE = Topic.of("/plant/sample", LOOP_SAMPLE, Qos("reliable", "volatile", 100))
 TEMPERATURE_READING = Topic.of("/plant/temperature", TEMPERATURE, Qos("best_effort", "volatile", 5))
-# The reference is published when it changes, so a late reader has to be given the last one.
+# The reference is published when it changes, so it is latched for late subscribers.
 REFERENCE = Topic.of("/plant/reference", FLOAT64, Qos("reliable", "transient_local", 1))
 
 PLANT_TOPICS = (SAMPLE, TEMPERATURE_READING, REFERENCE)
-"""What is known of the plant from its samples alone; the PWM that was *applied* is not."""
+"""Topics that follow from the samples alone; the *applied* PWM does not."""
 
 
 def plant_topics(output_unit: str, *, has_reference: bool) -> tuple[Topic, ...]:
@@ -88,9 +88,9 @@ def plant_topics(output_unit: str, *, has_reference: bool) -> tuple[Topic, ...]:
 
 
 def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS) -> Iterator[Message]:
-    """The messages that the plant would have published at these samples, in the order of a live loop.
+    """The messages that the plant publishes for these samples, in the order of a live loop.
 
-    The reference comes first (only when it changed), then the temperature, then the sample made of both.
+    The reference comes first (only when it changed), then the temperature, then the sample.
 
     Args:
         samples: in order.

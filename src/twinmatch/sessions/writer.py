@@ -1,6 +1,6 @@
 """Writes a session: serialised messages of any type into a rosbag2 folder with MCAP files.
 
-Nothing here knows ROS, so a live recorder and an importer write through the same object.
+It does not depend on ROS, so a live recorder and an importer use the same class.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ __all__ = ["SessionWriter"]
 class SessionWriter:
     """Writes messages into a new folder `<name>/` as `<name>_0.mcap` and, on closing, `metadata.yaml`.
 
-    The chunks are not compressed: the messages of a torn chunk can then still be read one by one, every
-    MCAP reader understands them, and the bytes do not depend on the version of a compressor.
+    Chunks are not compressed: the messages of a truncated chunk can still be read, every MCAP reader supports
+    them, and the bytes do not depend on the version of a compressor.
 
-    Every failure of the disk is a `SessionError` at the call that meets it. After one, nothing more is
-    written: the file ends where the disk refused, and `read_session` reads it up to there.
+    A failed write raises `SessionError` in the call that makes it. After that nothing more is written: the
+    file ends there, and `read_session` reads it up to that point.
     """
 
     def __init__(self, folder: Path | str, *, name: str | None = None, ros_distro: str = "unknown") -> None:
-        """Create the folder and begin its file.
+        """Create the folder and its first file.
 
         Args:
-            folder: where the session goes; it must not exist, its parents are made.
-            name: the session's name, if it is not the folder's.
-            ros_distro: ROS 2 distribution that records.
+            folder: folder of the session; it must not exist, its parents are created.
+            name: the session's name, if it differs from the folder's.
+            ros_distro: ROS 2 distribution of the recorder.
 
         Raises:
-            SessionError: the folder exists, has no name, or cannot be made.
+            SessionError: the folder exists, has no name, or cannot be created.
         """
         self.folder = Path(folder)
         self.name = name or self.folder.absolute().name
@@ -60,25 +60,25 @@ class SessionWriter:
             msg = f"session {self.folder}: exists already; choose another name or remove it"
             raise SessionError(msg) from None
         except OSError as error:
-            msg = f"session {self.folder}: the folder cannot be made ({error.strerror})"
+            msg = f"session {self.folder}: the folder cannot be created ({error.strerror})"
             raise SessionError(msg) from error
         self._begin()
 
     @property
     def part(self) -> Part:
-        """Name, span and messages of the file that is being written."""
+        """Name, span and message count of the current file."""
         return Part("", 0, 0, 0) if self._file is None else self._file.part
 
     @property
     def size(self) -> int:
-        """Bytes of that file so far, without the chunk that is being gathered."""
+        """Bytes in the current file, without the current chunk."""
         return 0 if self._file is None else self._file.size
 
     def add_topic(self, topic: Topic) -> None:
-        """Announce a topic; doing so again changes nothing.
+        """Add a topic; adding it again changes nothing.
 
         Raises:
-            SessionError: the name is taken by a topic of another type or QoS, or the disk refuses.
+            SessionError: a topic of that name has another type or QoS, or writing fails.
         """
         known = self._topics.get(topic.name)
         if known is not None:
@@ -96,12 +96,12 @@ class SessionWriter:
 
         Args:
             name: a topic that was added.
-            data: CDR bytes with their encapsulation header, as a raw subscription delivers them.
-            log_time: when it was received, ns since the epoch of its clock, not negative.
-            publish_time: when it was sent, ns; `log_time` if not known.
+            data: CDR bytes with their encapsulation header, as delivered by a raw subscription.
+            log_time: time of reception, ns since the epoch of its clock, not negative.
+            publish_time: time of publication, ns; `log_time` if not known.
 
         Raises:
-            SessionError: the topic was not added, the time is negative, or the disk refuses.
+            SessionError: the topic was not added, a time is negative, or writing fails.
         """
         topic = self._topics.get(name)
         if topic is None:
@@ -115,31 +115,31 @@ class SessionWriter:
         self.counts[topic] += 1
 
     def add_record(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record: something about the session that is no message.
+        """Write a metadata record about the session.
 
-        It is repeated in every further file; one of the same name replaces the one before.
+        It is repeated in every further file and replaces an earlier record of the same name.
 
         Raises:
-            SessionError: the disk refuses.
+            SessionError: writing fails.
         """
         with self._disk() as file:
             file.add_record(name, values)
         self._records[name] = dict(values)
 
     def flush(self) -> None:
-        """Bring all messages so far safely to the disk; a kill or power cut then loses only later ones.
+        """Flush all messages to the disk; a kill or power failure then loses only later ones.
 
         Raises:
-            SessionError: the disk refuses.
+            SessionError: writing fails.
         """
         with self._disk() as file:
             file.flush()
 
     def split(self) -> None:
-        """Finish the file and go on in the next.
+        """Finish the file and start the next.
 
         Raises:
-            SessionError: the disk refuses.
+            SessionError: writing fails.
         """
         with self._disk() as file:
             file.finish(self._ros_distro)
@@ -150,7 +150,7 @@ class SessionWriter:
         """Finish the file and write `metadata.yaml`. Closing again does nothing.
 
         Raises:
-            SessionError: the disk refuses.
+            SessionError: writing fails.
         """
         if self._closed:
             return
@@ -164,7 +164,7 @@ class SessionWriter:
         self._closed = True
 
     def abandon(self) -> None:
-        """Close the file as it is, without index and metadata."""
+        """Close the file without writing index and metadata."""
         self._closed = True
         if self._file is not None:
             self._file.abandon()
@@ -188,24 +188,24 @@ class SessionWriter:
 
     @contextlib.contextmanager
     def _disk(self, *, begins: bool = False) -> Iterator[SessionFile]:
-        """Turn what the disk refuses into a message, once, and write nothing afterwards."""
+        """Turn the first failed write into a `SessionError`, and refuse to write after it."""
         if self._failed or (self._file is None and not begins):
-            msg = f"session {self.name}: writing failed before; only what was written until then is kept"
+            msg = f"session {self.name}: writing failed before; only the messages before that are kept"
             raise SessionError(msg)
         try:
-            yield self._file  # type: ignore[misc]  # None only while the first file begins
+            yield self._file  # type: ignore[misc]  # None only while the first file is created
         except OSError as error:
             self._failed = True
             self.abandon()
             msg = (
                 f"session {self.name}: cannot be written ({error.strerror or error}) after "
-                f"{sum(self.counts.values())} messages; make room or choose another folder"
+                f"{sum(self.counts.values())} messages; free some disk space or choose another folder"
             )
             raise SessionError(msg) from error
 
 
 def write_metadata(folder: Path, summary: Summary) -> None:
-    """Write `metadata.yaml`, so that it has its name only when it is complete."""
+    """Write `metadata.yaml` atomically."""
     path = folder / METADATA
     partial = path.with_name(f".{path.name}.partial")
     with partial.open("w", encoding="utf-8") as file:
@@ -217,7 +217,7 @@ def write_metadata(folder: Path, summary: Summary) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk."""
+    """Flush the entries of a folder to the disk."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

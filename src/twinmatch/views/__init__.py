@@ -1,6 +1,6 @@
-"""What a person sees of verdicts: tables, sentences, figures, and JSON for other programs.
+"""Verdicts for people: tables, sentences and figures; and as JSON for other programs.
 
-Terminal, live page, report and notebook all take their figures from here, so that they show the same ones:
+Terminal, live page, report and notebook all take their figures from here, so that they show the same values:
 `sentence` and `row` for a line of text, `events` and `level_stretches` for a time line, `criterion_rows` for
 the criterion table, `family` for the candidates with their models, `compare` for plant and twins side by
 side, `twinmatch.views.style` for colours and `twinmatch.views.figures` for pictures.

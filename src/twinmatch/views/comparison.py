@@ -16,14 +16,13 @@ __all__ = ["Comparison", "compare", "rolling_rms", "root_mean_square"]
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """One unbroken stretch of samples and what the twins make of it; arrays from its third sample on."""
+    """One unbroken stretch of samples and the twins' responses on it; arrays start at its third sample."""
 
     window: Window
     closed: Response | None
-    """The closed-loop twin: given the set-point, it answers with output and input; None where the loop is not
-    known."""
+    """Output and input of the closed-loop twin, driven by the set-point; None where the loop is not known."""
     driven: FloatArray
-    """The driven twin's output: it is given the measured input."""
+    """Output of the driven twin, driven by the measured input."""
 
     @property
     def time(self) -> FloatArray:
@@ -53,9 +52,9 @@ class Comparison:
 def compare(
     samples: Sequence[Sample], parameters: Parameters, gains: PidGains | None, period: float = 1.0
 ) -> tuple[Comparison, ...]:
-    """Run the twins over every unbroken stretch of at least four samples, each from its measured start.
+    """Run the twins over every unbroken stretch of at least four samples, from its measured initial values.
 
-    The period, s, is that of a plant whose loop is not known; a loop has its controller's.
+    `period`, s, is used where the loop is not known; a known loop has the period of its controller.
     """
     found = []
     for stretch in unbroken(samples):
@@ -76,13 +75,13 @@ def compare(
 
 
 def root_mean_square(parts: Sequence[FloatArray]) -> float:
-    """RMS over all values of all parts; NaN without any."""
+    """RMS over all values of all parts; NaN without values."""
     values = np.concatenate(parts) if parts else np.empty(0)
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def rolling_rms(values: FloatArray, count: int) -> FloatArray:
-    """RMS over the newest `count` values at each place (over fewer at the start), same shape."""
+    """RMS over the last `count` values at each place (over fewer at the start), same shape."""
     sums = np.concatenate(([0.0], np.cumsum(values**2)))
     ends = np.arange(1, values.size + 1)
     begins = np.maximum(ends - count, 0)

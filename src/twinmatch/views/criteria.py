@@ -22,10 +22,10 @@ class Criterion(NamedTuple):
     """Empty: a plain number."""
     decimals: int
     larger_is_better: bool | None
-    """None: the column is no criterion, and nothing in it is best."""
+    """None: the column is not a criterion, so no value in it is best."""
 
     def text(self, value: float) -> str:
-        """The value as it stands in the table, without unit."""
+        """The value as shown in the table, without unit."""
         return number(value, self.decimals)
 
 
@@ -39,21 +39,21 @@ CRITERIA: tuple[Criterion, ...] = (
     Criterion("mdl", "MDL", "", 4, False),
     Criterion("two_part_length", "two-part", "characters", 0, False),
 )
-"""The columns, in the order of the paper's table; MDL has the unit of the loss: output or input, squared."""
+"""The columns, in the order of the paper's table; MDL has the unit of the loss, output or input squared."""
 
 OUTPUTS: tuple[tuple[str, str], ...] = (
     ("y", "output y/r"),
     ("u", "control u/r"),
     ("total", "both"),
 )
-"""Attribute of `OrderScore` and what it is called."""
+"""Attribute of `OrderScore` and its name in tables."""
 
 _DRIVEN: tuple[tuple[str, str], ...] = (("y", "output y/u"),)
 """The same where the loop is not known."""
 
 
 def outputs_of(orders: Sequence[OrderScore]) -> tuple[tuple[str, str], ...]:
-    """What the orders of a candidate were scored on: attributes of `OrderScore` and what they are called."""
+    """The outputs that a candidate's orders were scored on: attributes of `OrderScore` and their names."""
     return _DRIVEN if any(order.u is None for order in orders) else OUTPUTS
 
 
@@ -74,14 +74,13 @@ class CriterionRow(NamedTuple):
     chosen: bool
     """Whether the order is the one chosen for the candidate."""
     cells: tuple[Cell, ...]
-    """One for each of `CRITERIA` (of those that were computed, see `criterion_rows`)."""
+    """One for each of the criteria passed to `criterion_rows`."""
 
 
 def criterion_rows(
     candidate: CandidateScore, criteria: Sequence[Criterion] = CRITERIA
 ) -> tuple[CriterionRow, ...]:
-    """The table of one candidate: for y, for u and for both together, or for y alone, a row for every
-    order."""
+    """The table of one candidate: a row per order, for y, for u and for both; for y alone in open loop."""
     return tuple(
         CriterionRow(
             output=output,
@@ -95,7 +94,7 @@ def criterion_rows(
 
 
 def computed(candidates: Sequence[CandidateScore]) -> tuple[Criterion, ...]:
-    """The criteria that have a figure for at least one candidate."""
+    """The criteria that have a value for at least one candidate."""
     return tuple(
         c
         for c in CRITERIA

@@ -1,4 +1,4 @@
-"""A judged session as a plain dictionary, for JSON: the shape other programs read."""
+"""A judged session as a plain dictionary, for JSON."""
 
 from __future__ import annotations
 

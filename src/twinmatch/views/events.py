@@ -1,4 +1,4 @@
-"""What happened in a session, as a time line: matches, who leads, who is nominal, trust lost and found."""
+"""The events of a session as a time line: matches, changes of leader, nominal and trust level, faults."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ __all__ = [
 STATUS_WORDS = {
     Status.NOT_EXPLAINED: "the twin cannot explain it",
     Status.NO_EXCITATION: "the set-point moved too little",
-    Status.DID_NOT_CONVERGE: "the search did not end",
-    Status.BOUNDS_HIT: "a parameter ran into its bound",
+    Status.DID_NOT_CONVERGE: "the fit did not converge",
+    Status.BOUNDS_HIT: "a parameter reached its bound",
     Status.NOT_IDENTIFIABLE: "the window does not determine the parameters",
-    Status.NOT_BETTER: "no better than what stands",
+    Status.NOT_BETTER: "no better than the candidate it would replace",
 }
 """Why the gate refused a match, in words."""
 
 
 class EventKind(Enum):
-    """What sort of event it is."""
+    """Kind of an event."""
 
     ADMITTED = "match admitted"
     REFUSED = "match refused"
@@ -60,7 +60,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples over which the trust level stayed the same, both ends included."""
+    """Samples with the same trust level, both ends included."""
 
     first: int
     last: int
@@ -68,7 +68,7 @@ class Stretch:
 
 
 def events(verdicts: Sequence[Verdict]) -> list[Event]:
-    """Everything worth telling, in the order in which it happened; matches as the verdict has them."""
+    """All events of the verdicts, in order of time."""
     found: list[Event] = []
     nominal: str | None = None
     leader: str | None = None
@@ -87,12 +87,12 @@ def events(verdicts: Sequence[Verdict]) -> list[Event]:
 
 
 def admitted(verdicts: Sequence[Verdict]) -> frozenset[int]:
-    """Samples whose match became a candidate of the family, whether or not it still is one."""
+    """Samples whose match was admitted to the family, including candidates dropped since."""
     return frozenset(v.sample for v in verdicts if v.match == ADMITTED)
 
 
 def match_word(report: MatchReport, verdicts: Sequence[Verdict]) -> str:
-    """What became of a match, in words; empty before its verdict."""
+    """The result of a match, in words; empty before its verdict."""
     verdict = next((v for v in verdicts if v.sample == report.sample and v.match), None)
     if verdict is None:
         return ""
@@ -101,9 +101,9 @@ def match_word(report: MatchReport, verdicts: Sequence[Verdict]) -> str:
 
 
 def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch]:
-    """How far to trust the leader over time: a verdict's level is that of the samples since the last.
+    """The trust level over time: a verdict's level covers the samples since the last verdict.
 
-    A fault begins at the sample since which it shows, not where the verdict before it ended.
+    A fault begins at `fault_since`, not at the end of the previous verdict.
 
     Args:
         verdicts: in order.
@@ -128,7 +128,7 @@ def _match_events(verdict: Verdict) -> list[Event]:
     found = [] if kind is None else [Event(verdict.sample, kind, f"match {verdict.match}", _why(verdict))]
     for name in verdict.dismissed:
         title = f"{name} dismissed"
-        found.append(Event(verdict.sample, EventKind.DISMISSED, title, "the fault showed in its window"))
+        found.append(Event(verdict.sample, EventKind.DISMISSED, title, "the fault was present in its window"))
     return found
 
 
@@ -137,20 +137,20 @@ def _why(verdict: Verdict) -> str:
 
 
 def _leader_event(verdict: Verdict, before: str | None) -> Event:
-    why = f"its forecasts are worth more than those of {before}" if before else "the first to foretell"
+    why = f"its forecasts are better than those of {before}" if before else "the first with forecasts"
     return Event(verdict.sample, EventKind.LEADER, f"{verdict.leader} leads", why)
 
 
 def _nominal_event(verdict: Verdict, before: str | None) -> Event:
     title = f"{verdict.nominal} is nominal"
-    why = f"before it was {before}" if before else "the first candidate"
+    why = f"previously {before}" if before else "the first candidate"
     return Event(verdict.sample, EventKind.NOMINAL, title, why)
 
 
 def _level_event(verdict: Verdict) -> Event:
     kind = EventKind.FAULT if verdict.fault or verdict.level is TrustLevel.FAULT else EventKind.LEVEL
     if verdict.fault:
-        since = "" if verdict.fault_since is None else f" (it shows since sample {verdict.fault_since})"
+        since = "" if verdict.fault_since is None else f" (since sample {verdict.fault_since})"
         return Event(verdict.sample, kind, f"fault: {verdict.fault}", f"{verdict.reason}{since}")
     why = LEVEL_WORDS[verdict.level]
     if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT}:

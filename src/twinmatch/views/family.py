@@ -1,7 +1,7 @@
-"""The candidates of a verdict with all that belongs to them: window, match, and Box–Jenkins models.
+"""The candidates of a verdict with their windows, matches and Box–Jenkins models.
 
-A verdict carries figures, not models. They are identified here once more, in the same way and with the same
-seed as the discriminator does, so that they are the same models to the last bit.
+A verdict carries figures, not models. The models are identified here again, in the same way and with the same
+seed as in the discriminator, so they are the same to the last bit.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ class Member:
     score: CandidateScore
     nominal: bool
     match: Match | None
-    """The match it came from; None for a candidate that was given."""
+    """The match it came from; None for a candidate from a file."""
     window: Window
-    """Measured samples it was judged on: those it was matched on, or the first excited ones."""
+    """Measured samples it was judged on: those it was matched on, otherwise the first excited window."""
     settings: TwinSettings
 
     @cached_property
     def response(self) -> Window:
-        """Its twin on the set-point of that window, or under its input, seen through the sensor."""
+        """Response of its twin to that window's set-point, or input in open loop, with sensor noise."""
         s = self.settings
         return twin_response(
             self.score.parameters, self.window, s.gains, s.sensor, s.seed + self.window.first
@@ -50,7 +50,7 @@ class Member:
 
     @cached_property
     def models(self) -> tuple[SimoModel, ...]:
-        """Box–Jenkins models of that response, one for every order."""
+        """Box–Jenkins models of that response, one per order."""
         with one_thread():
             return identify(self.response, scale=self.settings.model_scale)
 
@@ -61,12 +61,11 @@ class Member:
 
     @property
     def quiet_twin(self) -> Response:
-        """Its twin on the same set-point or under the same input, without a sensor's noise; from the window's
-        third sample."""
+        """The same response without sensor noise, from the window's third sample."""
         return simulate_window(self.score.parameters, self.window, gains=self.settings.gains)
 
     def simulated(self, order: str) -> Window:
-        """What the model of this order says the measured samples should be: B/F alone, as for the gain."""
+        """The measured window as simulated by the model of this order: B/F alone, as for the gain."""
         model = next(m for m in self.models if m.order == order)
         measured = self.measured
         level = operating_level(measured, driven=model.u is None)
@@ -88,9 +87,9 @@ def family(
     verdict: Verdict | None,
     settings: TwinSettings,
 ) -> tuple[Member, ...]:
-    """The members of the family as a verdict has them, in its order; none without a verdict.
+    """The members of a verdict's family, in its order; empty without a verdict.
 
-    Candidates whose window is not among the samples are left out: the session then began after it.
+    Candidates whose window is not among the samples are left out, as the recording started after it.
     """
     if verdict is None:
         return ()
@@ -104,7 +103,7 @@ def family(
 
 
 def _match_of(score: CandidateScore, matches: Sequence[MatchReport]) -> Match | None:
-    """The accepted match of just this window; a given candidate has a window without samples and no match."""
+    """The accepted match of exactly this window; a candidate from a file has an empty window and no match."""
     wanted = (score.first, score.last)
     return next((m.match for m in matches if m.match.accepted and m.match.samples == wanted), None)
 
@@ -113,7 +112,7 @@ def _window_of(
     score: CandidateScore, matches: Sequence[MatchReport], samples: Sequence[Sample], period: float
 ) -> Window | None:
     first, last = score.first, score.last
-    if last < first:  # given, so judged on the first window that excited the loop
+    if last < first:  # from a file, so judged on the first window that excited the loop
         last = next((m.match.samples[1] for m in matches if m.match.samples[0] == first), last)
     held = [s for s in samples if first <= s.index <= last]
     if len(held) != last - first + 1 or len(unbroken(held)) != 1:

@@ -17,30 +17,30 @@ from twinmatch.views.quantities import Quantity, number, quantity
 
 __all__ = ["LEGEND", "believed_of", "family_table"]
 
-LEGEND = "▶ leader; ○ nominal; * the window determines it to a factor of two"
-"""What the marks in the table mean."""
+LEGEND = "▶ leader; ○ nominal; * known within a factor of two from its window"
+"""Meaning of the marks in the table."""
 
 Believed = Mapping[tuple[int, int], Sequence[str]]
-"""Parameters to believe, by the first and last sample of the window they were matched on."""
+"""Names of well determined parameters, by first and last sample of the window they were matched on."""
 
 _GAP = 2
-"""Blanks between two columns."""
+"""Spaces between two columns."""
 _CRITERIA = {c.attribute: c for c in CRITERIA}
 
 
 class Column(NamedTuple):
-    """One column, and how early it goes where there is no room for all."""
+    """One column, and its priority where there is no room for all."""
 
     header: str
-    """Name, and in the line below its unit."""
-    importance: float
-    """The smallest stays longest."""
+    """Name, and on the next line its unit."""
+    priority: float
+    """Columns with the largest value are left out first."""
     cell: Callable[[CandidateScore, Sequence[str]], str]
-    """Its text, from a candidate and the names of its parameters that are to be believed."""
+    """Its text, from a candidate and the names of its well determined parameters."""
 
 
 def family_table(verdict: Verdict, believed: Believed, width: int) -> Table:
-    """The candidates with the columns that fit into `width` characters, the most important ones first."""
+    """The candidates with the columns that fit into `width` characters, chosen by priority."""
     rows = [(c, believed.get((c.first, c.last), ())) for c in verdict.modelled]
     columns = _columns(verdict) if verdict.modelled else (CANDIDATE,)
     cells = {column: _cells(column, rows, verdict) for column in columns}
@@ -55,7 +55,7 @@ def family_table(verdict: Verdict, believed: Believed, width: int) -> Table:
 
 
 def believed_of(matches: Sequence[MatchReport]) -> dict[tuple[int, int], tuple[str, ...]]:
-    """The parameters to believe of every accepted match, by its window."""
+    """The well determined parameters of every accepted match, by its window."""
     found: list[Match] = [report.match for report in matches if report.match.accepted]
     return {match.samples: match.believed for match in found if match.samples is not None}
 
@@ -78,10 +78,10 @@ def _width(column: Column, texts: Sequence[str]) -> int:
 
 
 def _fitting(widths: Mapping[Column, int], room: int) -> list[Column]:
-    """As many as have room, the important ones first; in the order of the table. One always stays."""
-    room += _GAP  # none behind the last
+    """As many columns as have room, chosen by priority, in the order of the table; always at least one."""
+    room += _GAP  # there is none after the last column
     chosen: set[Column] = set()
-    for column in sorted(widths, key=lambda c: c.importance):
+    for column in sorted(widths, key=lambda c: c.priority):
         if not chosen or widths[column] + _GAP <= room:
             chosen.add(column)
             room -= widths[column] + _GAP
@@ -120,7 +120,7 @@ def _columns(verdict: Verdict) -> tuple[Column, ...]:
     return (
         CANDIDATE,
         Column(f"at\n{y.unit}", 8, lambda c, _: number(c.operating_point, y.decimals)),
-        # A place is left for the mark behind the figure.
+        # The trailing space leaves room for the mark after the value.
         *(Column(f"{q.symbol} \n{q.unit} ", 4 + k / len(shown), _parameter(q)) for k, q in enumerate(shown)),
         Column("order", 1, lambda c, _: c.chosen_order),
         Column("gain\ncharacters", 7, _criterion("gain")),

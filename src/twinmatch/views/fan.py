@@ -1,4 +1,4 @@
-"""A forecast among the samples: what was known when it was made, and what came."""
+"""A forecast with the samples around it: those known when it was made, and those measured afterwards."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twinmatch.signals import FloatArray, Sample, Window, unbroken
 __all__ = ["Fan", "fan"]
 
 _BEFORE = 0.4
-"""How much of what was known is kept, as a share of the forecast."""
+"""Length of the known samples that are kept, as a share of the forecast's length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,26 +22,26 @@ class Fan:
 
     forecast: Forecast
     past: Window
-    """The newest samples that were known; the last is the one it was made at."""
+    """The newest samples known; the last is the one the forecast was made at."""
     came: Window | None
-    """What came under the set-points (or inputs) of the forecast, as long as they were those; None if they
-    never were."""
+    """Measurements after it, for as long as set-point (or input) followed the forecast; None if it never
+    did."""
 
     @property
     def judged(self) -> int:
-        """How many of the forecast's samples came."""
+        """How many of the forecast's samples have a measurement."""
         return 0 if self.came is None else len(self.came)
 
     @property
     def error(self) -> FloatArray:
-        """What came minus the mean that was foretold, of the output, shape (judged,)."""
+        """Measured output minus the mean of the forecast, shape (judged,)."""
         mean = self.forecast.output.mean[: self.judged]
         return np.asarray((self.came.output if self.came is not None else mean) - mean)
 
     @property
     def held(self) -> tuple[FloatArray, FloatArray]:
-        """Whether the bands held output and input, 1 or 0 for each sample that came, shape (judged,); of an
-        input that was given nothing is said, shape (0,)."""
+        """Whether the bands contained output and input, 1 or 0 per measured sample, shape (judged,); for an
+        input that was prescribed, shape (0,)."""
         if self.came is None:
             return np.empty(0), np.empty(0)
         of_output = _inside(self.forecast.output, self.came.output)
@@ -51,10 +51,10 @@ class Fan:
 
 
 def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
-    """A forecast with those samples of its session that belong to it.
+    """A forecast with the samples of its session around it.
 
-    What came is held against it up to the first sample that is missing, or whose set-point (or input) is
-    another than the forecast was made for.
+    Measurements are compared with it up to the first sample that is missing, or whose set-point (or input)
+    differs from the one the forecast was made for.
 
     Args:
         forecast: made at one of the samples.

@@ -1,4 +1,4 @@
-"""A forecast in plain words, and as a dictionary for JSON."""
+"""A forecast in words, and as a dictionary for JSON."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from twinmatch.views.words import words_of
 __all__ = ["came_words", "forecast_document", "forecast_words"]
 
 _MOST_LEVELS: Final = 4
-"""Of more set-points one after another only the last is told of."""
+"""With more set-points in a row, only the last is described."""
 
 
 def forecast_document(forecast: Forecast) -> dict[str, Any]:
@@ -44,8 +44,8 @@ def forecast_document(forecast: Forecast) -> dict[str, Any]:
 
 
 def forecast_words(forecast: Forecast, plant: type[Plant]) -> list[str]:
-    """What it says, one thought a line: where the output ends, when it is there, how hard the drive works;
-    under inputs that were given only where the output ends."""
+    """The forecast in lines: final output, arrival at each set-point, largest input, widths of the band;
+    for prescribed inputs only final output and widths."""
     if not forecast.closed:
         return [_end(forecast, plant), _widths(forecast, plant)]
     parts = _asked(forecast)
@@ -56,12 +56,12 @@ def forecast_words(forecast: Forecast, plant: type[Plant]) -> list[str]:
 
 
 def came_words(fan: Fan, plant: type[Plant]) -> list[str]:
-    """What of it came true, in a line; nothing where there is nothing to hold against it."""
+    """How it compares with the measurements, in one line; empty where there are none to compare with."""
     if not fan.judged:
         return []
     words, error = words_of(plant), float(np.sqrt(np.mean(np.square(fan.error))))
     shares = [f"{100 * np.mean(held):.0f} % of the" for held in fan.held if held.size]
-    told = " and ".join(f"{s} {w}" for s, w in zip(shares, (words.output, words.input), strict=False))
+    held = " and ".join(f"{s} {w}" for s, w in zip(shares, (words.output, words.input), strict=False))
     off = _with(number(error, plant.output.decimals + 1), words.output_unit)
     same = (
         ""
@@ -69,8 +69,8 @@ def came_words(fan: Fan, plant: type[Plant]) -> list[str]:
         else f", under the same {'set-points' if fan.forecast.closed else 'inputs'}"
     )
     return [
-        f"what came in the next {fan.judged * fan.past.period:g} s{same}: off by {off} RMS; the band held "
-        f"{told}"
+        f"compared with the next {fan.judged * fan.past.period:g} s of measurements{same}: error {off} RMS; "
+        f"the band contained {held}"
     ]
 
 
@@ -90,7 +90,7 @@ def _end(forecast: Forecast, plant: type[Plant]) -> str:
 
 
 def _asked(forecast: Forecast) -> list[Forecast]:
-    """The forecast in parts over which one set-point is asked for."""
+    """The forecast in parts with a constant set-point."""
     steps = np.flatnonzero(np.diff(forecast.reference)) + 1
     ends = [*steps.tolist(), forecast.time.size]
     return [_part(forecast, first, end) for first, end in zip([0, *ends], ends, strict=False)]
@@ -105,7 +105,7 @@ def _part(forecast: Forecast, first: int, end: int) -> Forecast:
 
 
 def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
-    """When the output is where one set-point wants it."""
+    """When the output reaches one set-point, and whether it stays there."""
     words, level = words_of(plant), float(part.reference[0])
     near = NEAR * plant.output.noise
     goal = f"within {_with(f'{near:g}', words.output_unit)} of {_with(f'{level:g}', words.output_unit)}"
@@ -116,12 +116,12 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
         return f"{goal}: not in that time{_at_best(reached)}"
     if reached.expected == held.expected == part.time[0]:
         return f"{goal}: all the time{_surely(held)}"
-    comes = f"{goal}: first after {reached.expected:g} s{_range(reached)}"
+    first = f"{goal}: first after {reached.expected:g} s{_range(reached)}"
     if held.expected is None:
-        return f"{comes}, but not to the end"
+        return f"{first}, but it does not stay there"
     if held.expected == reached.expected:
-        return f"{comes}, and from then on"
-    return f"{comes}, for good from {held.expected:g} s on{_range(held)}"
+        return f"{first}, and it stays there"
+    return f"{first}, permanently after {held.expected:g} s{_range(held)}"
 
 
 def _work(forecast: Forecast, plant: type[Plant]) -> str:
@@ -133,7 +133,7 @@ def _work(forecast: Forecast, plant: type[Plant]) -> str:
 
 
 def _widths(forecast: Forecast, plant: type[Plant]) -> str:
-    words, told = words_of(plant), []
+    words, widths = words_of(plant), []
     for horizon in HORIZONS:
         if horizon > forecast.time[-1] + 1e-9 * horizon or horizon < forecast.time[0]:
             continue
@@ -141,21 +141,20 @@ def _widths(forecast: Forecast, plant: type[Plant]) -> str:
         y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
         wide = _with(number(y, plant.output.decimals), words.output_unit)
         also = _with(number(u, plant.drive.decimals), words.input_unit)
-        told.append(f"{wide} and {also} at {horizon:g} s" if forecast.closed else f"{wide} at {horizon:g} s")
-    if not told:
+        both = f"{wide} and {also}" if forecast.closed else wide
+        widths.append(f"{both} at {horizon:g} s")
+    if not widths:
         y = float(forecast.output.high[-1] - forecast.output.low[-1])
-        told.append(f"{_with(number(y, plant.output.decimals), words.output_unit)} at the end")
-    return f"width of the band: {'; '.join(told)}"
+        widths.append(f"{_with(number(y, plant.output.decimals), words.output_unit)} at the end")
+    return f"width of the band: {'; '.join(widths)}"
 
 
 def _at_best(moment: Moment) -> str:
-    return (
-        "" if moment.earliest is None else f"; at the edge of the band it would after {moment.earliest:g} s"
-    )
+    return "" if moment.earliest is None else f"; at the edge of the band after {moment.earliest:g} s"
 
 
 def _surely(moment: Moment) -> str:
-    return "" if moment.latest == moment.expected else ", though the band reaches beyond"
+    return "" if moment.latest == moment.expected else ", though the band reaches further"
 
 
 def _range(moment: Moment) -> str:

@@ -1,4 +1,4 @@
-"""How well a match knows its parameters."""
+"""The uncertainty of a match's parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Interval(NamedTuple):
     """A 95 % interval, in the parameter's own unit."""
 
     low: float
-    """Minus infinity where open, NaN where not known."""
+    """Minus infinity where unbounded, NaN where not known."""
     high: float
     error: float
     """Standard error."""
@@ -45,5 +45,5 @@ def interval(match: Match, name: str) -> Interval:
 
 
 def value_of(match: Match, name: str) -> float:
-    """The value of a fitted parameter, or of a state's start, in its own unit."""
+    """The value of a fitted parameter, or of a fitted initial state, in its own unit."""
     return float(match.starts[name] if name in match.starts else match.parameters[name])

@@ -1,4 +1,4 @@
-"""Verdicts as plain lines, for pipes and for logs that grow."""
+"""Verdicts as plain lines, for pipes and logs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _WIDTHS = tuple(_LEADER if name == "leader" else max(7, len(name)) for name in _
 
 
 def line_text(verdict: Verdict, period: float = 1.0) -> str:
-    """Time, level, leader, nominal and figures in columns, then the fault by name and the reason; one line.
+    """One line: time, level, leader, nominal and figures in columns, then the fault's name and the reason.
 
     `period` is the sample time, s.
     """
@@ -47,7 +47,7 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
 
 
 def header_text() -> str:
-    """The names of the columns with their units."""
+    """The column names with their units."""
     return f"{_columns(_NAMES)}why"
 
 
@@ -59,36 +59,36 @@ def print_line(console: Console, verdict: Verdict, period: float = 1.0) -> None:
 
 
 def print_header(console: Console) -> None:
-    """Print the names of the columns."""
+    """Print the column names."""
     from rich.text import Text  # noqa: PLC0415
 
     console.print(Text(header_text(), style="bold"), soft_wrap=True)
 
 
 def closing_lines(summary: Summary, verdict: Verdict | None) -> list[str]:
-    """What is said at the end: notes, who leads and who is nominal, the plant's structure, and the sentence.
+    """The last lines of a run: notes, the meaning of leader and nominal, the plant's structure, the summary.
 
     `verdict` is the last one.
     """
-    said = [f"Note: {note}" for note in summary.notes]
+    lines = [f"Note: {note}" for note in summary.notes]
     if verdict is not None and verdict.leader is not None:
-        said.append(
+        lines.append(
             "The leader is the twin to ask what comes next, the nominal one the centre of the family."
         )
     if verdict is not None and verdict.certainty:
-        said.append(f"Certainty: {verdict.certainty}.")
+        lines.append(f"Certainty: {verdict.certainty}.")
     if verdict is not None and verdict.structure:
-        said.append(f"Structure: the samples pay for {verdict.structure}{_plant(verdict)}.")
-    return [*said, sentence(summary)]
+        lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
+    return [*lines, sentence(summary)]
 
 
 def redraws(stream: IO[str]) -> bool:
-    """Whether a view can be drawn over and over there: a terminal, and not a dumb one."""
+    """Whether a view can be redrawn there: a terminal, and not a dumb one."""
     return stream.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}
 
 
 class Lines:
-    """Tells a run line by line, each verdict worth telling when it comes."""
+    """Prints a run line by line: each verdict that says something new."""
 
     def __init__(self, period: float = 1.0, console: Console | None = None) -> None:
         """Print on a console, or without one (and without `rich`) on standard output."""
@@ -97,24 +97,24 @@ class Lines:
         self._news = News()
 
     def open(self) -> None:
-        """Print the names of the columns."""
+        """Print the column names."""
         if self._console is None:
             print(header_text(), flush=True)
         else:
             print_header(self._console)
 
     def close(self, *, wipe: bool = False) -> None:
-        """Nothing is left to do, and what was printed cannot be wiped away; a `Screen` can."""
+        """Do nothing: lines need no end and cannot be wiped; a `Screen` can."""
 
     def advance(self, done: int) -> None:
-        """Progress is not told in lines."""
+        """Do nothing: lines do not show progress."""
 
     def take_match(self, report: MatchReport) -> None:
-        """The verdict on it tells of it."""
+        """Do nothing: the verdict on the match is printed."""
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Print it if it says something new."""
-        if not self._news.worth_telling(verdict):
+        if not self._news.is_new(verdict):
             return
         if self._console is None:
             print(line_text(verdict, self._period), flush=True)
@@ -122,7 +122,7 @@ class Lines:
             print_line(self._console, verdict, self._period)
 
     def say(self, text: str, style: str = "") -> None:
-        """Print a line of somebody else's."""
+        """Print a line of another program part."""
         if self._console is None:
             print(text, flush=True)
         else:
@@ -134,7 +134,7 @@ def _columns(cells: tuple[str, ...]) -> str:
 
 
 def _plant(verdict: Verdict) -> str:
-    """Its parameters in brackets, each with its unit; one that is 0 is no part of it."""
+    """The structure's parameters in brackets with their units; one that is 0 and not fitted is left out."""
     held = verdict.structure_parameters
     if held is None:
         return ""

@@ -1,4 +1,4 @@
-"""Which verdicts are worth a line."""
+"""Which verdicts say something new."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ __all__ = ["News", "news"]
 
 
 class News:
-    """Tells verdicts that say something new from those that only repeat the last one."""
+    """Distinguishes verdicts that say something new from those that repeat the last one."""
 
     def __init__(self) -> None:
-        """Begin with nothing told."""
-        self._told: tuple[TrustLevel, str, str | None, str | None, bool] | None = None
+        """Start before the first verdict."""
+        self._last: tuple[TrustLevel, str, str | None, str | None, bool] | None = None
 
-    def worth_telling(self, verdict: Verdict) -> bool:
-        """True if something was identified, or level, fault, leader, nominal or its certainty changed."""
-        says = (verdict.level, verdict.fault, verdict.leader, verdict.nominal, verdict.decided)
-        changed = says != self._told
-        self._told = says
+    def is_new(self, verdict: Verdict) -> bool:
+        """True if models were identified, or level, fault, leader, nominal or `decided` changed."""
+        content = (verdict.level, verdict.fault, verdict.leader, verdict.nominal, verdict.decided)
+        changed = content != self._last
+        self._last = content
         return changed or not verdict.stands
 
 
 def news(verdicts: Iterable[Verdict]) -> list[Verdict]:
-    """The verdicts worth telling."""
-    teller = News()
-    return [v for v in verdicts if teller.worth_telling(v)]
+    """The verdicts that say something new."""
+    so_far = News()
+    return [v for v in verdicts if so_far.is_new(v)]

@@ -1,4 +1,4 @@
-"""A plant's parameters as people write them: symbol, unit, and a number short enough to read."""
+"""A plant's parameters in readable form: symbol, unit, and a rounded number."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F",
 
 
 class Quantity(NamedTuple):
-    """One parameter, or the start of a state, and how it is shown."""
+    """One parameter, or the initial value of a state, and how it is shown."""
 
     name: str
     symbol: str
@@ -31,11 +31,11 @@ class Quantity(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Symbol and unit, as on an axis."""
+        """Symbol and unit, as an axis label."""
         return f"{self.symbol} / ({self.unit})" if "/" in self.unit else f"{self.symbol} / {self.unit}"
 
     def shown(self, value: float) -> float:
-        """The value in the unit it is shown in."""
+        """Convert a value to the unit it is shown in."""
         return value * self.factor + self.offset
 
     def text(self, value: float) -> str:
@@ -43,19 +43,19 @@ class Quantity(NamedTuple):
         return number(self.shown(value), self.decimals)
 
     def error_text(self, value: float) -> str:
-        """A standard error, in the same unit and with a digit more."""
+        """A standard error, in the same unit with one more digit."""
         return number(value * self.factor, self.decimals + 1)
 
 
 def quantity(plant: type[Plant], name: str) -> Quantity:
-    """A parameter of the plant, or the start of one of its states; other names are shown as they are."""
+    """A parameter of the plant, or the initial value of a state; other names are shown unchanged."""
     start = name in plant.states
     declared: Parameter | State | None = plant.states.get(name) if start else plant.parameters.get(name)
     if declared is None:
         return Quantity(name, name, "–", name, decimals=4)
     symbol = declared.symbol or name
     prefix, factor = _prefix(declared.unit, declared.scale)
-    # Where readings are in °C, people think of the room in °C too.
+    # Where the output is in °C, absolute temperatures are shown in °C too.
     celsius = declared.unit == "K" and plant.output.unit == "°C" and not _difference(declared)
     return Quantity(
         name,
@@ -69,14 +69,14 @@ def quantity(plant: type[Plant], name: str) -> Quantity:
 
 
 def in_order(plant: type[Plant], names: Iterable[str]) -> tuple[str, ...]:
-    """The names as the plant declares them: parameters, then states; then what it does not know."""
+    """The names in the plant's order: parameters, then states; then names the plant does not have."""
     wanted = dict.fromkeys(names)
     known = [name for name in (*plant.parameters, *plant.states) if name in wanted]
     return (*known, *(name for name in wanted if name not in known))
 
 
 def _prefix(unit: str, scale: float) -> tuple[str, float]:
-    """What makes a small number readable, before a unit that takes a prefix: m or µ, and its factor."""
+    """A prefix that makes a small number readable, m or µ, with its factor; none if the unit takes none."""
     first = re.match(r"[A-Za-zΩ]+(?![A-Za-zΩ²³^0-9])", unit)
     if scale >= 0.1 or first is None or first.group() not in _TAKE_PREFIXES:
         return "", 1.0
@@ -88,7 +88,7 @@ def _difference(declared: Parameter | State) -> bool:
 
 
 def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str:
-    """A number with a true minus sign; a dash where it is not known, ∞ where it has no bound."""
+    """A number with a true minus sign; a dash for None or NaN, ∞ for infinity."""
     if value is None or math.isnan(value):
         return "–"
     if math.isinf(value):

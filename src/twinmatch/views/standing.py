@@ -1,4 +1,4 @@
-"""The verdict that stands at the end, its nominal candidate, and the twin that is shown first."""
+"""The last verdict, its nominal candidate, and the twin to show."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ __all__ = ["Shown", "last_verdict", "nominal_score", "shown_twin"]
 
 
 class Shown(NamedTuple):
-    """The twin that is shown first."""
+    """The twin that displays show."""
 
     name: str
     parameters: Parameters
 
     @property
     def words(self) -> str:
-        """What it is called: a match by its set-point, a structure by its name."""
+        """Its name in sentences: a match by its set-point, a structure by its name."""
         return self.name if self.name == self.parameters.model.structure_name else f"{self.name} set"
 
 
 def last_verdict(verdicts: Sequence[Verdict]) -> Verdict | None:
-    """The verdict that stands at the end; None if there is none or it names no candidate."""
+    """The last verdict; None without one, or if it has no candidate."""
     return verdicts[-1] if verdicts and verdicts[-1].candidates else None
 
 
 def nominal_score(verdict: Verdict | None) -> CandidateScore | None:
-    """The nominal candidate of a verdict, if it has one."""
+    """The nominal candidate of a verdict; None without one."""
     if verdict is None:
         return None
     return next((c for c in verdict.candidates if c.name == verdict.nominal), None)
 
 
 def shown_twin(verdict: Verdict | None) -> Shown | None:
-    """The leader; in a verdict from before there were leaders the nominal candidate. None without both."""
+    """The leader, or the nominal candidate in old recordings without leaders; None without both."""
     if verdict is None:
         return None
     known = {c.name: c.parameters for c in verdict.candidates}

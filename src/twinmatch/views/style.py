@@ -1,8 +1,8 @@
-"""How everything that is drawn looks, wherever it is drawn: colours, line styles, lettering.
+"""Style of all figures: colours, line styles, fonts.
 
-One meaning has one colour in every picture, on the live page and in the report. The colours are those of
-Okabe and Ito, which people with any of the common colour deficiencies tell apart; where a colour says
-something important (a trust level, an accepted match), a shape or a word says it too.
+A colour has the same meaning in every figure, on the live page and in the report. The colours are those of
+Okabe and Ito, which people with the common colour deficiencies can distinguish; where a colour carries
+information (a trust level, an accepted match), a shape or a word repeats it.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ __all__ = [
 ]
 
 PLANT: Final = "#0072B2"
-"""What was measured on the plant."""
+"""Measurements of the plant."""
 CLOSED: Final = "#D55E00"
-"""The closed-loop twin: it is given the set-point."""
+"""The closed-loop twin, driven by the set-point."""
 DRIVEN: Final = "#A3417C"
-"""The driven twin: it is given the measured control."""
+"""The driven twin, driven by the measured input."""
 MODEL: Final = "#1A1A1A"
 """A Box–Jenkins model."""
 SET_POINT: Final = "#5C5C5C"
@@ -51,10 +51,10 @@ LEVELS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
 )
 LEVEL_WORDS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
     {
-        TrustLevel.UNKNOWN: "nothing has come yet of what a twin foretold",
-        TrustLevel.TRUSTED: "what comes is what the twin foretold",
-        TrustLevel.DOUBTFUL: "what comes lies outside the bands that were given",
-        TrustLevel.FAULT: "no twin explains what the plant does",
+        TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
+        TrustLevel.TRUSTED: "measurements lie within the forecast bands",
+        TrustLevel.DOUBTFUL: "measurements lie outside the forecast bands",
+        TrustLevel.FAULT: "no twin explains the plant's behaviour",
     }
 )
 
@@ -63,7 +63,7 @@ ORDERS: Final = ("#56B4E9", "#0072B2", "#E69F00", "#5C5C5C")
 FAMILY_MAP: Final = "cividis"
 """Colour map over the candidates of the family, coldest operating point first."""
 MATRIX_MAP: Final = "cividis_r"
-"""Colour map of the ν-gap matrix: light is near, dark is far."""
+"""Colour map of the ν-gap matrix: light is close, dark is far."""
 
 
 def rc() -> dict[str, Any]:

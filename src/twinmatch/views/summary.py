@@ -1,4 +1,4 @@
-"""What a judged session comes down to, in figures and in plain words."""
+"""The summary of a judged session, in figures and in one sentence."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from twinmatch.views.words import words_of
 __all__ = ["UNEXPLAINED", "Stretch", "Summary", "Tally", "conclude", "sentence", "summarise"]
 
 UNEXPLAINED = "unexplained"
-"""What sessions recorded by earlier versions call a fault that only the residuals showed."""
+"""Name in sessions of earlier versions for a fault seen only in the residuals."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The end of a session: who leads, how well that twin follows the whole of it, and who is nominal."""
+    """State at the end of a session: leader, its fit to the whole session, and nominal candidate."""
 
     nominal: str | None
     level: TrustLevel
     """Of the last verdict."""
     parameters: Parameters | None
-    """Of the leader; without one (earlier versions named none) of the nominal candidate."""
+    """Of the leader; of the nominal candidate in old recordings without leaders."""
     fit_y: float
-    """NRMSE fit of its closed-loop twin's output over the whole session; NaN without candidates."""
+    """NRMSE fit of that twin's output over the whole session, 1 at best; NaN without candidates."""
     fit_u: float
     verdicts: int
     identified: int
@@ -42,24 +42,24 @@ class Summary:
     """How many matches were admitted, and how many refused."""
     notes: tuple[str, ...] = ()
     order: str | None = None
-    """Box–Jenkins order that was chosen for the nominal candidate."""
+    """Box–Jenkins order chosen for the nominal candidate."""
     range: TrustRange | None = None
-    """Levels between which forecasts came true."""
+    """Range of the output in which forecasts have held."""
     fault: str = ""
-    """Name of the fault that the plant shows at the end; empty for none."""
+    """Name of the fault present at the end; empty for none."""
     leader: str | None = None
     """The twin to ask what comes next."""
     leader_confidence: float = math.nan
-    """How often its error was within 3 % of the best candidate's."""
+    """How often its error was within 3 % of the best candidate's, 0 to 1."""
     closed: bool = True
     """Whether the loop is known; otherwise the fit is that of the driven twin."""
 
 
 class Tally:
-    """What a summary needs of the verdicts, taken one after the other."""
+    """Counts over the verdicts for a summary, updated one verdict at a time."""
 
     def __init__(self, verdicts: Iterable[Verdict] = ()) -> None:
-        """Begin with these."""
+        """Start with these verdicts."""
         self.last: Verdict | None = None
         self.verdicts = self.identified = 0
         self._matches: Counter[str] = Counter()
@@ -95,7 +95,7 @@ def summarise(
     notes: Sequence[str] = (),
     period: float = 1.0,
 ) -> Summary:
-    """Sum up a session from what came out of it; `period`, s, is that of a plant whose loop is not known."""
+    """Summarise a judged session; `period`, s, is used where the loop is not known."""
 
     def longest(period: float) -> Stretch:
         stretches = unbroken(samples)
@@ -111,8 +111,8 @@ def conclude(
     notes: Sequence[str] = (),
     period: float = 1.0,
 ) -> Summary:
-    """Sum up a session; `longest` gives its longest stretch at a sample time (s), and is asked if there is a
-    twin to hold against it."""
+    """Summarise a session; `longest` returns its longest stretch for a sampling period (s), and is called
+    only if there is a twin to compare it with."""
     last = tally.last
     nominal, shown = nominal_score(last), shown_twin(last)
     fit = (math.nan, math.nan)
@@ -121,7 +121,7 @@ def conclude(
         window, stretches = longest(gains.period if gains is not None else period)
         if stretches > 1:
             remarks.append(
-                f"the fit is that of samples {window.first} to {window.last}, "
+                f"the fit is over samples {window.first} to {window.last}, "
                 f"the longest of {stretches} unbroken stretches"
             )
         fit = window_fit(shown.parameters, window, gains)
@@ -145,16 +145,16 @@ def conclude(
 
 
 def sentence(summary: Summary) -> str:
-    """The summary as a person would say it, in one line: whom to ask and to trust, and who is nominal."""
+    """The summary in one line: leader, fit, trust, and nominal candidate."""
     if summary.leader is None and summary.nominal is None:
         if summary.level is TrustLevel.FAULT:
             return f"No nominal twin: {_trouble(summary)}. Look at the plant first."
         needed = (
             "The loop needs set-point steps of a few degrees, some minutes apart."
             if summary.closed
-            else "The input has to move far above its noise, for some minutes in all."
+            else "The input has to move far above its noise, for some minutes in total."
         )
-        return f"No nominal twin: {summary.verdicts} verdicts, but no match stands. {needed}"
+        return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {needed}"
     parts = [_who(summary)]
     if math.isfinite(summary.fit_y):
         output = words_of(summary.parameters.model.plant).output if summary.parameters else "output"
@@ -163,7 +163,7 @@ def sentence(summary: Summary) -> str:
 
 
 def _who(summary: Summary) -> str:
-    """The twin that is shown first."""
+    """The leader, or the nominal candidate without one."""
     if summary.leader is None:
         return f"Nominal: {summary.nominal} set{_order(summary, '; ')}"
     name = Shown(summary.leader, summary.parameters).words if summary.parameters else summary.leader
@@ -173,17 +173,17 @@ def _who(summary: Summary) -> str:
 
 
 def _center(summary: Summary) -> str:
-    """The nominal candidate, where the leader is another."""
+    """The nominal candidate, where it is not the leader."""
     if summary.leader is None or summary.leader == summary.nominal:
         return ""
     if summary.nominal is None:
-        return " Nominal: nobody, no match stands."
+        return " Nominal: none, no valid match."
     set_there = " set" if summary.order else ""
     return f" Nominal: {summary.nominal}{set_there}{_order(summary, ', ')}."
 
 
 def _order(summary: Summary, before: str) -> str:
-    """Of the nominal candidate; a structure has no Box–Jenkins models, and none."""
+    """Orders of the nominal candidate; empty for a structure, which has no Box–Jenkins models."""
     return f"{before}orders {summary.order}" if summary.order else ""
 
 
@@ -194,10 +194,10 @@ def _trust(summary: Summary) -> str:
         return f"do not trust it now: {_trouble(summary)}{before}"
     if summary.level is TrustLevel.DOUBTFUL:
         before = f" (it held {held})" if held else ""
-        return f"doubtful now: what comes lies outside the bands{before}"
+        return f"doubtful now: measurements lie outside the bands{before}"
     return f"trust it {held}" if held else "how far to trust it is not known yet"
 
 
 def _trouble(summary: Summary) -> str:
     named = summary.fault and summary.fault != UNEXPLAINED
-    return f"the plant shows {summary.fault}" if named else "the plant does what no twin explains"
+    return f"the plant shows {summary.fault}" if named else "no twin explains the plant's behaviour"

@@ -34,8 +34,8 @@ STYLES = {
 def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
     """The cells of one verdict, in the order of `COLUMNS`.
 
-    The misses are the leader's, in half widths of the bands that it gave; order, gain and ν-gaps the nominal
-    candidate's.
+    The misses are those of the leader, in half widths of its bands; order, gain and ν-gaps those of the
+    nominal candidate.
     """
     nominal = nominal_score(verdict)
     order = gain = total = now = "–"

@@ -1,4 +1,4 @@
-"""A run on a terminal, drawn over and over while it lasts: progress, level, family, newest events."""
+"""A run on a terminal, redrawn while it lasts: progress, level, family, newest events."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from twinmatch.views.words import leader_words, missed
 __all__ = ["Screen", "view_on"]
 
 LEAST_WAIT = 0.25
-"""Between two drawings, s."""
+"""Shortest time between two drawings, s."""
 QUARTERS = 4
-"""Parts of a run after each of which it is drawn however little time went by: a short one is seen to move."""
+"""A run is drawn at least after each of these parts, so that even a short run shows progress."""
 SHARE = 0.01
-"""Of the time that drawing may take from the work that is shown."""
+"""Most time that drawing may take, as a share of the whole."""
 MOST_EVENTS = 8
 MOST_MATCHES = 100
-"""Newest matches whose word on what to believe is kept, besides those of the candidates that stand."""
+"""Newest matches that are kept, besides those of the current candidates."""
 BAR = 30
 """Width of the progress bar, characters."""
 _MARKS = {
@@ -49,13 +49,13 @@ _MARKS = {
 
 
 class Screen:
-    """Shows a run; what happens is told to it by the same calls as to `Lines`.
+    """Shows a run; has the same methods as `Lines`.
 
-    It draws when it is told something and the last drawing is long enough ago, in the thread that tells.
+    Its methods draw, in the caller's thread, when the last drawing is long enough ago.
     """
 
     def __init__(self, console: Console, title: str, period: float = 1.0, total: int | None = None) -> None:
-        """Show a run of `total` samples `period` seconds apart; None: nobody knows how many will come."""
+        """Show a run of `total` samples (None: not known), `period` seconds apart."""
         self._console = console
         self._title = title
         self._period = period
@@ -71,7 +71,7 @@ class Screen:
         )
 
     def open(self) -> None:
-        """Begin to draw."""
+        """Start drawing."""
         self._live.start()
         self._draw()
 
@@ -82,7 +82,7 @@ class Screen:
         self._live.stop()
 
     def advance(self, done: int) -> None:
-        """So many samples were seen, counted from the session's first."""
+        """Note the number of samples processed since the start of the session."""
         self._done = done
         part = QUARTERS * done // self._total if self._total else 0
         if part > self._part or time.monotonic() >= self._next:
@@ -90,7 +90,7 @@ class Screen:
             self._draw()
 
     def take_match(self, report: MatchReport) -> None:
-        """Show what to believe of it; the verdict says what became of it."""
+        """Keep the match for the marks in the family table; its result comes with the verdict."""
         self._matches.append(report)
         if len(self._matches) > 2 * MOST_MATCHES:
             standing = {(c.first, c.last) for c in self._verdict.candidates} if self._verdict else set()
@@ -98,13 +98,13 @@ class Screen:
             self._matches = [report for report in old if report.match.samples in standing] + new
 
     def take_verdict(self, verdict: Verdict) -> None:
-        """Show it from now on."""
+        """Show this verdict from now on."""
         before = () if self._verdict is None else (self._verdict,)
         self._events += events((*before, verdict))[len(events(before)) :]
         self._verdict = verdict
 
     def say(self, text: str, style: str = "") -> None:
-        """Print a line of somebody else's above the view."""
+        """Print a line of another program part above the view."""
         self._console.print(Text(text, style=style))
 
     def _draw(self) -> None:
@@ -146,12 +146,12 @@ class Screen:
         return grid
 
     def _newest(self, console: Console, options: ConsoleOptions, room: int) -> list[list[Segment]]:
-        """The newest events that have room, oldest first."""
+        """The newest events that fit, oldest first."""
         shown: list[list[Segment]] = []
         for event in reversed(self._events):
             lines = console.render_lines(_event_line(event, self._period), options, pad=False)
             if len(shown) + len(lines) > room and not self._over:
-                if not shown:  # a word of the newest one is better than nothing
+                if not shown:  # part of the newest event is better than nothing
                     shown = lines[: max(room, 0)]
                 break
             shown = lines + shown
@@ -159,15 +159,15 @@ class Screen:
 
 
 def view_on(console: Console, title: str, period: float = 1.0, total: int | None = None) -> Screen | Lines:
-    """A view that is drawn again and again where the console can do that, otherwise lines."""
+    """A view that is redrawn where the console supports it, otherwise lines."""
     if console.is_terminal and redraws(console.file):
-        # Its own console: one that never wraps would draw over the terminal's edge.
+        # A separate console: the given one may not wrap and would draw past the terminal's edge.
         return Screen(Console(file=console.file, highlight=False), title, period, total)
     return Lines(period, console)
 
 
 def _headline(verdict: Verdict | None, period: float) -> RenderableType:
-    """Level, leader, nominal, fault and reason, each behind its name."""
+    """Level, leader, nominal, fault and reason, each after its label."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
     grid = Table.grid(padding=(0, 2, 0, 0))
     grid.add_row(
@@ -178,7 +178,7 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
         ),
     )
     if verdict is None:
-        grid.add_row("verdict", "none has come yet")
+        grid.add_row("verdict", "none yet")
         return grid
     grid.add_row("leader", _leader(verdict))
     grid.add_row("nominal", _nominal(verdict))
@@ -201,7 +201,7 @@ def _nominal(verdict: Verdict) -> Text:
 def _leader(verdict: Verdict) -> Text:
     if verdict.leader is None:
         return Text("none yet")
-    sure = "decided" if verdict.decided else "not decided: the data do not tell who foretells best"
+    sure = "decided" if verdict.decided else "not decided: the data do not show which twin forecasts best"
     return Text(f"{leader_words(verdict)}; {sure}")
 
 

@@ -1,4 +1,4 @@
-"""Between which levels the twin's forecasts have come true."""
+"""The range of the output in which the twin's forecasts have held."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ class TrustRange(NamedTuple):
     high: float
     unit: str
     decimals: int = 0
-    """Places to which the ends are rounded."""
+    """Decimal places to which the ends are rounded."""
 
     def __str__(self) -> str:
-        """Both ends, rounded to the inside."""
+        """Both ends, rounded inwards."""
         steps = 10.0**self.decimals
         low, high = math.ceil(self.low * steps) / steps, math.floor(self.high * steps) / steps
-        if low > high:  # there is nothing between them but what rounding would take away
+        if low > high:  # the range is narrower than the rounding
             low, high = self.low, self.high
         return f"{low:.{self.decimals}f} and {high:.{self.decimals}f} {self.unit}".rstrip()
 
 
 def trust_range(verdict: Verdict, output: Output) -> TrustRange | None:
-    """Where forecasts held up to a verdict, a place coarser than readings; None if they never did."""
+    """The range in which forecasts have held, one decimal place coarser than the output; None if none has."""
     if math.isnan(verdict.held_low):
         return None
     return TrustRange(verdict.held_low, verdict.held_high, output.unit, max(0, output.decimals - 1))

@@ -1,4 +1,4 @@
-"""What output and input of a plant are called in figures, tables and sentences, and their units."""
+"""Names and units of a plant's output and input in figures, tables and sentences."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Words(NamedTuple):
     """Names of output and input with their units; a unit may be empty."""
 
     output: str
-    """Such as temperature."""
+    """For example temperature."""
     output_unit: str
     input: str
-    """Such as inflow; "control" where the plant file says no more than its unit."""
+    """For example inflow; "control" where the plant file names only its unit."""
     input_unit: str
     output_decimals: int
     """Decimal places of its values; an error has one more."""
@@ -27,41 +27,41 @@ class Words(NamedTuple):
 
     @property
     def output_label(self) -> str:
-        """Name and unit, as on an axis."""
+        """Name and unit, as an axis label."""
         return with_unit(self.output, self.output_unit)
 
     @property
     def input_label(self) -> str:
-        """Name and unit, as on an axis."""
+        """Name and unit, as an axis label."""
         return with_unit(self.input, self.input_unit)
 
 
 def words_of(plant: type[Plant]) -> Words:
-    """Those of a plant, from its declarations."""
+    """Names and units from the plant's declarations."""
     y, u = plant.output, plant.drive
     driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
     return Words(y.name.replace("_", " "), y.unit, driven, u.unit, y.decimals, u.decimals)
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A name and its unit, as on an axis."""
+    """A name and its unit, as an axis label."""
     return f"{name} / {unit}" if unit else name
 
 
 def missed(verdict: Verdict) -> str:
-    """How far the newest samples lay from what was foretold, in half widths of the band."""
+    """How far the newest samples are from the forecast, in half widths of the band."""
     if math.isnan(verdict.miss_y):
-        return "nothing has come yet of what was foretold"
+        return "no forecast has been compared with measurements yet"
     of = verdict.forecasts[0].parameters if verdict.forecasts else None
     words = words_of(of.model.plant) if of else None
     names = (words.output, words.input) if words else ("output", "control")
     misses = zip(names, (verdict.miss_y, verdict.miss_u), strict=True)
-    told = " and ".join(f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss))
-    return f"{told} half widths of the band from what was foretold"
+    parts = " and ".join(f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss))
+    return f"{parts} half band widths from the forecast"
 
 
 def leader_words(verdict: Verdict) -> str:
-    """The leader, how sure that is, and what its forecasts have saved."""
+    """The leader, its confidence, and the characters its forecasts have saved."""
     if verdict.leader is None:
         return "none yet"
     gain = next((s.gain for s in verdict.forecasts if s.name == verdict.leader), math.nan)

@@ -1,7 +1,7 @@
-"""Pictures of a judged session, drawn with matplotlib.
+"""Figures of a judged session, drawn with matplotlib.
 
-Each module draws one kind of picture and knows nothing of files; `save` and `svg` write them. Importing
-this package does not import matplotlib, which is slow: that happens when the first picture is drawn.
+Each module draws one kind of figure and writes no files; `save`, `png` and `svg` do that. Importing this
+package does not import matplotlib, which is slow; drawing the first figure does.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How the models were judged: the criteria of every order, and the ν-gaps between the candidates."""
+"""Figures of the discrimination: the criteria of every order, and the ν-gaps between the candidates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_criteria", "draw_gains", "draw_matrix", "fill_matrix"]
 
 _CROWDED = 6
-"""Candidates from which the figures in the cells are written smaller."""
+"""With more candidates, the numbers in the cells are smaller."""
 
 _PANELS = (
     ("gain", "information gain / characters", "larger is better"),
@@ -81,7 +81,7 @@ def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
 
 
 def _above_best(table: FloatArray, attribute: str) -> FloatArray:
-    """Gains as they are; of the others, which only compare, how far above the candidate's best."""
+    """Gains unchanged; other criteria, which are only comparable, relative to the candidate's best."""
     if attribute == "gain":
         return table
     best = np.min(table, axis=1, keepdims=True)
@@ -122,4 +122,4 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     axes.set_title("ν-gap between the plants (smallest Σ: nominal, bold)")
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-    axes.figure.colorbar(image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: far)")
+    axes.figure.colorbar(image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: entirely different)")

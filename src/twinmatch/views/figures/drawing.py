@@ -1,4 +1,4 @@
-"""Making and writing figures; the only place that knows matplotlib's switches."""
+"""Creating and writing figures; the only module that sets matplotlib's options."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ R = TypeVar("R")
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Let a function draw with the house's settings, and leave matplotlib as it was."""
+    """Make a function draw with the settings of `views.style`, without changing matplotlib's own."""
 
     @wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> R:
-        from matplotlib import rc_context  # noqa: PLC0415 — slow, and not everybody draws
+        from matplotlib import rc_context  # noqa: PLC0415 — slow, and rarely needed
 
         settings: Any = rc()
         with rc_context(settings):
@@ -36,14 +36,14 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of this size in inches; not known to pyplot, so nothing has to be closed."""
+    """An empty figure, size in inches; not registered with pyplot, so it need not be closed."""
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def stack(figure: Figure, ratios: Sequence[float]) -> list[Axes]:
-    """Axes below one another with one time axis, as high as these ratios say."""
+    """Axes below one another that share one time axis, with these ratios of heights."""
     axes: list[Axes] = []
     grid = figure.add_gridspec(len(ratios), 1, height_ratios=list(ratios))
     for row in range(len(ratios)):
@@ -54,26 +54,24 @@ def stack(figure: Figure, ratios: Sequence[float]) -> list[Axes]:
 
 
 def _arrange(figure: Figure) -> None:
-    """Lay the figure out once; left to itself it would be done anew for every file."""
+    """Lay the figure out once; matplotlib would otherwise repeat that for every file."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine("none")
-        for (
-            axes
-        ) in figure.axes:  # the solver's last digits vary from run to run, and names in an SVG with them
+        for axes in figure.axes:  # the solver's last digits vary between runs, and so would names in an SVG
             x, y, width, height = (round(edge, 6) for edge in axes.get_position(original=True).bounds)
             axes.set_position((x, y, width, height))
 
 
 @styled
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure; the ending says how (.png, .svg, .pdf).
+    """Write a figure in the format of the file's suffix (.png, .svg, .pdf).
 
     Raises:
         TwinmatchError: matplotlib cannot write such a file there.
     """
-    # without a date the same figure is the same file
+    # Without a date the same figure gives the same file.
     _arrange(figure)
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     try:
@@ -85,7 +83,7 @@ def save(figure: Figure, path: Path) -> None:
 
 @styled
 def png(figure: Figure, dpi: int = 100) -> bytes:
-    """The figure as a PNG, for notebooks and the like."""
+    """The figure as a PNG, for example for notebooks."""
     _arrange(figure)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=dpi)
@@ -102,12 +100,12 @@ def svg(figure: Figure) -> str:
 
 
 def time_axis(axes: Axes, period: float, first: int, last: int) -> None:
-    """Label the time axis in seconds and let it end where the samples do."""
+    """Label the time axis in seconds and limit it to the samples."""
     axes.set_xlim(first * period, max(last * period, first * period + period))
     axes.set_xlabel("time since the session began / s")
 
 
 def empty(axes: Axes, words: str) -> None:
-    """Say in words that there is nothing to draw."""
+    """Show text in place of an empty chart."""
     axes.set_axis_off()
     axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes, color="#5C5C5C")

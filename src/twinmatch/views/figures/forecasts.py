@@ -1,4 +1,4 @@
-"""Forecasts: the band ahead of what was known, and what came."""
+"""Forecasts with their bands, compared with the measurements."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 __all__ = ["draw_forecasts"]
 
 _COLUMNS = 3
-"""Panels beside one another, at most."""
+"""Most panels side by side."""
 _LETTERS = 36
-"""Of a name in one line above a panel."""
-_BAND = f"band to hold {100 * CONFIDENCE:.0f} %"
+"""Characters per line of a name above a panel."""
+_BAND = f"{100 * CONFIDENCE:.0f} % band"
 
 
 @styled
 def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
-    """Every forecast in a panel of its own: output, what is left of it, and input, around its sample."""
+    """One panel per forecast: output, forecast error, and input, around its sample."""
     columns = min(max(len(fans), 1), _COLUMNS)
     rows = max(-(-len(fans) // columns), 1)
     figure = new_figure(10 if columns > 1 else 7.5, 4.2 * rows + 0.4)
@@ -42,28 +42,28 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
     for k, fan in enumerate(fans):
         inner = grids[k // columns, k % columns].subgridspec(3, 1, height_ratios=(3, 1.6, 2))
         output = figure.add_subplot(inner[0])
-        left, control = (figure.add_subplot(inner[row], sharex=output) for row in (1, 2))
+        error, control = (figure.add_subplot(inner[row], sharex=output) for row in (1, 2))
         _draw(output, control, fan)
-        _draw_left(left, fan)
+        _draw_error(error, fan)
         if k % columns == 0:
-            _name(output, left, control, plant)
+            _label(output, error, control, plant)
         if k + columns >= len(fans):
-            control.set_xlabel("seconds after that sample")
-        for axes in (output, left):
+            control.set_xlabel("time after that sample / s")
+        for axes in (output, error):
             axes.tick_params(labelbottom=False)
-    _explain(figure)
+    _add_legend(figure)
     return figure
 
 
-def _name(output: Axes, left: Axes, control: Axes, plant: type[Plant]) -> None:
+def _label(output: Axes, error: Axes, control: Axes, plant: type[Plant]) -> None:
     words = words_of(plant)
     output.set_ylabel(words.output_label)
-    left.set_ylabel(with_unit("came −\nforecast", words.output_unit))
+    error.set_ylabel(with_unit("measured −\nforecast", words.output_unit))
     control.set_ylabel(words.input_label)
 
 
-def _explain(figure: Figure) -> None:
-    """One legend for all panels, each word in it once."""
+def _add_legend(figure: Figure) -> None:
+    """One legend for all panels, with each label once."""
     known: dict[str, Artist] = {}
     for axes in figure.axes:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -85,10 +85,15 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
         (control, forecast.input, past.input, None if came is None else came.input),
     ):
         axes.fill_between(forecast.time, band.low, band.high, color=CLOSED, alpha=0.25, lw=0, label=_BAND)
-        axes.plot(known, before, color=PLANT, lw=1.1, label="known then")
+        axes.plot(known, before, color=PLANT, lw=1.1, label="measured before")
         if after is not None:
             axes.plot(
-                forecast.time[: after.size], after, color=PLANT, lw=1.1, ls=(0, (1, 1)), label="what came"
+                forecast.time[: after.size],
+                after,
+                color=PLANT,
+                lw=1.1,
+                ls=(0, (1, 1)),
+                label="measured afterwards",
             )
         axes.plot(forecast.time, band.mean, color=CLOSED, lw=1.1, label="forecast")
         axes.axvline(0, color=SET_POINT, lw=0.8)
@@ -97,8 +102,8 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
     output.set_title(f"sample {forecast.sample}:\n{name}", size=9)
 
 
-def _draw_left(axes: Axes, fan: Fan) -> None:
-    """The output's band about the forecast, and what came in it."""
+def _draw_error(axes: Axes, fan: Fan) -> None:
+    """Measured output minus forecast, within the band."""
     band, time = fan.forecast.output, fan.forecast.time
     axes.fill_between(time, band.low - band.mean, band.high - band.mean, color=CLOSED, alpha=0.25, lw=0)
     axes.plot(time[: fan.judged], fan.error, color=PLANT, lw=0.9)

@@ -1,4 +1,4 @@
-"""Health over time: how far to trust, by how much twin and plant differ, and what became of the matches."""
+"""Health over time: trust level, difference between twin and plant, and results of the matches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["draw_health", "draw_levels"]
 
 _HEIGHTS = {TrustLevel.UNKNOWN: 0, TrustLevel.TRUSTED: 1, TrustLevel.DOUBTFUL: 2, TrustLevel.FAULT: 3}
 _DRAWN = 1.6
-"""A limit is drawn where the residuals come within this factor of it."""
+"""A limit is drawn if it is at most this factor above the top of the axis."""
 
 
 @styled
@@ -31,7 +31,7 @@ def draw_health(
     verdicts: Sequence[Verdict],
     settings: TwinSettings,
 ) -> Figure:
-    """Trust level, misses of every verdict against their limit, matches admitted and refused."""
+    """Trust level, misses of every verdict with their limit, matches admitted and refused."""
     figure = new_figure(10, 4.8)
     axes = stack(figure, (1.2, 2, 2, 0.9))
     first, period = samples[0].index, settings.period
@@ -49,7 +49,7 @@ def draw_health(
 
 
 def draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: int = 0) -> None:
-    """The trust level as a band whose height says it as well as its colour."""
+    """The trust level as a band, shown by height as well as colour."""
     for stretch in level_stretches(verdicts, first):
         begin, end = stretch.first * period, (stretch.last + 1) * period
         height = _HEIGHTS[stretch.level]
@@ -66,7 +66,7 @@ def _draw_residual(
     known = [v for v in verdicts if getattr(v, attribute) == getattr(v, attribute)]
     values = [float(getattr(v, attribute)) for v in known]
     if not values:
-        empty(axes, "no candidate yet, so there is no residual")
+        empty(axes, "no residual: there is no candidate")
         return
     axes.plot([v.sample * period for v in known], values, color=PLANT, marker=".", ms=4, lw=1)
     top = 1.15 * max(values)
@@ -83,7 +83,7 @@ def _draw_residual(
         top = max(top, 1.2 * limit)
     else:
         axes.annotate(
-            f"(doubtful from {limit:g}, above this picture)",
+            f"(doubtful from {limit:g}, beyond this axis)",
             (1.0, 0.97),
             xycoords="axes fraction",
             ha="right",

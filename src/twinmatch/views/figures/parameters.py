@@ -1,4 +1,4 @@
-"""The parameters of every match, with the intervals in which they lie."""
+"""The parameters of every match, with their intervals."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def draw_parameters(
 ) -> Figure:
     """Value and 95 % interval of every parameter over the session; refused matches hollow.
 
-    `joined` holds the samples of those that were admitted to the family.
+    `joined` holds the samples of the matches admitted to the family.
     """
     fitted = [m for m in matches if np.isfinite(m.match.chi2)]
     names = fitted[0].match.free if fitted else ()
@@ -82,7 +82,7 @@ def _value(match: Match, shown: Quantity) -> float:
 
 
 def _ends(match: Match, shown: Quantity) -> tuple[float, float]:
-    """The interval's ends; an open or unknown one is where the value is, so that no bar is drawn there."""
+    """The interval's ends; an unbounded or unknown end equals the value, so that no bar is drawn there."""
     found = interval(match, shown.name)
     value = _value(match, shown)
     low, high = shown.shown(found.low), shown.shown(found.high)

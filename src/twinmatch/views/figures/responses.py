@@ -1,4 +1,4 @@
-"""What the family answers: its twins and models on the measured windows, and all its twins on one of them."""
+"""Responses of the family: each twin and model on its measured window, and all twins on one window."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SKIPPED = 2
 
 @styled
 def draw_responses(members: Sequence[Member]) -> Figure:
-    """For every candidate its window as measured, its twin's answer and that of its Box–Jenkins model."""
+    """For every candidate its measured window, and the responses of its twin and Box–Jenkins model."""
     columns = 2
     rows = -(-len(members) // columns)
     figure = new_figure(10, 2.7 * rows + 0.3)
@@ -72,7 +72,7 @@ def _draw_member(temperature: Axes, control: Axes, member: Member) -> None:
 
 @styled
 def draw_uncertainty(members: Sequence[Member]) -> Figure:
-    """The twin of every candidate on the nominal one's window: how far they spread is the uncertainty."""
+    """The twins of all candidates on the nominal one's window; their spread is the uncertainty."""
     nominal = next((m for m in members if m.nominal), members[0])
     window = nominal.window
     answers = [simulate_window(m.score.parameters, window, gains=m.settings.gains) for m in members]
@@ -120,7 +120,7 @@ def _draw_set_point(axes: Axes, window: Window) -> None:
 
 
 def _draw_spread(axes: Axes, time: FloatArray, table: FloatArray, members: Sequence[Member]) -> None:
-    """Every twin of the family as its difference from the nominal one, and the band they span."""
+    """Difference of every twin of the family from the nominal one, and the band they span."""
     nominal = next((k for k, m in enumerate(members) if m.nominal), 0)
     difference = table - table[nominal]
     low, high = np.min(difference, axis=0), np.max(difference, axis=0)

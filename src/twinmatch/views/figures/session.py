@@ -1,4 +1,4 @@
-"""The whole session: plant, closed-loop twin and driven twin, and what is left between them."""
+"""The whole session: plant, closed-loop twin and driven twin, and their residuals."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 __all__ = ["draw_session"]
 
 BAND = 60
-"""Samples over which the residual's band is taken."""
+"""Samples over which the residual's band is computed."""
 _SHOWN = 0.99
-"""Part of the residuals that the picture has to show; the rest are peaks of a sample or two at a step."""
+"""Share of the residuals that the axis must show; the rest are peaks of a sample or two at a step."""
 
 
 @styled
 def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings) -> Figure:
-    """Output and control of the plant and of the leader's twins, and the residuals with their 95 % band.
+    """Output and input of the plant and of the leader's twins, and the residuals with their 95 % band.
 
-    Where the loop is not known there is only the driven twin, whose control is the plant's.
+    Where the loop is not known, there is only the driven twin, which has the plant's input.
     """
     shown = shown_twin(verdicts[-1] if verdicts else None)
     parts = compare(samples, shown.parameters, settings.gains, settings.period) if shown else ()
@@ -63,7 +63,7 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
 
 
 def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
-    """Leave the few highest peaks out of the picture, and say so."""
+    """Cut off the few highest peaks, with a note on the chart."""
     size = np.abs(np.concatenate(residuals))
     shown, highest = 1.4 * float(np.quantile(size, _SHOWN)), float(np.max(size))
     if not 0 < shown < highest:
@@ -79,7 +79,7 @@ def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
 
 
 def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool, closed: bool) -> None:
-    hidden = "_"  # matplotlib leaves such labels out of the legend
+    hidden = "_"  # matplotlib omits such labels from the legend
     if closed:
         temperature.plot(
             window.time,
@@ -104,7 +104,7 @@ def _draw_twins(temperature: Axes, control: Axes, part: Comparison, *, first: bo
 
 
 def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> None:
-    """Of the output and, in closed loop, of the control, with the band of the twin that is asked."""
+    """Residuals of the output and, in closed loop, of the input, with their band."""
     driven = "driven twin" if first else "_"
     if part.closed is None:
         _draw_banded(axes[0], part.time, part.driven_residual_y, DRIVEN, driven if first else "")
@@ -115,7 +115,7 @@ def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> N
 
 
 def _draw_banded(axes: Axes, time: FloatArray, residual: FloatArray, colour: str, name: str) -> None:
-    """A residual and the band that its newest samples had, with a place in the legend if it has a name."""
+    """A residual and its rolling band, with a legend entry if it has a name."""
     band, width = f"±2 RMS over {BAND} samples" if name else "_", 2 * rolling_rms(residual, BAND)
     axes.fill_between(time, -width, width, color=colour, alpha=0.18, lw=0, label=band)
     axes.plot(time, residual, color=colour, lw=0.7, label=name or "_")

@@ -1,4 +1,4 @@
-"""Everything about a verdict on one page, for people in a hurry."""
+"""A verdict on one page."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _draw_signals(
     label: bool,
 ) -> None:
     """One unbroken stretch of plant and twin."""
-    time, hidden = window.time, "_"  # matplotlib leaves such labels out of the legend
+    time, hidden = window.time, "_"  # matplotlib omits such labels from the legend
     names = ("set-point", "plant") if label else (hidden, hidden)
     if settings.gains is not None:
         temperature.plot(
@@ -81,9 +81,9 @@ def _draw_signals(
 
 
 def _title(shown: Shown, nominal: CandidateScore | None) -> str:
-    """The twin that is drawn, and who is nominal."""
+    """The twin that is drawn, and the nominal candidate."""
     order = f", order {nominal.chosen_order}" if nominal and nominal.chosen_order else ""
-    centre = f"nominal: {nominal.name}{order}" if nominal else "nominal: nobody"
+    centre = f"nominal: {nominal.name}{order}" if nominal else "nominal: none"
     return f"Leader: {shown.name}; {centre}"
 
 
