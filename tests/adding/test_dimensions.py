@@ -19,7 +19,7 @@ from twinmatch.plants import PLANTS, Peltier, find_plant
 def told(plant: type[Plant]) -> list[str]:
     looked = Dimensions(plant)
     for structure in plant.structures.values():
-        looked.look(structure.parts)
+        looked.check(structure.parts)
     return [found.what for found in looked.findings.values()]
 
 
@@ -81,7 +81,7 @@ def test_units_that_are_wrong_are_reported(tmp_path: Path, old: str, new: str, m
 def test_what_a_number_hides_is_not_judged_but_noted(tmp_path: Path) -> None:
     plant = find_plant(str(plant_file(tmp_path, "units_hidden", ("self.loss * (", "0.0123 * self.loss * ("))))
     looked = Dimensions(plant)
-    looked.look(frozenset())
+    looked.check(frozenset())
     assert looked.findings == {}
     assert looked.unchecked in ({"0.0123"}, {"-0.0123"})
 
