@@ -13,6 +13,8 @@ ifeq ($(ROS_EXTRA),)
 $(error ROS=$(ROS): wheels exist for jazzy and kilted; make setup ROS=jazzy)
 endif
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
+PYTHONS ?= python3.10 python3.11 python3.12 python3.13
+PYTHON_TESTS ?= tests/test_signals.py tests/sessions tests/discrimination tests/identification tests/nodes/test_runner.py
 SESSION ?=
 BENCH_ARGS ?=
 
@@ -29,7 +31,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 
 PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
 
-.PHONY: help setup test check demo bench docs dist clean
+.PHONY: help setup test check demo bench docs dist pythons clean
 .DELETE_ON_ERROR:
 
 help:
@@ -41,6 +43,7 @@ help:
 	@echo "make bench                setup and the peers, then compare speeds (BENCH_ARGS='--quick nu_gap' picks)"
 	@echo "make docs                 setup, then the pages of docs/ as a site in build/docs"
 	@echo "make dist                 setup, then wheels of twinmatch and its messages in dist/, to install without a clone"
+	@echo "make pythons              setup and PYTHON_TESTS with each of PYTHONS that is installed, in build/<python>"
 	@echo "make clean                remove $(VENV) and everything built"
 
 setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/browser $(STAMPS)/compiled
@@ -66,6 +69,13 @@ dist: setup
 	@rm -rf dist build/lib build/bdist.* $(MESSAGES)/build  # or modules deleted since would be packed
 	@$(RUN) -m pip --quiet wheel --no-build-isolation --no-deps --wheel-dir dist . ./$(MESSAGES)
 	@echo "dist: $$(ls dist | tr '\n' ' ')"
+
+pythons:
+	@for python in $(PYTHONS); do \
+		if ! $$python -c "" 2>/dev/null; then echo "pythons: $$python is not installed; skipped"; continue; fi; \
+		$(MAKE) --no-print-directory setup VENV=build/$$python PYTHON=$$python && \
+		build/$$python/bin/python -m pytest -q $(PYTHON_TESTS) || exit 1; \
+	done
 
 clean:
 	rm -rf $(VENV) build install log dist $(MESSAGES)/build src/*.egg-info $(MESSAGES)/*.egg-info

@@ -201,6 +201,18 @@ def test_a_gap_is_refused_with_its_place_or_bridged_where_that_is_asked_for(
     assert len(read_session(tmp_path / "session").samples) == TICKS
 
 
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_file_without_its_folder_will_do(tmp_path: Path, plant: Path, storage: StoragePlugin) -> None:
+    folder = bag(tmp_path / "bag", storage, messages())
+    (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
+    alone = file.rename(
+        tmp_path / f"0_anything_2026_05_23-10_00_00{file.suffix}"
+    )  # as ROS 2 Lyrical names it
+    found = map_bag(alone, parse_map(MAP), find_plant(str(plant)))
+    again = bag(tmp_path / "again", storage, messages())
+    assert found.samples == map_bag(again, parse_map(MAP), find_plant(str(plant))).samples
+
+
 def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant: Path) -> None:
     """The samples are those of the bag without the hole; one command of the heater is lost in it."""
     full = bag(tmp_path / "a", StoragePlugin.MCAP, messages())

@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recording",
         type=Path,
-        help=".csv with named columns, .mat, or folder of a ROS bag; without --plant a recording of the "
-        "Peltier rig",
+        help=".csv with named columns, .mat, or a ROS bag, as a folder or a file (.mcap, .db3, .bag); "
+        "without --plant a recording of the Peltier rig",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace a session that is already there")

@@ -1,4 +1,4 @@
-"""Reading any ROS bag: rosbag2 folders with MCAP or SQLite, and `.bag` files of ROS 1.
+"""Reading any ROS bag: rosbag2 folders with MCAP or SQLite, or one file of them, and `.bag` files of ROS 1.
 
 The library `rosbags` reads them without ROS; message types are those in the bag, or the standard ones if an
 old bag has none. It is an extra: `pip install twinmatch[bags]`.
@@ -165,8 +165,6 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise RecordingError(f"{path}: does not exist")
     if path.is_dir() and not (path / _METADATA).is_file():
         raise RecordingError(f"{path}: has no {_METADATA}; give the folder of a rosbag2 bag")
-    if path.is_file() and path.suffix.lower() != ".bag":
-        raise RecordingError(f"{path}: is a single file; give the folder of the bag, which has {_METADATA}")
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             yield Bag(path, reader)
