@@ -116,5 +116,5 @@ def test_signals_that_cannot_be_used(model: BoxJenkins, u: np.ndarray) -> None:
         model.prediction_errors(u[1:], u)
     with pytest.raises(IdentificationError, match="nan at sample 7"):
         model.simulate(np.where(np.arange(20) == 7, np.nan, 0.0))
-    with pytest.raises(IdentificationError, match="is no signal"):
+    with pytest.raises(IdentificationError, match="give one value per sample"):
         model.simulate(np.zeros((2, 2)))
