@@ -229,7 +229,7 @@ def test_a_session_in_which_nothing_moves_has_no_nominal(small_session: Path) ->
 def test_results_are_not_computed_for_a_folder_that_is_not_there(small_session: Path, tmp_path: Path) -> None:
     result = run("replay", small_session, "--json", tmp_path / "no" / "out.json")
     assert result.returncode == 2
-    assert "no folder" in result.stderr
+    assert "does not exist; create it first" in result.stderr
 
 
 def test_nothing_is_overwritten_unasked(small_session: Path, tmp_path: Path) -> None:

@@ -102,14 +102,14 @@ def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsy
     said = capsys.readouterr().out
     for words in (
         "At 500 s (sample 500), 80 °C held:",
-        "foretells 300 s; the leader (confidence 0.",
+        "forecasts 300 s; the leader (confidence 0.",
         "temperature after 300 s: 80.",
         "within 1 °C of 80 °C: first after ",
         "largest control: 255 PWM after 1 s",
         "at 10 s; ",
         "at 60 s; ",
         "at 300 s",
-        "The leader is the twin to ask what comes next",
+        "The leader is the candidate to forecast with",
     ):
         assert words in said
     assert "compared with" not in said  # the session continued under other set-points
@@ -154,7 +154,7 @@ def profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["--at", "500", "--candidate", "Bob"], ["sample 500", "'Bob'", "there are: ", "40 °C"]),
         (["--at", "500", "--hold", "150"], ["--hold", "150 °C", "0 to 100 °C"]),
         (["--at", "500", "--hold", "inf"], ["--hold", "inf"]),
-        (["--at", "500", "--hold", "50", "--reference", "recorded"], ["--reference and --hold", "give one"]),
+        (["--at", "500", "--hold", "50", "--reference", "recorded"], ["--reference and --hold", "give only one"]),
         (["--at", "500", "--reference", "absent.csv"], ["absent.csv: does not exist"]),
         (["--at", "500", "--reference", "past.csv"], ["past.csv", "row 1", "past"]),
         (["--at", "500", "--reference", "back.csv"], ["back.csv", "row 2", "growing"]),
@@ -162,7 +162,7 @@ def profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["--at", "500", "--reference", "words.csv"], ["words.csv", "line 1", "warm"]),
         (["--at", "500", "--reference", "empty.csv"], ["empty.csv", "no row"]),
         (["--at", "919", "--reference", "recorded"], ["right after sample 919", "--hold"]),
-        (["--at", "500", "--json", "nowhere/out.json"], ["no folder"]),
+        (["--at", "500", "--json", "nowhere/out.json"], ["folder nowhere does not exist"]),
     ],
 )
 def test_a_mistake_is_one_clear_line(
@@ -181,7 +181,7 @@ def test_what_is_not_a_sample_is_refused_at_once(session: Path, capsys: Any) -> 
         main(["forecast", "--at", "500", str(session)])
     assert caught.value.code == 2
     assert (
-        "is no index of a sample; give whole numbers, and the session before --at" in capsys.readouterr().err
+        "is not a sample index; give whole numbers, and the session before --at" in capsys.readouterr().err
     )
 
 

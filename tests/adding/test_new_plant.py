@@ -118,4 +118,4 @@ def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
     assert tested.returncode == 0, tested.stdout + tested.stderr
     again = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
     assert again.returncode == 2
-    assert "is there already" in again.stderr
+    assert "exists already" in again.stderr

@@ -290,5 +290,5 @@ def test_a_session_speaks_of_a_temperature_only_if_the_plant_has_one(tmp_path: P
 def test_the_command_refuses_a_recording_of_nobodys_plant(tmp_path: Path) -> None:
     done = run_twinmatch("import", written(tmp_path, CSV), "--map", *MAP, "-o", tmp_path / "session")
     assert done.returncode == 2
-    assert "say whose recording it is, with --plant" in done.stderr
+    assert "the plant is missing; give --plant" in done.stderr
     assert not (tmp_path / "session").exists()

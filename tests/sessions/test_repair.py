@@ -256,7 +256,7 @@ def test_the_command_says_what_was_saved(tmp_path, capsys):
     assert "the file is truncated" in said
     assert "60 messages over 59.0 s were saved" in said
     assert main(["repair", str(folder)]) == 0
-    assert "is whole, 60 messages over 59.0 s; nothing to repair" in capsys.readouterr().out
+    assert "complete, 60 messages over 59.0 s; nothing to repair" in capsys.readouterr().out
     assert main(["repair", str(tmp_path / "nothing")]) == 2
     assert "does not exist" in capsys.readouterr().err
 

@@ -116,7 +116,7 @@ def test_without_a_set_point_the_twin_is_driven_and_the_session_says_so(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ((), "say which topics are which signals"),
+        ((), "map topics to signals with"),
         (("--map", "output=/t"), "attach: there is no map.input; give its topic and field"),
         (("--map", "outptu=/t"), "has no signal 'outptu'; it has time, output"),
         (("--map", "output=/t", "input=/u", "--plant", "nowhere.py"), "nowhere.py"),

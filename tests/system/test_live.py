@@ -214,7 +214,7 @@ def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., Liv
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--speed", "20"), "for a rig that is --virtual"),
+        (("--speed", "20"), "need --virtual"),
         (("--virtual", "--session", "."), "exists already"),
     ],
 )

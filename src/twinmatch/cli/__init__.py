@@ -1,7 +1,7 @@
-"""The command line of `twinmatch`: a module for each command that no room of the house brings itself.
+"""The command line of `twinmatch`: one module per command, unless another package provides the command.
 
-Each declares its options with `add_arguments` and does its work in `run`, and only there imports what is
-slow: the command line asks all of them for their options, whichever command is called.
+Each module declares its options with `add_arguments` and does its work in `run`. Slow imports belong in
+`run`: the parser calls `add_arguments` of every command, whichever command is called.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ EXIT_INTERRUPTED = 130
 
 
 class _Command(Protocol):
-    """What a command's module has."""
+    """Interface of a command's module."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the options."""
@@ -52,32 +52,32 @@ class _Command(Protocol):
 _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("demo", demonstrating, "see twinmatch work, on a virtual rig or a recorded session"),
     ("live", living, "run the twin beside a plant: bridges, controller, twin and recorder"),
-    ("attach", attaching, "run the twin beside a rig that runs already; nothing is commanded"),
+    ("attach", attaching, "run the twin beside a rig that is already running; nothing is commanded"),
     ("play", playing, "play a recorded session through the ROS graph"),
     ("import", importing, "turn a recording (.mat or .csv) into an MCAP session"),
-    ("replay", replaying, "judge recorded sessions offline, as fast as it goes"),
-    ("forecast", forecasting, "say what comes after chosen samples of a session, with a band"),
+    ("replay", replaying, "judge recorded sessions offline, as fast as possible"),
+    ("forecast", forecasting, "forecast from chosen samples of a session, with a prediction band"),
     ("verify", verifying, "judge a recorded session again and compare the verdicts, bit for bit"),
     (
         "backtest",
         backtesting,
-        "the twin's forecasts of recorded sessions, against what came and against others'",
+        "score the twin's forecasts of recorded sessions against the measurements and against other methods",
     ),
-    ("repair", repairing, "make a session whole whose recorder was killed"),
-    ("report", reporting, "write a session up as one HTML file, with its figures and tables"),
-    ("dashboard", dashboard, "the live page: what the graph says, in a browser"),
+    ("repair", repairing, "repair a session whose recorder was killed"),
+    ("report", reporting, "write a report on a session: one HTML file with figures and tables"),
+    ("dashboard", dashboard, "show the running graph on a live page in the browser"),
     ("foxglove", foxglove, "serve the graph to Foxglove and Lichtblick"),
-    ("virtual-rig", virtual_rig, "the Peltier rig without the rig: board, camera and plate emulated"),
-    ("fmu", fmus, "say what an FMU has, and draft the map that makes it a structure of a plant"),
-    ("new-plant", planting, "write a first file of a plant of yours, with its test and configuration"),
-    ("check-plant", checking, "say in plain words what is wrong with a plant's file"),
-    ("prepare", preparing, "derive and compile the plants' equations now, so that no first run waits"),
+    ("virtual-rig", virtual_rig, "emulate a rig: the Peltier rig's board, camera and plate, or the kit"),
+    ("fmu", fmus, "list an FMU's variables and draft the map that makes it a structure of a plant"),
+    ("new-plant", planting, "write a first file for your own plant, with its test and configuration"),
+    ("check-plant", checking, "report in plain words what is wrong with a plant's file"),
+    ("prepare", preparing, "derive and compile the plants' equations now, so that the first run need not"),
 )
-"""Name, module, and what it is for."""
+"""Name, module and help text of each command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 2 a mistake the user can mend, 130 interrupted."""
+    """Run one command; returns the exit code: 0 done, 2 an error the user can correct, 130 interrupted."""
     parser = _parser()
     options = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
@@ -94,12 +94,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("twinmatch: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        sys.stderr.close()  # the reader has gone; Python would complain about the flush at exit
+        sys.stderr.close()  # the reader has closed the pipe; Python would report the failed flush at exit
         return 0
     except OSError as error:
         if error.filename is None:
             raise
-        # Whichever option named it: the file system does not take the name, or a folder may not be entered.
+        # A path from any option: the file system rejects the name, or a folder may not be entered.
         print(f"twinmatch: {error.filename}: cannot be used ({error.strerror})", file=sys.stderr)
         return EXIT_USER_ERROR
 

@@ -1,4 +1,4 @@
-"""`twinmatch attach`: the twin beside a rig that runs already."""
+"""`twinmatch attach`: the twin beside a rig that is already running."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--config", type=Path, metavar="FILE", help="parameters of sampler and recorder")
-    parser.add_argument("--plant", default="", metavar="NAME|FILE.py", help="whose rig it is")
+    parser.add_argument("--plant", default="", metavar="NAME|FILE.py", help="plant of the rig")
     parser.add_argument(
         "--map",
         nargs="+",
@@ -25,24 +25,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="output=/camera/temperature:temperature 'input=/cmd:data; scale=100'",
     )
     parser.add_argument(
-        "--map-file", type=Path, metavar="FILE", help="the same as YAML; --map goes before it"
+        "--map-file", type=Path, metavar="FILE", help="the same as YAML; --map takes precedence"
     )
-    parser.add_argument("--period", type=float, metavar="S", help="sample time of the rig's loop")
+    parser.add_argument("--period", type=float, metavar="S", help="sampling period of the rig's loop")
     parser.add_argument("--twin-config", type=Path, metavar="FILE", help="parameters of the twin's nodes")
-    parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
+    parser.add_argument(
+        "--candidates", type=Path, metavar="FILE", help="initial family of candidates (.yaml)"
+    )
     parser.add_argument("--session", type=Path, metavar="FOLDER", help="record here (sessions/<time>)")
     parser.add_argument("--no-record", action="store_true", help="record nothing")
     add_page_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until Ctrl-C; returns the exit code: 3, a process was lost for good.
+    """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running.
 
     Raises:
-        TwinmatchError: something given cannot be used or is not there.
+        TwinmatchError: an option or a file cannot be used, or a file is missing.
     """
     if not (options.config or options.map or options.map_file):
-        options.parser.error("say which topics are which signals: --config FILE, --map-file FILE or --map …")
+        options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
     from twinmatch.launching.attach import attach_plan  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.live import Live, refuse_existing, run_live  # noqa: PLC0415
     from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415

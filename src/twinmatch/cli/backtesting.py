@@ -1,4 +1,4 @@
-"""`twinmatch backtest`: the report card of the twin on recorded sessions."""
+"""`twinmatch backtest`: scores of the twin's forecasts of recorded sessions."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 __all__ = ["EXIT_PARTLY", "add_arguments", "run"]
 
 EXIT_PARTLY = 3
-"""Some sessions were tested and some passed over."""
+"""Exit code: some sessions were tested and some skipped."""
 PEERS: Final = ("persistence", "arx", "statsmodels")
 WIDTH = 140
-"""Of the tables where nobody looks at them in a terminal."""
+"""Width of the tables where standard output is not a terminal, characters."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    # Sessions stand first: behind --horizon or --peers they would be taken for more of these.
+    # Sessions come first: after --horizon or --peers they would be parsed as further values of these.
     parser.usage = "%(prog)s SESSION [SESSION ...] [options]"
     parser.add_argument(
         "sessions",
@@ -42,31 +42,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--every",
         type=_seconds,
         metavar="S",
-        help="seconds between two forecasts, beside those at every verdict (default: 60)",
+        help="seconds between forecasts, in addition to those at every verdict (default: 60)",
     )
     parser.add_argument(
         "--horizon",
         type=_seconds,
         nargs="+",
         metavar="S",
-        help="how far ahead, in seconds (default: 10 60 300)",
+        help="forecast horizons, in seconds (default: 10 60 300)",
     )
     parser.add_argument(
         "--peers",
         nargs="*",
         choices=PEERS,
         default=list(PEERS),
-        help="who is asked beside the twin; none after it: nobody (default: all)",
+        help="methods to compare the twin with; without a value: none (default: all)",
     )
     parser.add_argument(
-        "--json", type=Path, metavar="OUT", help="write cards and every forecast's marks here"
+        "--json", type=Path, metavar="OUT", help="write the scores, and those of every forecast, to this file"
     )
-    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw the cards (.png, .svg or .pdf)")
+    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw the scores (.png, .svg or .pdf)")
     add_terms(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Test the twin; returns the exit code: 0 on all sessions, 3 some were passed over, 2 on none.
+    """Test the twin; returns the exit code: 0 all sessions tested, 3 some skipped, 2 none tested.
 
     Raises:
         TwinmatchError: the only session cannot be used, or a file cannot be written.
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
         except TwinmatchError as error:
             if len(sessions) == 1:
                 raise
-            print(f"twinmatch: passed over {path}: {error}", file=sys.stderr)
+            print(f"twinmatch: skipped {path}: {error}", file=sys.stderr)
     if not found:
         return EXIT_USER_ERROR
     total = found[0] if len(found) == 1 else over_all(found)
@@ -111,7 +111,7 @@ def _one(path: Path, options: argparse.Namespace) -> Backtest:
 
 
 def _print(tested: Backtest) -> None:
-    from rich.console import Console  # noqa: PLC0415 — only who prints needs it
+    from rich.console import Console  # noqa: PLC0415 — only needed for printing
 
     from twinmatch.backtest.table import sentences, tables  # noqa: PLC0415
 
@@ -148,6 +148,6 @@ def _seconds(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0.0 < value < float("inf"):
-        msg = f"{text!r} is no time in seconds; give a positive number"
+        msg = f"{text!r} is not a time in seconds; give a positive number"
         raise argparse.ArgumentTypeError(msg)
     return value

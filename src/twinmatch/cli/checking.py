@@ -16,14 +16,14 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.description = (
-        "Exit code 0: nothing was found; 1: something was, with what to do; 2: the plant cannot be used."
+        "Exit code 0: no findings; 1: findings, each with what to do; 2: the plant cannot be used."
     )
     parser.add_argument("plant", metavar="NAME|FILE.py", help="the plant")
-    parser.add_argument("--period", type=float, metavar="S", help="sample time it is to be run with")
+    parser.add_argument("--period", type=float, metavar="S", help="sampling period it will be run with")
     parser.add_argument(
-        "--data", type=Path, metavar="SESSION|CSV", help="what the gate says about a recording of it, too"
+        "--data", type=Path, metavar="SESSION|CSV", help="also check a recording of it against the gate"
     )
-    parser.add_argument("--map-file", type=Path, metavar="FILE", help="which columns of a .csv are what")
+    parser.add_argument("--map-file", type=Path, metavar="FILE", help="map of signals to columns of the .csv")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,9 +47,9 @@ def run(options: argparse.Namespace) -> int:
         return checked.exit_code
     from twinmatch.adding.data import check_data  # noqa: PLC0415
 
-    told = check_data(samples, plant)
-    _print(told)
-    return max(checked.exit_code, told.exit_code)
+    checked_data = check_data(samples, plant)
+    _print(checked_data)
+    return max(checked.exit_code, checked_data.exit_code)
 
 
 def _print(checked: CheckedPlant) -> None:
@@ -61,7 +61,7 @@ def _print(checked: CheckedPlant) -> None:
     if checked.unusable:
         print(f"twinmatch: {checked.unusable}", file=sys.stderr)
     elif not checked.findings:
-        print(f"{checked.title}: nothing is wrong that can be told from here")
+        print(f"{checked.title}: no problems found")
     else:
         many = "finding" if len(checked.findings) == 1 else "findings"
         print(f"{checked.title}: {len(checked.findings)} {many}")

@@ -12,23 +12,25 @@ from twinmatch.shipped import shipped
 __all__ = ["add_arguments", "run"]
 
 SPEED = 10.0
-"""Of the virtual rig; it falls behind by itself on a slower machine."""
+"""Plant time per wall time of the virtual rig; a machine too slow for it runs as fast as it can."""
 LONGEST = 60.0
-"""Seconds the playing of a recorded session may take."""
+"""Longest time that playing a recorded session takes, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("session", type=Path, nargs="?", help="a session or recording to play instead")
-    parser.add_argument("--speed", type=float, default=SPEED, help="of the virtual rig, times real time")
+    parser.add_argument("session", type=Path, nargs="?", help="session or recording to play instead")
+    parser.add_argument(
+        "--speed", type=float, default=SPEED, help="speed of the virtual rig, times real time (default: 10)"
+    )
     add_page_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show what was asked for; returns the exit code.
+    """Run the demonstration; returns the exit code.
 
     Raises:
-        TwinmatchError: something given cannot be used.
+        TwinmatchError: an option or the session cannot be used.
     """
     with page_of(options, options.parser) as page:
         code = _live(options.speed) if options.session is None else _recorded(options.session)
@@ -50,7 +52,7 @@ def _live(speed: float) -> int:
 
 
 def _look_back(session: Path) -> int:
-    """Judge the recording again, draw the verdict and write it up; the last line names the report."""
+    """Judge the recording again, draw the verdict and write the report; the last line names it."""
     from twinmatch.reporting import build_report, judge  # noqa: PLC0415
     from twinmatch.views.figures import draw_verdict  # noqa: PLC0415
 
@@ -60,13 +62,13 @@ def _look_back(session: Path) -> int:
     found = judged.judgement
     draw_verdict(found.samples, found.verdicts, found.settings, picture)
     build_report(judged, session, command="twinmatch demo").write(report)
-    print(f"picture: {_near(picture)}")
-    print(f"report: {_near(report)}")
+    print(f"picture: {_shorter(picture)}")
+    print(f"report: {_shorter(report)}")
     return 0 if judged.identical else 1
 
 
 def _recorded(session: Path) -> int:
-    """Play a session fast enough to watch it to its end, then write it up; returns the exit code."""
+    """Play a session within `LONGEST`, then write the report; returns the exit code."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
     from twinmatch.reporting import make_report  # noqa: PLC0415
     from twinmatch.sessions import open_any  # noqa: PLC0415
@@ -78,10 +80,10 @@ def _recorded(session: Path) -> int:
     report = Path("out") / f"{found.name}.html"
     report.parent.mkdir(exist_ok=True)
     make_report(session, command=f"twinmatch demo {session}").write(report)
-    print(f"report: {_near(report)}")
+    print(f"report: {_shorter(report)}")
     return 0
 
 
-def _near(path: Path) -> Path:
-    """As seen from here, where that is shorter."""
+def _shorter(path: Path) -> Path:
+    """The path relative to the working folder, if it lies in it."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

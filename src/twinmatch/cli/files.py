@@ -1,4 +1,4 @@
-"""Files that commands write."""
+"""A check of the files that commands write."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ __all__ = ["check_writable"]
 
 
 def check_writable(*outputs: Path | None) -> None:
-    """Before a minute of work, not after.
+    """Check the output paths before a minute of work, not after.
 
     Raises:
-        TwinmatchError: there is no folder for one of them, or it is a folder.
+        TwinmatchError: the folder of an output does not exist, or the output is itself a folder.
     """
     for output in outputs:
         if output is None:
             continue
         if not output.absolute().parent.is_dir():
-            msg = f"{output}: there is no folder {output.parent} to write into; create it first"
+            msg = f"{output}: the folder {output.parent} does not exist; create it first"
             raise TwinmatchError(msg)
         if output.is_dir():
             msg = f"{output}: is a folder; name the file to write"

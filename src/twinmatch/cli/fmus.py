@@ -1,4 +1,4 @@
-"""`twinmatch fmu`: what an FMU has, and a draft of the map that makes it a structure of a plant."""
+"""`twinmatch fmu`: an FMU's variables, and a draft of the map that makes it a structure of a plant."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", type=Path, metavar="FMU", help="the FMU; its program is not run")
-    parser.add_argument("--plant", default="peltier", help="the plant that it is to be a structure of")
+    parser.add_argument("file", type=Path, metavar="FMU", help="the FMU; its binary is not run")
+    parser.add_argument(
+        "--plant", default="peltier", help="the plant it will be a structure of (default: peltier)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say it; what is printed is a map, with all else as comments.
+    """Print the map as YAML, with the variables as comments; returns the exit code.
 
     Raises:
-        TwinmatchError: there is no such plant, or the file is no FMU.
+        TwinmatchError: there is no such plant, or the file is not an FMU.
     """
     from twinmatch.fmu.fitting import described_by  # noqa: PLC0415 — keeps --help fast
     from twinmatch.fmu.process import FmuProcess  # noqa: PLC0415

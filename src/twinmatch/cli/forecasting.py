@@ -1,4 +1,4 @@
-"""`twinmatch forecast`: what comes after chosen samples of a session."""
+"""`twinmatch forecast`: forecasts from chosen samples of a session."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from twinmatch.judging.options import add_terms
 __all__ = ["HORIZON", "RECORDED", "add_arguments", "run"]
 
 HORIZON: Final = 300.0
-"""s"""
+"""Default forecast horizon, s."""
 LONGEST: Final = 86_400.0
-"""A longer forecast is a slip of the pen, s: bands are learned up to five minutes ahead."""
+"""Longest horizon, s; a longer one is a typing error: bands are learned up to five minutes ahead."""
 RECORDED: Final = "recorded"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.description = (
-        "The session goes through the twin once. At each of the samples the leader, the candidate whose "
-        "forecasts have cost least so far, says what comes next, knowing nothing later than that sample but "
-        "the set-points ahead. Without --reference and --hold the set-point of that sample is held."
+        "Runs the session through the twin once. At each chosen sample the leader (the candidate whose "
+        "forecasts have cost least so far) forecasts what comes next, from the samples up to that one and "
+        "the set-points ahead. Without --reference and --hold, the set-point of that sample is held."
     )
     parser.add_argument(
         "session", type=Path, metavar="SESSION", help="session folder, .mcap file, or recording (.mat, .csv)"
@@ -37,17 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="extend",
         required=True,
         metavar="SAMPLE",
-        help="indices of the samples after which it is foretold what comes",
+        help="indices of the samples to forecast from",
     )
     parser.add_argument(
         "--reference",
         metavar="FILE|recorded",
-        help="set-points ahead: a .csv of seconds ahead and set-point, or those the session went on to have",
+        help="set-points ahead: a .csv of seconds ahead and set-point, or those recorded in the session",
     )
-    parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point that is held ahead")
-    parser.add_argument("--candidate", metavar="NAME", help="whom to ask (default: the leader)")
+    parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point to hold ahead")
+    parser.add_argument("--candidate", metavar="NAME", help="candidate that forecasts (default: the leader)")
     parser.add_argument(
-        "--horizon", type=float, default=HORIZON, metavar="S", help="how far ahead, s (default: 300)"
+        "--horizon", type=float, default=HORIZON, metavar="S", help="forecast horizon, s (default: 300)"
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the forecasts to this file")
     parser.add_argument("--figure", type=Path, metavar="OUT", help="draw them (.png, .svg or .pdf)")
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Foretell and show; returns the exit code.
+    """Forecast and print; returns the exit code.
 
     Raises:
         TwinmatchError: an option, the session or a file cannot be used.
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     if options.reference is not None and options.hold is not None:
-        msg = "forecast: --reference and --hold both say which set-points lie ahead; give one of them"
+        msg = "forecast: --reference and --hold exclude each other; give only one of them"
         raise TwinmatchError(msg)
     if not (math.isfinite(options.horizon) and 0 < options.horizon <= LONGEST):
         msg = (
@@ -79,12 +79,12 @@ def _check(options: argparse.Namespace) -> None:
         )
         raise TwinmatchError(msg)
     if options.candidate is not None and not options.candidate.strip():
-        raise TwinmatchError("forecast: --candidate names nobody; give a name, or leave it to the leader")
+        raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
 
 
 def _sample(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        msg = f"{text!r} is no index of a sample; give whole numbers, and the session before --at"
+        msg = f"{text!r} is not a sample index; give whole numbers, and the session before --at"
         raise argparse.ArgumentTypeError(msg) from None

@@ -1,4 +1,4 @@
-"""The work of `twinmatch forecast`: judge as far as needed, ask, and show the answers."""
+"""The work of `twinmatch forecast`: judge as far as needed, forecast, and show the forecasts."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ __all__ = ["Foretold", "foretold", "show"]
 
 @dataclass(frozen=True, eq=False)
 class Foretold:
-    """The forecasts that were asked for, in that order."""
+    """The requested forecasts, in the order of `--at`."""
 
     settings: TwinSettings
     fans: tuple[Fan, ...]
     prospects: tuple[Prospect, ...]
-    """Who was asked."""
+    """The candidate that made each forecast."""
     words: tuple[str, ...]
-    """Of the set-points, or inputs, ahead."""
+    """Description of the set-points, or inputs, ahead of each."""
 
 
 def foretold(options: argparse.Namespace) -> Foretold:
-    """Ask what the options want to know.
+    """Make the forecasts that the options request.
 
     Raises:
         TwinmatchError: the session, a file or an option cannot be used.
@@ -65,7 +65,7 @@ def foretold(options: argparse.Namespace) -> Foretold:
 
 
 def show(found: Foretold, options: argparse.Namespace) -> None:
-    """Print the answers, and write the files that the options name.
+    """Print the forecasts, and write the files that the options name.
 
     Raises:
         TwinmatchError: a file cannot be written.
@@ -73,7 +73,7 @@ def show(found: Foretold, options: argparse.Namespace) -> None:
     for one, prospect, set_points in zip(found.fans, found.prospects, found.words, strict=True):
         _print(one, prospect, set_points, found.settings)
     print(
-        "The leader is the twin to ask what comes next: its forecasts have saved the most characters so far."
+        "The leader is the candidate to forecast with: its forecasts have saved the most characters so far."
     )
     if options.json is not None:
         entries = [forecast_document(one.forecast) for one in found.fans]
@@ -81,7 +81,7 @@ def show(found: Foretold, options: argparse.Namespace) -> None:
         try:
             options.json.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
-            raise TwinmatchError(f"{options.json}: cannot be written: {error.strerror}") from error
+            raise TwinmatchError(f"{options.json}: cannot be written ({error.strerror})") from error
     if options.figure is not None:
         from twinmatch.views.figures import draw_forecasts, save  # noqa: PLC0415 — matplotlib is slow
 
@@ -92,7 +92,7 @@ def _size(horizon: float, period: float) -> int:
     """Samples within the horizon."""
     size = int(horizon / period * (1 + 1e-9))
     if size < 1:
-        msg = f"forecast: the horizon of {horizon:g} s is shorter than one sample, which is {period:g} s"
+        msg = f"forecast: the horizon of {horizon:g} s is shorter than one sample, {period:g} s; give more"
         raise TwinmatchError(msg)
     return size
 
@@ -102,9 +102,9 @@ def _fan(session: Session, prospect: Prospect, asked: Asked, period: float) -> F
     learned = prospect.outlook.leads[-1] * period
     beyond: tuple[str, ...] = ()
     if forecast.time[-1] > learned:
-        beyond = (f"how wide a band has to be is learned up to {learned:g} s ahead, and not beyond",)
-    told = replace(forecast, notes=forecast.notes + beyond + asked.notes)
-    return fan(told, session.samples, period)
+        beyond = (f"the width of the band is learned up to {learned:g} s ahead, and not beyond",)
+    noted = replace(forecast, notes=forecast.notes + beyond + asked.notes)
+    return fan(noted, session.samples, period)
 
 
 def _print(one: Fan, prospect: Prospect, set_points: str, settings: TwinSettings) -> None:
@@ -113,7 +113,7 @@ def _print(one: Fan, prospect: Prospect, set_points: str, settings: TwinSettings
     print(f"At {seconds} (sample {forecast.sample}), {set_points}:")
     confidence = f"confidence {prospect.leader_confidence:.2f}"
     who = f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
-    print(f"  {forecast.candidate} foretells {forecast.time[-1]:g} s; {who}")
+    print(f"  {forecast.candidate} forecasts {forecast.time[-1]:g} s; {who}")
     for line in forecast_words(forecast, settings.plant) + came_words(one, settings.plant):
         print(f"  {line}")
     for note in forecast.notes:

@@ -1,4 +1,4 @@
-"""`twinmatch import`: a recording becomes a session."""
+"""`twinmatch import`: turn a recording into a session."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["add_arguments", "run"]
 
 
 class ImportOptionError(TwinmatchError):
-    """Options of an import that do not go together."""
+    """Options of an import are missing or contradict each other."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,27 +26,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recording",
         type=Path,
         help=".csv with named columns, .mat, or a ROS bag, as a folder or a file (.mcap, .db3, .bag); "
-        "without --plant a recording of the Peltier rig",
+        "without --plant it is read as a recording of the Peltier rig",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="folder to write")
-    parser.add_argument("--overwrite", action="store_true", help="replace a session that is already there")
-    other = parser.add_argument_group("a plant of yours, columns of any names")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing session")
+    other = parser.add_argument_group("your own plant, with any column names")
     other.add_argument(
         "--list", action="store_true", help="show the columns and propose a map; writes nothing"
     )
-    other.add_argument("--plant", metavar="NAME|FILE.py", help="whose recording it is")
+    other.add_argument("--plant", metavar="NAME|FILE.py", help="plant that was recorded")
     other.add_argument(
         "--map",
         nargs="+",
         default=[],
         metavar="SIGNAL=COLUMN",
-        help="time=elapsed output='t2, t3' (their mean) 'input=duty; scale=100' 'room=T1; unit=K'; of a bag, "
-        "output=/camera/temperature:temperature",
+        help="time=elapsed output='t2, t3' (their mean) 'input=duty; scale=100' 'room=T1; unit=K'; for a "
+        "bag: output=/camera/temperature:temperature",
     )
-    other.add_argument("--map-file", type=Path, metavar="FILE", help="the same as YAML; --map goes before it")
-    other.add_argument("--period", type=float, metavar="S", help="sample time, if not that of the rows")
     other.add_argument(
-        "--bridge", type=float, metavar="S", help="longest gap that may be bridged (default: three rows)"
+        "--map-file", type=Path, metavar="FILE", help="the same as YAML; --map takes precedence"
+    )
+    other.add_argument("--period", type=float, metavar="S", help="sampling period, if not that of the rows")
+    other.add_argument(
+        "--bridge", type=float, metavar="S", help="longest gap to interpolate across (default: three rows)"
     )
     other.add_argument(
         "--gaps",
@@ -66,7 +68,9 @@ def run(options: argparse.Namespace) -> int:
     if options.list:
         return _list(options.recording)
     if options.output is None:
-        raise ImportOptionError("import: name the session to write with -o SESSION (or look with --list)")
+        raise ImportOptionError(
+            "import: name the session to write with -o SESSION (or show the columns with --list)"
+        )
     from twinmatch.sessions.bags import is_bag  # noqa: PLC0415 — keeps --help fast
 
     mapped = (options.map, options.map_file, options.plant, options.period, options.bridge)
@@ -99,7 +103,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
 
     given = _given(options)
     if not given.plant:
-        msg = "import: say whose recording it is, with --plant NAME or --plant FILE.py, or plant: in the map"
+        msg = "import: the plant is missing; give --plant NAME, --plant FILE.py, or plant: in the map file"
         raise ImportOptionError(msg)
     plant = find_plant(given.plant)
     if is_bag(options.recording):
@@ -137,7 +141,7 @@ def _given(options: argparse.Namespace) -> ColumnMap:
     from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415 — as above
 
     if options.period is not None and not options.period > 0:
-        raise ImportOptionError(f"import: --period {options.period:g} is no sample time; give seconds")
+        raise ImportOptionError(f"import: --period is {options.period:g}; give a positive number of seconds")
     written = read_map(options.map_file) if options.map_file else ColumnMap()
     said = parse_map(options.map)
     return written.joined(ColumnMap(said.sources, options.plant or "", options.period))
@@ -193,8 +197,8 @@ def _list_bag(path: Path) -> int:
 
 
 def _propose(found: Mapping[str, Source]) -> None:
-    """A map to begin with."""
+    """Print a first map."""
     if found:
         entries = [f"{signal}={source.text}" for signal, source in found.items()]
-        print(f"A guess, to be looked over: --map {shlex.join(entries)}")
-    print("room stands for whatever is measured and acts on your plant; use the names in your plant's file.")
+        print(f"A guess, please check: --map {shlex.join(entries)}")
+    print("room stands for a measured disturbance of your plant; use the names in your plant's file.")

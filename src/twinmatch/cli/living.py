@@ -12,42 +12,54 @@ from twinmatch.shipped import shipped
 __all__ = ["add_arguments", "run"]
 
 CONFIGS = {"peltier": ("rig.yaml", None), "tclab": ("tclab.yaml", "tclab_twin.yaml")}
-"""Files in config/ for the nodes of a plant and for those of its twin; None: the defaults will do."""
+"""Files in config/ for the nodes of a plant and for those of its twin; None: defaults."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "--plant", default="peltier", choices=sorted(CONFIGS), help="what is driven (peltier)"
+        "--plant", default="peltier", choices=sorted(CONFIGS), help="plant to run (default: peltier)"
     )
-    parser.add_argument("--port", default="", help="serial port of what drives it (that of --config)")
-    parser.add_argument("--config", type=Path, help="parameters of the rig's nodes (the plant's in config/)")
+    parser.add_argument("--port", default="", help="serial port of the plant (default: that of --config)")
+    parser.add_argument(
+        "--config", type=Path, help="parameters of the rig's nodes (default: the plant's in config/)"
+    )
     parser.add_argument("--twin-config", type=Path, metavar="FILE", help="parameters of the twin's nodes")
-    parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
-    parser.add_argument("--session", type=Path, metavar="FOLDER", help="record here (sessions/<time>)")
+    parser.add_argument(
+        "--candidates", type=Path, metavar="FILE", help="initial family of candidates (.yaml)"
+    )
+    parser.add_argument(
+        "--session", type=Path, metavar="FOLDER", help="record here (default: sessions/<time>)"
+    )
     parser.add_argument("--no-record", action="store_true", help="record nothing")
     parser.add_argument("--virtual", action="store_true", help="a virtual rig instead of the real one")
-    parser.add_argument("--speed", type=float, default=1.0, help="of the virtual rig, times real time")
-    parser.add_argument("--fault", action="append", default=[], help="of the virtual rig: KIND@SECONDS")
-    parser.add_argument("--board", default="auto", help="of the virtual Peltier rig: simavr, python or auto")
-    parser.add_argument("--seed", type=int, default=0, help="of the virtual sensor's noise")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, help="speed of the virtual rig, times real time (default: 1)"
+    )
+    parser.add_argument(
+        "--fault", action="append", default=[], help="fault of the virtual rig: KIND@SECONDS; repeatable"
+    )
+    parser.add_argument(
+        "--board", default="auto", help="board of the virtual Peltier rig: simavr, python or auto"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the virtual sensor's noise")
     add_page_options(parser, control=True)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until Ctrl-C or the profile's end; returns the exit code: 3, the rig's process was lost.
+    """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost.
 
     Raises:
-        TwinmatchError: something given cannot be used.
+        TwinmatchError: an option or a file cannot be used.
     """
     from twinmatch.launching.live import Live, refuse_existing, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
 
     usage = options.parser
     if options.virtual and options.port:
-        usage.error("--port is for a real plant; the one that is --virtual has its own")
+        usage.error("--port is for a real plant; leave it out with --virtual")
     if not options.virtual and (options.speed != 1.0 or options.fault or options.board != "auto"):
-        usage.error("--speed, --fault and --board are for a rig that is --virtual")
+        usage.error("--speed, --fault and --board need --virtual")
     rig, twin = CONFIGS[options.plant]
     if options.twin_config is None and twin is not None:
         options.twin_config = shipped(f"config/{twin}")

@@ -1,4 +1,4 @@
-"""`twinmatch new-plant`: a first file of a plant, its test and its configuration."""
+"""`twinmatch new-plant`: a first file for a plant, its test and its configuration."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ __all__ = ["add_arguments", "run"]
 
 
 class NewPlantError(TwinmatchError):
-    """Files that cannot be written."""
+    """The files cannot be written, or the options do not allow it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("name", help="of the plant: small letters, digits and _")
+    parser.add_argument("name", help="name of the plant: lower-case letters, digits and _")
     parser.add_argument(
         "--from",
         dest="table",
         type=Path,
         metavar="CSV",
-        help="a recording (.csv or .mat) to read ranges, noise, sample time, a first gain and lag from",
+        help="recording (.csv or .mat) to take ranges, noise, sampling period and a first gain and lag from",
     )
     parser.add_argument(
         "--map",
@@ -50,17 +50,17 @@ def run(options: argparse.Namespace) -> int:
     """Write the files; returns the exit code.
 
     Raises:
-        TwinmatchError: the table cannot be used, or a file is there already.
+        TwinmatchError: the table cannot be used, or a file already exists.
     """
     from twinmatch.adding import files_of  # noqa: PLC0415 — keeps --help fast
 
     files = files_of(options.name, _proposal(options))
     folder: Path = options.output
     if not folder.is_dir():
-        raise NewPlantError(f"new-plant: there is no folder {folder}; create it first")
+        raise NewPlantError(f"new-plant: the folder {folder} does not exist; create it first")
     for name in files:
         if (folder / name).exists():
-            raise NewPlantError(f"{folder / name}: is there already; move it away or choose another name")
+            raise NewPlantError(f"{folder / name}: exists already; move it away or choose another name")
     for name, text in files.items():
         try:
             (folder / name).write_text(text, encoding="utf-8")
@@ -79,13 +79,13 @@ def _proposal(options: argparse.Namespace) -> Proposal:
     given = parse_map(options.map)
     if options.table is None:
         if given.sources:
-            raise NewPlantError("new-plant: --map says what columns are; name their table with --from")
+            raise NewPlantError("new-plant: --map needs the table it maps; name it with --from")
         return example()
     table = read_table(options.table)
     if not given.sources:
         given = ColumnMap(proposed(look(table)))
         words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
-        print(f"The columns are taken as: --map {words}")
+        print(f"Columns guessed as: --map {words}")
     return propose(table, given)
 
 
@@ -94,7 +94,7 @@ def _say(options: argparse.Namespace, files: list[str]) -> None:
     session = f"{options.name}_session"
     print(f"Written: {', '.join(files)}")
     print("Next:")
-    print(f"  1. look over {plant}: names, units, ranges, equations (lines marked *)")
+    print(f"  1. check {plant}: names, units, ranges, equations (lines marked *)")
     print(f"  2. twinmatch check-plant {plant}        # what is wrong with it, in plain words")
     print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
     if mapped:
@@ -103,4 +103,4 @@ def _say(options: argparse.Namespace, files: list[str]) -> None:
     else:
         print(f"  4. twinmatch import LOG.csv --plant {plant} --map time=… output=… input=… -o {session}")
     print(f"  5. twinmatch replay {session} --plant {plant}        # or --config {config}")
-    print("docs/your_plant.md goes through all of it.")
+    print("docs/your_plant.md explains each step.")

@@ -14,19 +14,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("session", type=Path, help="session folder, .mcap file or recording (.mat, .csv)")
     parser.add_argument(
-        "--rate", type=float, default=50.0, help="times recorded speed; 0: as fast as it goes"
+        "--rate", type=float, default=50.0, help="times recorded speed (default: 50); 0: as fast as possible"
     )
-    parser.add_argument("--candidates", type=Path, metavar="FILE", help="family to begin with (.yaml)")
+    parser.add_argument(
+        "--candidates", type=Path, metavar="FILE", help="initial family of candidates (.yaml)"
+    )
     parser.add_argument("--config", type=Path, metavar="FILE", help="parameter file of the twin's nodes")
-    parser.add_argument("--plant", metavar="NAME|FILE.py", help="the plant, if the session does not say it")
+    parser.add_argument("--plant", metavar="NAME|FILE.py", help="the plant, if the session does not name it")
     add_page_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play and show the verdicts as they come; returns the exit code: 130, interrupted.
+    """Play and show the verdicts as they come; returns the exit code: 130 if interrupted.
 
     Raises:
-        TwinmatchError: something given cannot be used.
+        TwinmatchError: an option, the session or a file cannot be used.
     """
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
 

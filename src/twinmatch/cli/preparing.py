@@ -1,4 +1,4 @@
-"""`twinmatch prepare`: what a first run would wait for, made beforehand."""
+"""`twinmatch prepare`: derive and compile beforehand what a first run would wait for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`twinmatch repair`: a session whose recorder was killed, made whole."""
+"""`twinmatch repair`: repair a session whose recorder was killed."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def run(options: argparse.Namespace) -> int:
     found = repair_session(options.session)
     held = f"{found.messages} messages over {found.duration:.1f} s"
     if not found.faults:
-        print(f"{options.session}: is whole, {held}; nothing to repair")
+        print(f"{options.session}: complete, {held}; nothing to repair")
         return 0
     print(f"{options.session}: repaired ({'; '.join(found.faults)}); {held} were saved")
     if found.original is not None:
-        print(f"There was damage before the end, so the original was kept: {found.original}")
+        print(f"The file was damaged before its end, so the original was kept: {found.original}")
     return 0

@@ -47,11 +47,11 @@ def _replay(path: Path, options: argparse.Namespace) -> Judgement:
 
 
 def _judge(path: Path, options: argparse.Namespace) -> Judgement:
-    """As `judge_session` does, and tell of every match and verdict when it comes."""
+    """Judge as `judge_session` does, and show every match and verdict when it comes."""
     with Progress("reading") as progress:
         session = open_any(path, plant=options.plant, progress=progress.advance)
     terms = terms_from_files(session, options.config, options.candidates)
-    with _Told(session) as shown:
+    with _Display(session) as shown:
         judgement = judge(session, terms, on_outcome=shown.advance)
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
@@ -59,8 +59,8 @@ def _judge(path: Path, options: argparse.Namespace) -> Judgement:
     return judgement
 
 
-class _Told:
-    """Where the run is shown: a screen, or lines with a bar on standard error."""
+class _Display:
+    """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
 
     def __init__(self, session: Session) -> None:
         self._total = len(session.samples)
@@ -68,7 +68,7 @@ class _Told:
         self._view: Screen | Lines = _screen(session) if self._screen else Lines(session.period)
         self._bar = Progress()
 
-    def __enter__(self) -> _Told:
+    def __enter__(self) -> _Display:
         if not self._screen:
             self._bar.__enter__()
         self._view.open()

@@ -39,12 +39,12 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.json, options.figure)
     if archive.is_archive(options):
         if options.allow_fmu is not None:
-            msg = "--allow-fmu is for one session; for several, let the file of --config say allow_fmu"
+            msg = "--allow-fmu works with one session; for several, set allow_fmu in the file of --config"
             raise TwinmatchError(msg)
         with Progress() as progress:
             judged = archive.judge(options, progress.advance)
         return archive.show(options, judged)
-    gc.set_threshold(50_000)  # start-up makes many objects and hardly any garbage among them
+    gc.set_threshold(50_000)  # start-up creates many objects and hardly any garbage
     from twinmatch.cli.replay_one import replay  # noqa: PLC0415 — keeps --help fast
 
     replay(options.sessions[0], options)

@@ -1,4 +1,4 @@
-"""Which set-points lie ahead of a sample, as the options of `twinmatch forecast` say."""
+"""The set-points ahead of a sample, according to the options of `twinmatch forecast`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Asked", "asked_of", "planned_rows"]
 
 
 MOST_BYTES = 1 << 20
-"""Longest file of set-points: a day of them, one per second."""
+"""Largest file of set-points, bytes: a day of them, one per second."""
 
 
 class Asked(NamedTuple):
@@ -30,17 +30,17 @@ class Asked(NamedTuple):
     ahead: FloatArray
     """From the next sample on, shape (N,)."""
     words: str
-    """Which they are."""
+    """Their description."""
     notes: tuple[str, ...] = ()
     disturbances: FloatArray | None = None
-    """As they were recorded from this sample on, shape (N + 1, d); None: they stay as they are."""
+    """As recorded from this sample on, shape (N + 1, d); None: held at their last values."""
 
 
 def planned_rows(path: Path) -> list[str]:
     """The lines of a file of set-points.
 
     Raises:
-        TwinmatchError: it cannot be read, or is no text.
+        TwinmatchError: it cannot be read, or is not text.
     """
     try:
         return read_bounded(path, MOST_BYTES).decode("utf-8-sig").splitlines()
@@ -50,7 +50,9 @@ def planned_rows(path: Path) -> list[str]:
     except OSError as error:
         raise TwinmatchError(f"{path}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError:
-        raise TwinmatchError(f"{path}: is no text; give a .csv with seconds ahead and set-point") from None
+        raise TwinmatchError(
+            f"{path}: not a text file; give a .csv with seconds ahead and set-point"
+        ) from None
 
 
 def asked_of(
@@ -62,13 +64,13 @@ def asked_of(
     options: argparse.Namespace,
     rows: list[str] | None,
 ) -> Asked:
-    """The set-points, or inputs, of the `size` samples behind this one, or of as many as were recorded.
+    """The set-points, or inputs, of the `size` samples after this one, or of as many as were recorded.
 
     `rows` are the lines of the file that the options name, if they name one.
 
     Raises:
-        TwinmatchError: a set-point or input that the plant does not take, a profile that cannot be read, or
-            nothing that was recorded.
+        TwinmatchError: the plant does not take a set-point or input, a profile cannot be read, or nothing
+            was recorded after the sample.
     """
     if options.reference == RECORDED:
         return _recorded(session, sample, size, settings)
@@ -105,8 +107,8 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
     count = len(came) - 1
     if not count:
         msg = (
-            f"session {session.name}: nothing was recorded right after sample {sample.index}, so that no "
-            f"{kind} ahead is known; take an earlier one, or give --hold"
+            f"session {session.name}: nothing was recorded right after sample {sample.index}, so no "
+            f"{kind} ahead is known; choose an earlier sample, or give --hold"
         )
         raise TwinmatchError(msg)
     notes: tuple[str, ...] = ()

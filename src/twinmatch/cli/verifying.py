@@ -1,4 +1,4 @@
-"""`twinmatch verify`: a recorded session judged again."""
+"""`twinmatch verify`: judge a recorded session again and compare."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("session", type=Path, help="session folder or .mcap file")
-    parser.add_argument("--topic", metavar="TOPIC", help="the samples, if the session has several rigs")
+    parser.add_argument(
+        "--topic", metavar="TOPIC", help="topic of the samples, if the session has several rigs"
+    )
     add_plant(parser)
     add_fmus(parser)
     parser.add_argument(
@@ -26,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compare; returns the exit code: 0 identical, 1 different.
+    """Judge again and compare; returns the exit code: 0 identical, 1 different.
 
     Raises:
         TwinmatchError: the session cannot be verified.
