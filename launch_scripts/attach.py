@@ -1,11 +1,12 @@
-"""Run the twin beside a rig that runs already: its topics are heard, nothing is commanded. Ends by Ctrl-C.
+"""Run the twin beside a rig that is already running. It subscribes only and commands nothing. Ctrl-C ends it.
 
     python launch_scripts/attach.py --config my_rig.yaml [--twin-config my_twin.yaml] [--session FOLDER]
     python launch_scripts/attach.py --plant plant.py --map reference=/sp output=/t:temperature input=/cmd
 
-Add --dashboard for a live page. config/attach.yaml says what may stand in the file.
+Add --dashboard for a live page. config/attach.yaml explains the entries of the configuration file.
 
-Exit code: 0 ended as asked, 2 something given cannot be used or is not there, 3 a process was lost for good.
+Exit code: 0 ended as requested, 2 an option or a file cannot be used or is missing, 3 a process could not be
+kept running.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     python launch_scripts/demo.py SESSION         # a recorded session through the ROS graph
     python launch_scripts/demo.py --dashboard     # with the live page, which stays until Ctrl-C
 
-The first records what happens and judges the recording again. Both end with a report on what was found.
+The live demonstration is recorded, and the recording judged again. Both write a report at the end.
 """
 
 from __future__ import annotations

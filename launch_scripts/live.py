@@ -4,10 +4,10 @@
     python launch_scripts/live.py --plant tclab [--port /dev/ttyACM0]
     python launch_scripts/live.py [--plant tclab] --virtual [--speed 20] [--fault drive-lost@300]
 
-All may be given --dashboard [--control] for a live page.
+Add --dashboard [--control] to any of them for a live page.
 
-Exit code: 0 ended as asked, 2 something given cannot be used, 3 the rig's process was lost (the output is
-off then).
+Exit code: 0 ended as requested, 2 an option or a file cannot be used, 3 the rig's process was lost (the
+output is off then).
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python launch_scripts/replay.py SESSION [--rate 50] [--candidates FILE] [--config FILE] [--plant FILE.py]
 
-Ctrl-C ends it; with --dashboard the live page stays open until then. Exit code: 0 all verdicts came,
-2 something given cannot be used, 130 interrupted.
+Ctrl-C ends it; with --dashboard the live page stays open until then. Exit code: 0 all verdicts received,
+2 an option or a file cannot be used, 130 interrupted.
 """
 
 from __future__ import annotations

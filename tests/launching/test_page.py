@@ -76,7 +76,7 @@ def test_after_a_replay_it_stays_until_ctrl_c(ros_domain: int, tmp_path: Path) -
     command = [sys.executable, LAUNCH_SCRIPTS / "replay.py", session, "--rate", "0", "--dashboard", "0"]
     replay = Process(*command, output=tmp_path / "output.txt", environment=environment)
     try:
-        replay.said("the page stays until Ctrl-C")
+        replay.said("the page stays open until Ctrl-C")
         address = replay.said(r"page: (\S+)")[1]
         with urllib.request.urlopen(address) as answer:
             assert b"twinmatch" in answer.read()

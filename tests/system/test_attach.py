@@ -78,7 +78,7 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         rig.kill()
         run.said(r"sampler: health: .*nobody publishes /oven/heater any more")
         rig = processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
-        run.said("sampler: health: well again")
+        run.said("sampler: health: recovered")
         seen = len(verdicts)
         listener.spin_until(lambda: len(verdicts) > seen, lambda: run.text)
         rig.kill()  # what is asked for then is answered before the end
@@ -148,4 +148,4 @@ def test_a_topic_that_has_no_publisher_ends_it_with_those_there_are(
     assert run.wait() == 2
     assert "nobody publishes /oven/temp" in run.text
     assert "/oven/temperature (std_msgs/msg/Float64)" in run.text
-    assert "sampler could not work with what it was given" in run.text
+    assert "sampler rejected its configuration or input" in run.text

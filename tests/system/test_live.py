@@ -125,7 +125,7 @@ def test_a_run_to_the_end_of_its_profile_verifies_and_leaves_nothing(
     run.wait_until_driving()
     control = Path(run.control)
     assert run.process.wait(PATIENCE + 180 / SPEED) == 0, run.text
-    assert "ended: the profile has come to its end" in run.text
+    assert "ended: the profile has ended" in run.text
     session = read_session(run.session)
     assert len(session.samples) > 150
     found = verify_session(run.session)
@@ -176,7 +176,7 @@ def test_what_may_be_restarted_is_and_nothing_recorded_is_lost(
     run.wait_until_driving()
     time.sleep(3.0)
     victim = run.shoot(name)
-    run.wait_until(lambda: f"{name} ended with code -9; starting it again" in run.text, "a word of the loss")
+    run.wait_until(lambda: f"{name} ended with code -9; restarting it" in run.text, "a word of the loss")
     run.wait_until(lambda: run.child(name) not in (None, victim), "another process")
     assert run.end() == 0, run.text
     if name == "recorder":
@@ -207,7 +207,7 @@ def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., Liv
         timeout=60,
     )
     assert second.returncode == 2
-    assert "publishes /plant/sample already" in second.stderr
+    assert "/plant/sample already has a publisher" in second.stderr
     assert run.state()["pwm"] != 0
 
 

@@ -66,7 +66,7 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
         (("--port", "/dev/null"), "kit at /dev/null: the port cannot be opened"),
         (("--virtual", "--port", "/dev/ttyACM0"), "--port is for a real plant"),
         (("--virtual", "--fault", "fan-failed@3"), "fault 'fan-failed': not of this plant"),
-        (("--twin-config", "config/twin.yaml"), "is for the plant peltier"),
+        (("--twin-config", "config/twin.yaml"), "is for plant peltier"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_exit_code_two(

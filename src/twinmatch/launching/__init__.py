@@ -1,1 +1,1 @@
-"""Starting the graph from plain Python: the processes, and what a launch script does with them."""
+"""Start the graph from plain Python: the child processes, and their supervision by the launch scripts."""

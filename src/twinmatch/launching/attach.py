@@ -1,4 +1,4 @@
-"""The twin beside a rig that is not ours: what the sampler and the twin are told, in files of their own."""
+"""The twin beside a foreign rig: the parameter files of sampler and twin."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ SAMPLER = "sampler"
 
 @dataclass(frozen=True)
 class AttachPlan(LivePlan):
-    """A run beside somebody else's rig: a sampler instead of what drives a plant."""
+    """A run beside a foreign rig: a sampler in place of bridge and controller."""
 
     sampler: Path = Path()
     """Parameter file of the sampler."""
 
     @property
     def driver(self) -> str:
-        """The sampler drives nothing; it is where samples come from."""
+        """The sampler: it drives nothing, but is the source of the samples."""
         return SAMPLER
 
     @property
@@ -47,7 +47,7 @@ class AttachPlan(LivePlan):
         return ["--ros-args", "--params-file", str(self.sampler)]
 
     def wait_for(self, readers: str) -> list[str]:
-        """As for a rig, but longer: one that runs by itself loses nothing while a twin is compiled."""
+        """As for a rig, but longer: a rig that runs on its own is not held up while a twin is compiled."""
         return ["-p", f"{SAMPLER}:readers:={readers}", "-p", f"{SAMPLER}:readers_timeout:=180.0"]
 
 
@@ -60,18 +60,18 @@ def attach_plan(
     candidates: Path | None = None,
     session: Path | None = None,
 ) -> AttachPlan:
-    """Bring together what was given, and write it for the processes.
+    """Combine files and command line, and write the parameter files of the processes.
 
     Args:
-        folder: where their files are written.
-        said: plant, sample time and map of the command line; it goes before the file.
+        folder: where the files are written.
+        said: plant, sampling period and map of the command line; they override the file.
         config: parameter file with a section `sampler`, and perhaps `recorder`.
-        twin_config: parameter file of the twin; what it leaves out, plant and sample time too, is as here.
-        candidates: file of candidates to begin with.
+        twin_config: parameter file of the twin; plant and sampling period default to those of the sampler.
+        candidates: file of initial candidates.
         session: folder to record into.
 
     Raises:
-        TwinmatchError: something does not exist or does not go together.
+        TwinmatchError: something does not exist, or parameters contradict each other.
     """
     values = _sampler_values(config, said)
     plant = find_plant(values["plant"])
@@ -79,16 +79,16 @@ def attach_plan(
     held = read_settings(twin_config, written_name(plant), driven=driven)
     if driven and held.gains is not None:
         msg = (
-            f"{twin_config}: closes the twin into a loop, but no topic is mapped to the reference that it "
-            "would follow; map one, or write loop: unknown"
+            f"{twin_config}: the twin runs in closed loop, but no topic is mapped to its reference; map one, "
+            "or set loop: unknown"
         )
         raise LaunchError(msg)
     settings = at_period(held, values["period"], twin_config)
-    told = values_of(settings)
+    twin_values = values_of(settings)
     sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
     sampler.write_text(render(SAMPLER, understood(SAMPLER, values), values), "utf-8")
-    table = twin_table(plant, told["structure"], closing_of(told))
-    twin.write_text(render("/**", table, told), "utf-8")
+    table = twin_table(plant, twin_values["structure"], closing_of(twin_values))
+    twin.write_text(render("/**", table, twin_values), "utf-8")
     return AttachPlan(
         config=config or sampler,
         session=session,
@@ -116,7 +116,7 @@ def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
 
 
 def _section(path: Path) -> dict[str, Any]:
-    """The section of the sampler in a parameter file."""
+    """The sampler's section of a parameter file."""
     try:
         content = read_yaml(path)
     except DocumentError as error:

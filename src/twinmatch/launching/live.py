@@ -1,4 +1,4 @@
-"""The twin beside a live rig: start everything, look after it, stop it with the heat off first."""
+"""The twin beside a live rig: start and supervise the processes, and stop them with the heat off first."""
 
 from __future__ import annotations
 
@@ -37,41 +37,41 @@ EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
 
 READERS = "twin_simulator discriminator keeper live_watch"
-"""Nodes that must have every sample, and the recorder if there is one."""
+"""Nodes that must receive every sample; the recorder too, if there is one."""
 
 POLL = 0.1
 DISCOVERY = 2.0
-"""Seconds in which a graph that runs already is found."""
+"""Time to discover a graph that is already running, s."""
 SETTLE = 60.0
-"""Longest wait for the verdicts that are still due when the profile has ended, s."""
+"""Longest wait for the verdicts still due when the profile has ended, s."""
 VIRTUAL_RIG_START = 90.0
-"""A first build of firmware and board takes its time, s."""
+"""Longest wait for the virtual rig, s; it may have to build firmware and board first."""
 STOP_ORDER = ("rig", "sampler", "twin", "recorder", "plant_clock", "virtual_rig")
 """Heat off first; the recorder outlives what it records."""
 RESTARTS = 12
-"""How often a process is restarted within `SPAN`: one that falls over what it is given does so again."""
+"""Most restarts of a process within `SPAN`: one that crashes on its input will do so again."""
 SPAN = 600.0
-"""Seconds."""
+"""s"""
 
 
 @dataclass
 class Live:
-    """A live run and what came of it."""
+    """A live run and its results."""
 
     plan: LivePlan
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
     samples: Shelf = field(default_factory=Shelf)
-    """All of them, on the disk: a run may last for weeks."""
+    """All samples, kept on disk: a run may last for weeks."""
     verdicts: Tally = field(default_factory=Tally)
     sessions: list[Path] = field(default_factory=list)
     """Folders recorded into; more than one if the recorder had to be restarted."""
     killed: list[str] = field(default_factory=list)
-    """Processes that did not end when asked."""
+    """Processes that did not end on SIGTERM."""
     summary: Summary | None = None
     ending: str = "stopped by the operator"
 
     def take_sample(self, sample: Sample) -> None:
-        """Put a sample on the shelf; one that does not come after the newest begins another."""
+        """Put a sample on the shelf; an index at or before the newest one starts a new shelf."""
         shelf = self.samples
         if sample.index < shelf.end or len(sample.disturbances) != shelf.disturbances:
             self.samples = Shelf(len(sample.disturbances))
@@ -79,7 +79,7 @@ class Live:
         self.samples.push(sample)
 
     def longest(self, period: float) -> Stretch:
-        """The longest stretch of samples, at this sample time (s)."""
+        """The longest stretch without a missing sample, at this sampling period (s)."""
         return Stretch(self.samples.longest(period), self.samples.stretches)
 
 
@@ -94,8 +94,8 @@ def run_live(live: Live) -> int:
     settings = read_settings(live.plan.twin_config)
     if settings.plant.name != live.plan.plant:
         msg = (
-            f"{live.plan.twin_config or 'the twin'} is for the plant {settings.plant.name}, "
-            f"but the plant is {live.plan.plant}; give another --twin-config"
+            f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
+            f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
         raise LaunchError(msg)
     view = view_on(live.console, "live", settings.period)
@@ -104,7 +104,7 @@ def run_live(live: Live) -> int:
     finally:
         view.close()
     for name in live.killed:
-        view.say(f"{name} did not end by itself and was killed")
+        view.say(f"{name} did not end in time and was killed")
     for session in live.sessions:
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {len(live.samples)} samples, {live.verdicts.verdicts} verdicts")
@@ -118,8 +118,8 @@ def run_live(live: Live) -> int:
 _DIGITS = re.compile(r"[\d.,]+")
 
 
-class _Events:
-    """Errors on /diagnostics, each told once while it lasts, however its figures grow."""
+class _Errors:
+    """Errors on /diagnostics, each shown once while it stands, even if the figures in it change."""
 
     def __init__(self, view: Screen | Lines) -> None:
         self._view = view
@@ -130,14 +130,14 @@ class _Events:
             level = int.from_bytes(status.level, "little")
             if level < Level.ERROR:
                 if self._standing.pop(status.name, None) is not None:
-                    self._view.say(f"{status.name}: well again", "green")
+                    self._view.say(f"{status.name}: recovered", "green")
             elif self._standing.get(status.name) != (kind := _DIGITS.sub("", status.message)):
                 self._standing[status.name] = kind
                 self._view.say(f"{status.name}: {status.message}", "red")
 
 
 class _Supervision:
-    """Which processes there are, and what happens when one ends."""
+    """Starts the processes, and restarts one or ends the run when one ends."""
 
     def __init__(self, live: Live, view: Screen | Lines) -> None:
         self._live = live
@@ -149,7 +149,7 @@ class _Supervision:
         self.processes = Processes(self._show)
 
     def start(self) -> None:
-        """Start everything; the rig last, when all that listens is on its way."""
+        """Start everything; the rig last, after all subscribers."""
         plan = self._plan
         if plan.virtual is not None:
             self._view.say("starting the virtual rig")
@@ -163,27 +163,27 @@ class _Supervision:
         self._start(plan.driver)
 
     def look(self) -> tuple[int, str] | None:
-        """Restart what may be; the exit code and its reason when it is over."""
+        """Restart processes that may be restarted; returns exit code and reason when the run is over."""
         for name, code in self.processes.ended.items():
             if name == "rig" and code == 0:
-                return 0, "the profile has come to its end"
+                return 0, "the profile has ended"
             if name == "virtual_rig" and code == 0:
-                return 0, "the virtual rig has come to its end"
+                return 0, "the virtual rig has ended"
             if code == 2:
-                return 2, f"{name} could not work with what it was given; its own words are above"
+                return 2, f"{name} rejected its configuration or input; see its message above"
             if name in ("rig", "virtual_rig"):
                 return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
             now = time.monotonic()
             before = [at for at in self._restarts.get(name, []) if now - at < SPAN]
             if len(before) >= RESTARTS:
-                return EXIT_LOST, f"{name} was lost (code {code}), and {RESTARTS} more of it"
+                return EXIT_LOST, f"{name} was lost (code {code}) after {RESTARTS} restarts in {SPAN:g} s"
             self._restarts[name] = [*before, now]
-            self._view.say(f"{name} ended with code {code}; starting it again", "yellow")
+            self._view.say(f"{name} ended with code {code}; restarting it", "yellow")
             self._start(name)
         return None
 
     def stop(self) -> None:
-        """End all, heat off first."""
+        """End all processes, heat off first."""
         self._live.killed += self.processes.stop(STOP_ORDER)
 
     def _start(self, name: str) -> None:
@@ -221,14 +221,14 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
     """The node of this process, bound to one run."""
 
     class Watch(TwinmatchNode):
-        """Starts the other processes, shows what happens, ends them in the safe order."""
+        """Starts the other processes, shows events and verdicts, ends the processes in the safe order."""
 
         NAME: ClassVar = "live_watch"
         CLOSING: ClassVar = 90
 
         def open(self) -> None:
             """Subscribe, then start the processes."""
-            self._events = _Events(view)
+            self._errors = _Errors(view)
             self._settled = Settled()
             self._over: tuple[int, str] | None = None
             self._over_at = 0.0
@@ -237,7 +237,7 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
             self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
             self._supervision = _Supervision(live, view)
-            self._refuse_company()
+            self._refuse_second_graph()
             self._supervision.start()
             view.open()
             self.create_timer(POLL, self._look)
@@ -248,12 +248,12 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
             self._supervision.stop()
             return True
 
-        def _refuse_company(self) -> None:
-            """Two controllers on one topic would fight over the plate."""
+        def _refuse_second_graph(self) -> None:
+            """Refuse to run beside another controller on the same topics: both would drive the plate."""
             time.sleep(DISCOVERY)
             if self.count_publishers("plant/sample"):
                 msg = (
-                    f"live: somebody publishes {self.resolve_topic_name('plant/sample')} already; end that "
+                    f"live: {self.resolve_topic_name('plant/sample')} already has a publisher; end that "
                     "graph first, or set another ROS_DOMAIN_ID or namespace for this one"
                 )
                 raise LaunchError(msg)
@@ -262,7 +262,7 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
             live.take_sample(sample_from(message))
 
         def _on_health(self, message: DiagnosticArray) -> None:
-            self._events.take(message)
+            self._errors.take(message)
             self._settled.take(message)
 
         def _on_match(self, message: Match) -> None:
@@ -284,7 +284,7 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
                 return
             code, reason = self._over
             last = live.samples.end - 1
-            judged = last < 0 or self._settled.all_said(last, live.verdicts.verdicts)
+            judged = last < 0 or self._settled.complete(last, live.verdicts.verdicts)
             if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE:
                 return
             live.ending = reason
@@ -294,10 +294,10 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
 
 
 def refuse_existing(session: Path | None) -> None:
-    """A session is never recorded over another.
+    """Refuse to record over an existing session.
 
     Raises:
-        LaunchError: the folder is there already.
+        LaunchError: the folder exists already.
     """
     if session is not None and session.exists():
         msg = f"{session} exists already; give another folder with --session"

@@ -1,4 +1,4 @@
-"""The live page beside a launch script: started with it, ended with it, never in its way."""
+"""The live page of a launch script: it starts and ends with the script and cannot make it fail."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ POLL = 0.2
 
 
 class Page:
-    """The page's process; without a port there is none. If it is lost, nothing else is."""
+    """The page's process; without a port there is none. Losing it affects nothing else."""
 
     def __init__(
         self,
@@ -28,7 +28,7 @@ class Page:
         config: Path | None = None,
         show: Callable[[str], None] = print,
     ) -> None:
-        """Serve on this port of this machine; its lines, the address among them, go to `show`.
+        """Serve on this local port; the page's output, with its address, goes to `show`.
 
         `config` is the parameter file of the twin's nodes.
         """
@@ -49,7 +49,7 @@ class Page:
         self._processes.stop()
 
     def stay(self) -> None:
-        """Leave the page open until Ctrl-C, so that what happened can be looked at."""
+        """Keep the page open until Ctrl-C, so that the results can be inspected."""
         if self._port is None or self._processes.ended:
             return
 
@@ -58,7 +58,7 @@ class Page:
 
         for number in (signal.SIGINT, signal.SIGTERM):  # the nodes' runner leaves them ignored
             signal.signal(number, stop)
-        self._show("the page stays until Ctrl-C")
+        self._show("the page stays open until Ctrl-C")
         try:
             while not self._processes.ended:
                 time.sleep(POLL)
@@ -74,19 +74,19 @@ def add_page_options(parser: argparse.ArgumentParser, *, control: bool = False) 
         nargs="?",
         const=PORT,
         metavar="PORT",
-        help=f"serve the live page on this machine ({PORT}; 0: any port that is free)",
+        help=f"serve the live page on this machine (default port: {PORT}; 0: any free port)",
     )
     if control:
         parser.add_argument(
-            "--control", action="store_true", help="the page may set the set-point, clear faults and stop"
+            "--control", action="store_true", help="let the page change the set-point, clear faults and stop"
         )
 
 
 def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config: Path | None = None) -> Page:
-    """The page that was asked for on the command line; leaves with a usage error if that makes no sense."""
+    """The page that the command line requests; exits with a usage error if the options contradict."""
     control = bool(getattr(options, "control", False))
     if control and options.dashboard is None:
-        parser.error("--control is for a page: give --dashboard too")
+        parser.error("--control needs the page: give --dashboard too")
     if options.dashboard is not None and not 0 <= options.dashboard <= 65535:
-        parser.error(f"--dashboard is {options.dashboard}; a port is within 0 and 65535")
+        parser.error(f"--dashboard is {options.dashboard}; give a port from 0 to 65535")
     return Page(options.dashboard, control=control, config=config)

@@ -1,4 +1,4 @@
-"""What a live run consists of: plant, configuration, the virtual plant if there is one, where to record."""
+"""The parts of a live run: plant, configuration, virtual plant if any, and where to record."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class VirtualPlan:
     speed: float = 1.0
     """Plant time per wall time."""
     faults: tuple[str, ...] = ()
-    """Such as `drive-lost@300`."""
+    """Faults to inject, such as `drive-lost@300`."""
     board: str = "auto"
     seed: int = 0
     plant: str = "peltier"
 
     @property
     def arguments(self) -> list[str]:
-        """For `twinmatch virtual-rig`."""
+        """Command-line arguments for `twinmatch virtual-rig`."""
         words = [
             "--plant",
             self.plant,
@@ -45,17 +45,17 @@ class VirtualPlan:
 
 @dataclass(frozen=True)
 class Wiring:
-    """How the process is started that drives a plant."""
+    """How to start the process that drives a plant."""
 
     module: str
-    """Its nodes and the controller, in one process."""
+    """Module with the plant's nodes and the controller, run as one process."""
     bridge: str
-    """The node that has the serial port."""
+    """Name of the node that holds the serial port."""
     check: Callable[[str], None] = lambda _: None
-    """Refuses a port (or, empty, none) at which nothing can be, before anything is started."""
+    """Checks the port (empty: not given) before anything is started; raises if it cannot be used."""
 
     def settings(self, addresses: Mapping[str, str]) -> dict[str, str]:
-        """Parameters of its nodes for where things are."""
+        """Address parameters of its nodes."""
         found: dict[str, str] = {}
         if "camera" in addresses:
             host, port = addresses["camera"].rsplit(":", 1)
@@ -77,7 +77,7 @@ WIRINGS: Final = {
     "peltier": Wiring("twinmatch.nodes.rig", "pwm_bridge"),
     "tclab": Wiring("twinmatch.nodes.tclab_rig", "tclab_bridge", _check_kit),
 }
-"""By the name of the plant."""
+"""By plant name."""
 
 
 @dataclass(frozen=True)
@@ -97,32 +97,32 @@ class LivePlan:
     plant: str = "peltier"
     """Name of the plant."""
     port: str = ""
-    """Serial port of what drives it, if not that of the configuration."""
+    """Serial port of the plant, if not that of the configuration."""
 
     @property
     def wiring(self) -> Wiring:
         """How its nodes are started.
 
         Raises:
-            LaunchError: nothing here drives such a plant.
+            LaunchError: twinmatch has no nodes to drive this plant.
         """
         if self.plant not in WIRINGS:
-            msg = f"plant {self.plant!r}: nothing here drives it; there are: {', '.join(WIRINGS)}"
+            msg = f"plant {self.plant!r}: no nodes to drive it; choose one of {', '.join(WIRINGS)}"
             raise LaunchError(msg)
         return WIRINGS[self.plant]
 
     @property
     def driver(self) -> str:
-        """Name of the process that makes the samples."""
+        """Name of the process that publishes the samples."""
         return "rig"
 
     @property
     def simulated_time(self) -> bool:
-        """Whether the nodes live by the virtual rig's clock."""
+        """Whether the nodes run on the virtual rig's clock."""
         return self.virtual is not None
 
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:
-        """ROS arguments of bridges and controller; `addresses` are those the virtual rig printed."""
+        """ROS arguments of bridges and controller; `addresses` are those that the virtual rig prints."""
         words = ["--ros-args", "--params-file", str(self.config), "-p", f"controller:plant:={self.plant}"]
         found = dict(addresses)
         if self.port:
@@ -134,7 +134,7 @@ class LivePlan:
         return [*words, *self._time()]
 
     def wait_for(self, readers: str) -> list[str]:
-        """ROS arguments by which no sample is made before these nodes (names with spaces) hear it."""
+        """ROS arguments to hold back the first sample until these nodes (space-separated) subscribe."""
         return ["-p", f"controller:readers:={readers}", "-p", "controller:wait_timeout:=30.0"]
 
     def twin_arguments(self) -> list[str]:

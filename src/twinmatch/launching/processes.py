@@ -1,8 +1,7 @@
-"""Child processes: started, watched, ended in order, never left behind.
+"""Child processes: started, watched, ended in a safe order, never left behind.
 
-Each child gets a process group of its own, so that Ctrl-C reaches only the parent, which ends the
-children in the order it knows to be safe. Should the parent die without doing so (kill -9), the kernel
-sends each child SIGTERM.
+Each child gets its own process group, so that Ctrl-C reaches only the parent, which then ends the children
+in the safe order. If the parent is killed (kill -9), the kernel sends each child SIGTERM.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from twinmatch.errors import TwinmatchError
 __all__ = ["Child", "LaunchError", "Processes"]
 
 PATIENCE = 12.0
-"""Seconds a child has to end when asked before it is killed."""
+"""Time between SIGTERM and SIGKILL, s."""
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
@@ -33,7 +32,7 @@ class LaunchError(TwinmatchError):
 
 
 class Child:
-    """One child process; its output appears line by line behind its name."""
+    """One child process; each line of its output is shown with its name as prefix."""
 
     def __init__(self, name: str, command: Sequence[str], show: Callable[[str], None]) -> None:
         """Start it.
@@ -47,7 +46,7 @@ class Child:
         def follow_parent() -> None:
             if _LIBC is not None:
                 _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-            if os.getppid() != parent:  # it died before the line above
+            if os.getppid() != parent:  # the parent died before the line above
                 os._exit(1)
 
         try:
@@ -63,7 +62,7 @@ class Child:
                 preexec_fn=follow_parent,  # noqa: PLW1509 — one prctl, nothing that takes a lock
             )
         except OSError as error:
-            msg = f"{name}: {command[0]} cannot be started: {error.strerror}"
+            msg = f"{name}: {command[0]} cannot be started ({error.strerror})"
             raise LaunchError(msg) from error
         self._reader = threading.Thread(target=self._pass_on, args=(show,), daemon=True)
         self._reader.start()
@@ -79,7 +78,7 @@ class Child:
             self.process.send_signal(number)
 
     def wait(self, seconds: float) -> bool:
-        """Whether it has ended within the time; its last lines have been shown then."""
+        """Whether it ended within the time; its last lines have then been shown."""
         try:
             self.process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -99,7 +98,7 @@ class Processes:
     """The children of one launch script."""
 
     def __init__(self, show: Callable[[str], None] = print) -> None:
-        """Begin with none; their output goes to `show`, line by line."""
+        """Start without children; their output goes to `show`, line by line."""
         self._show = show
         self._children: dict[str, Child] = {}
 
@@ -124,7 +123,7 @@ class Processes:
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, order: Sequence[str] = (), patience: float = PATIENCE) -> list[str]:
-        """End all children, those of `order` first, the others latest first.
+        """End all children: those in `order` first, then the others, the latest started first.
 
         Returns:
             The names of those that had to be killed.
@@ -142,21 +141,21 @@ class Processes:
         return killed
 
     def wait_for_line(self, name: str, ready: threading.Event, seconds: float) -> None:
-        """Wait until `ready` is set by whoever reads a child's output.
+        """Wait until `ready` is set, which the reader of the child's output does.
 
         Raises:
-            LaunchError: the child ended first, or the time is over.
+            LaunchError: the child ended first, or the time has run out.
         """
         deadline = time.monotonic() + seconds
         while not ready.wait(0.05):
             if self[name].code is not None:
-                msg = f"{name} ended with code {self[name].code} before it was ready; its own words are above"
+                msg = f"{name} ended with code {self[name].code} before it was ready; see its output above"
                 raise LaunchError(msg)
             if time.monotonic() > deadline:
-                msg = f"{name} was not ready after {seconds:g} s"
+                msg = f"{name} was not ready after {seconds:g} s; see its output above"
                 raise LaunchError(msg)
 
 
 def _environment() -> dict[str, str]:
-    """Ours, with Python's output unbuffered so that lines come when they are written."""
+    """Our environment, with Python's output unbuffered so that lines arrive when they are written."""
     return {**os.environ, "PYTHONUNBUFFERED": "1"}

@@ -32,32 +32,32 @@ __all__ = ["Replay", "play"]
 
 EXIT_INTERRUPTED = 130
 READERS = "twin_simulator discriminator keeper"
-"""Nodes that must have every sample."""
+"""Nodes that must receive every sample."""
 RESTARTS = 3
-"""How often a twin that was killed is started again; it is given what it missed."""
+"""Most restarts of a killed twin; it catches up on what it missed."""
 POLL = 0.2
-"""Seconds between two looks at the children."""
+"""Interval at which the children are checked, s."""
 STALLED = 120.0
-"""Seconds without a verdict, after the last sample was played, that are an error."""
+"""Longest wait for the next verdict after the last sample was played, s."""
 
 
 @dataclass
 class Replay:
-    """What to play, and what comes of it."""
+    """What to play, and the results."""
 
     session: Path
     rate: float = 50.0
-    """Recorded seconds per second; 0: as fast as it goes."""
+    """Recorded seconds per second; 0: as fast as possible."""
     candidates: Path | None = None
     config: Path | None = None
     plant: str | None = None
-    """Name or file of the plant, where the session does not say it or it is in a file."""
+    """Name or file of the plant, if the session does not name it or it is defined in a file."""
     console: Console = field(default_factory=lambda: Console(soft_wrap=True, highlight=False))
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
     summary: Summary | None = None
     whole: bool = False
-    """Whether everything was judged."""
+    """Whether all verdicts were received."""
 
 
 def play(replay: Replay) -> int:
@@ -89,7 +89,7 @@ def play(replay: Replay) -> int:
 
 
 def _playable(session: Session, folder: Path) -> Path:
-    """The session's own folder, or one made of a recording."""
+    """The session's own folder, or a session written from the recording."""
     if session.path.is_dir() or session.path.suffix == ".mcap":
         return session.path
     return write_session(folder / session.name, samples_of(session.window()))
@@ -105,7 +105,7 @@ def _watch_class(
     """The node of this process, bound to one replay."""
 
     class Watch(TwinmatchNode):
-        """Starts the other processes, prints the verdicts, ends when the last one is there."""
+        """Starts the other processes, prints the verdicts, ends after the last one."""
 
         NAME: ClassVar = "replay_watch"
         CLOSING: ClassVar = 30
@@ -137,7 +137,7 @@ def _watch_class(
             self._processes.start_module("twin", "twinmatch.nodes.twin", *options)
 
         def _play(self) -> None:
-            """Start the player, once the twin's verdicts would be heard here."""
+            """Start the player, once this node is connected to the twin's verdicts."""
             self._playing = True
             self._processes.start_module(
                 "player",
@@ -151,7 +151,7 @@ def _watch_class(
             view.close()
             killed = self._processes.stop(("player", "twin"))
             for name in killed:
-                view.say(f"{name} did not end by itself and was killed")
+                view.say(f"{name} did not end in time and was killed")
             return True
 
         def _on_score(self, message: ModelScore) -> None:
@@ -175,20 +175,20 @@ def _watch_class(
             for name, code in ended.items():
                 if name == "twin" and code < 0 and self._restarts < RESTARTS and "player" not in ended:
                     self._restarts += 1
-                    view.say(f"twin ended with code {code}; starting it again", "yellow")
+                    view.say(f"twin ended with code {code}; restarting it", "yellow")
                     self._start_twin()
                 elif name == "twin" or code != 0:
-                    msg = f"replay: {name} ended with code {code}; its own words are above"
+                    msg = f"replay: {name} ended with code {code}; see its output above"
                     raise LaunchError(msg)
             if "player" not in ended:
                 return
-            if self._settled.all_said(session.samples[-1].index, len(replay.verdicts)):
+            if self._settled.complete(session.samples[-1].index, len(replay.verdicts)):
                 view.advance(len(session.samples))
                 replay.whole, self.exit_code = True, 0
             elif time.monotonic() - self._changed > STALLED:
                 msg = (
-                    f"replay: after {len(replay.verdicts)} verdicts none came for {STALLED:g} s, and not "
-                    "everything is judged; look at /diagnostics"
+                    f"replay: no verdict for {STALLED:g} s after {len(replay.verdicts)} verdicts, although "
+                    "samples are still to be judged; look at /diagnostics"
                 )
                 raise LaunchError(msg)
 

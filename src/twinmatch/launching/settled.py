@@ -1,4 +1,4 @@
-"""How far the discriminator has come, as it says itself on /diagnostics."""
+"""Progress of the discriminator, from its reports on /diagnostics."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ __all__ = ["Settled"]
 
 
 class Settled:
-    """Listens to the discriminator's reports."""
+    """Follows the discriminator's reports."""
 
     def __init__(self) -> None:
-        """Begin with nothing heard."""
+        """Start without a report."""
         self._sample: int | None = None
         self._verdicts = 0
 
     def take(self, message: DiagnosticArray) -> None:
-        """Take what nodes report; that of others is passed over."""
+        """Take a message; reports of other nodes are ignored."""
         for status in message.status:
             if status.name.endswith(f"{DiscriminatorNode.NAME}: health"):
                 values = {entry.key: entry.value for entry in status.values}
@@ -26,6 +26,6 @@ class Settled:
                 self._sample = int(settled) if settled.isdigit() else None
                 self._verdicts = int(values.get(VERDICTS, "0"))
 
-    def all_said(self, last: int, heard: int) -> bool:
-        """Whether everything is said up to sample `last`, and this many verdicts are all there are."""
-        return self._sample is not None and self._sample >= last and heard >= self._verdicts
+    def complete(self, last: int, received: int) -> bool:
+        """Whether all is judged up to sample `last`, and `received` verdicts are all that were published."""
+        return self._sample is not None and self._sample >= last and received >= self._verdicts
