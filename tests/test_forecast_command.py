@@ -154,7 +154,10 @@ def profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["--at", "500", "--candidate", "Bob"], ["sample 500", "'Bob'", "there are: ", "40 °C"]),
         (["--at", "500", "--hold", "150"], ["--hold", "150 °C", "0 to 100 °C"]),
         (["--at", "500", "--hold", "inf"], ["--hold", "inf"]),
-        (["--at", "500", "--hold", "50", "--reference", "recorded"], ["--reference and --hold", "give only one"]),
+        (
+            ["--at", "500", "--hold", "50", "--reference", "recorded"],
+            ["--reference and --hold", "give only one"],
+        ),
         (["--at", "500", "--reference", "absent.csv"], ["absent.csv: does not exist"]),
         (["--at", "500", "--reference", "past.csv"], ["past.csv", "row 1", "past"]),
         (["--at", "500", "--reference", "back.csv"], ["back.csv", "row 2", "growing"]),
@@ -180,9 +183,7 @@ def test_what_is_not_a_sample_is_refused_at_once(session: Path, capsys: Any) -> 
     with pytest.raises(SystemExit) as caught:
         main(["forecast", "--at", "500", str(session)])
     assert caught.value.code == 2
-    assert (
-        "is not a sample index; give whole numbers, and the session before --at" in capsys.readouterr().err
-    )
+    assert "is not a sample index; give whole numbers, and the session before --at" in capsys.readouterr().err
 
 
 def test_the_shipped_session_is_forecast_within_its_bands(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Where the files that are installed beside the package lie: in the checkout, or below `share/twinmatch`."""
+"""Find the files installed beside the package: in the checkout, or below `share/twinmatch`."""
 
 from __future__ import annotations
 
@@ -31,4 +31,4 @@ def shipped(name: str) -> Path:
     for folder in folders:
         if (folder / name).exists():
             return folder / name
-    raise NotShippedError(f"{name} is in none of {', '.join(map(str, folders))}; install twinmatch again")
+    raise NotShippedError(f"{name} is in none of {', '.join(map(str, folders))}; reinstall twinmatch")

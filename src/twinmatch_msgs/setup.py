@@ -1,8 +1,8 @@
-"""Builds messages and services with pip, without CMake: the rosidl generators are Python and come as wheels.
+"""Build messages and services with pip, without CMake: the rosidl generators are Python and come as wheels.
 
-What they generate lies in `build/generated` and is compiled into one extension: the C type support of
-Fast DDS, the only middleware there are wheels for, and the introspection it asks for beside. On a system
-ROS 2 this file is not used: colcon reads package.xml and CMakeLists.txt.
+The generated code in `build/generated` is compiled into one extension: the C type support of Fast DDS, the
+only middleware with wheels, and the introspection type support that it also needs. On a system ROS 2 this
+file is not used: colcon reads package.xml and CMakeLists.txt.
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ ROSIDL_TYPESUPPORT_INTERFACE__{KIND}_SYMBOL_NAME(rosidl_typesupport_c, {package}
   return &handle;
 }}
 """
-"""The generator's own choice between two type supports loads a library of its own for each of them."""
+"""Replaces the generator's dispatch between two type supports, which loads a separate library for each."""
 PART = """
     copy.{part}_typesupport = ROSIDL_TYPESUPPORT_INTERFACE__MESSAGE_SYMBOL_NAME(
       rosidl_typesupport_c, {package}, {folder}, {name})();"""
 
 
 def check_compiler() -> None:
-    """Say in one line what is missing, before the compiler says it in a hundred."""
+    """Report a missing compiler or header in one line, before the compiler prints a hundred."""
     compiler = os.environ.get("CXX", "g++").split()[0]
     if shutil.which(compiler) is None:
         raise SystemExit(f"{NAME}: no C++ compiler ({compiler}); install it: apt-get install g++")
@@ -77,7 +77,7 @@ def check_compiler() -> None:
 
 
 def ros_prefix() -> Path:
-    """Where the ROS wheels put their `share` and `lib`."""
+    """The prefix with `share` and `lib` of the ROS wheels."""
     try:
         import rosidl_cli
     except ImportError:
@@ -86,7 +86,7 @@ def ros_prefix() -> Path:
 
 
 def requirements() -> list[str]:
-    """What the built messages need: the wheels of the release with which they were built, and numpy."""
+    """Requirements of the built messages: the wheels of the release used for the build, and numpy."""
     installed = {d.metadata["Name"]: d.version for d in distributions()}
     releases = [r for r in ("jazzy", "kilted") if f"ros-{r}-rclpy" in installed]
     if not releases:
@@ -131,7 +131,7 @@ def generate(prefix: Path) -> None:
 
 
 def dispatch(source: Path) -> str:
-    """C++ that finds either type support of a message or service without leaving the extension."""
+    """C++ code that finds either type support of a message or service within the extension."""
     file = re.sub("(?<=[a-z0-9])(?=[A-Z])", "_", source.stem).lower()
     place = {"package": NAME, "folder": source.parent.name}
     parts = {part: f"{source.stem}_{part.title()}" for part in ("request", "response", "event")}
@@ -145,7 +145,7 @@ def dispatch(source: Path) -> str:
 
 
 def fill(extension: Extension, prefix: Path) -> None:
-    """Point the extension at what was generated and at the libraries of the messages ours are made of."""
+    """Set the extension's sources to the generated code, and its libraries to those of the messages used."""
     import numpy
 
     extension.sources = sorted(
@@ -168,10 +168,10 @@ def fill(extension: Extension, prefix: Path) -> None:
 
 
 class Build(build):
-    """Start from an empty folder: a message that was removed must not be shipped."""
+    """Build from an empty folder, so that a removed message is not shipped."""
 
     def run(self) -> None:
-        """Generate, then build what was generated."""
+        """Generate the code, then build it."""
         check_compiler()
         shutil.rmtree(HERE / "build", ignore_errors=True)
         GENERATED.mkdir(parents=True)
@@ -180,7 +180,7 @@ class Build(build):
 
 
 class BuildExtension(build_ext):
-    """The sources are known only after they were generated."""
+    """Sets the sources only at build time, after they were generated."""
 
     def run(self) -> None:
         """Fill in the sources, then compile them."""

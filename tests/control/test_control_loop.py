@@ -77,7 +77,7 @@ def test_nothing_is_made_before_temperature_and_set_point():
     assert tick(loop, 1, None) is None
     assert loop.trouble == "no set-point yet"
     assert tick(loop, 2, math.nan) is None
-    assert loop.trouble == "the set-point is nan"
+    assert loop.trouble == "the set-point is nan, not a finite number"
     sample = tick(loop, 2.5)
     assert (sample.index, loop.running, loop.idle, loop.time) == (0, True, 0, 0.0)
 

@@ -89,15 +89,18 @@ def test_a_ramp_is_no_steeper_than_asked(profile, time, step):
     [
         ({"levels": (), "holds": ()}, "at least one level"),
         ({"levels": (30.0,), "holds": (1.0, 2.0)}, "1 levels and 2 times are given; give one time per level"),
-        ({"levels": (30.0, 150.0), "holds": (1.0, 1.0)}, "level 2 is 150 °C; the safe range is 0 to 100 °C"),
+        (
+            {"levels": (30.0, 150.0), "holds": (1.0, 1.0)},
+            "level 2 is 150 °C; give one in the safe range, 0 to 100 °C",
+        ),
         ({"levels": (math.nan,), "holds": (1.0,)}, "level 1 is nan °C"),
-        ({"levels": (30.0,), "holds": (0.0,)}, "level 1 is to be held for 0 s; give a positive time"),
-        ({"levels": (30.0,), "holds": (math.inf,)}, "held for inf s"),
+        ({"levels": (30.0,), "holds": (0.0,)}, "the time of level 1 is 0 s; give a positive time"),
+        ({"levels": (30.0,), "holds": (math.inf,)}, "time of level 1 is inf s"),
         ({"levels": (30.0,), "holds": (1.0,), "lowest": 50.0, "highest": 40.0}, "50 to 40 °C is empty"),
         ({"levels": (30.0,), "holds": (1.0,), "ramp": -1.0}, "the ramp is -1 °C/s; give a positive rate"),
         (
             {"levels": (30.0, 50.0), "holds": (9.0, 9.0), "ramp": 2.0},
-            "the ramp to level 2 takes 10 s, longer than the 9 s",
+            "the ramp to level 2 takes 10 s, longer than its time of 9 s",
         ),
         (
             {"levels": (30.0, 40.0, 50.0), "holds": (9.0, 9.0, 9.0), "ramp": 2.0, "repeat": True},
@@ -111,5 +114,5 @@ def test_impossible_profiles_are_refused(arguments, message):
 
 
 def test_a_time_has_to_be_one():
-    with pytest.raises(ControlError, match="at t = nan s"):
+    with pytest.raises(ControlError, match="the time is nan s"):
         STAIRS.reference(math.nan)

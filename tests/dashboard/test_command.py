@@ -38,9 +38,9 @@ def test_an_open_page_says_so(page_process: Callable[..., Any], options: tuple[s
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--port", "70000"], "dashboard: there is no port 70000; give one from 0 to 65535"),
+        (["--port", "70000"], "dashboard: --port is 70000; give a port from 0 to 65535"),
         (["--address", "203.0.113.7"], "dashboard: 203.0.113.7:5006 cannot be used"),
-        (["--namespace", "no name"], "dashboard: 'no name' is no namespace; give one such as /rig_a"),
+        (["--namespace", "no name"], "dashboard: 'no name' is not a namespace; give one such as /rig_a"),
     ],
 )
 def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None:  # noqa: ARG001

@@ -433,11 +433,11 @@ def test_control_asks_the_controller_and_the_bridge(
         )
         assert browser.column("output", 2, "reference")[-1] == 42.5
         browser.click("Output off")
-        browser.wait_for(lambda: "stopped as asked; clear_fault lets it go on" in browser.text, "the fault")
-        browser.click("Clear fault")
         browser.wait_for(
-            lambda: "the PWM board is not connected, which comes first" in browser.text, "the answer"
+            lambda: "stopped on request; call clear_fault to continue" in browser.text, "the fault"
         )
+        browser.click("Clear fault")
+        browser.wait_for(lambda: "the PWM board is not connected" in browser.text, "the answer")
         assert browser.warnings() == []
     finally:
         ending.set()

@@ -35,7 +35,7 @@ def program(path: Path, script: str) -> VirtualTools:
 
 def test_a_board_that_runs_by_itself_takes_no_steps(board: Board) -> None:
     board.run(0.1)
-    with pytest.raises(ArduinoError, match="it runs by itself"):
+    with pytest.raises(ArduinoError, match="it is running"):
         board.advance(0.01)
     board.pause()
     before = board.drive().time
@@ -44,7 +44,7 @@ def test_a_board_that_runs_by_itself_takes_no_steps(board: Board) -> None:
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
 def test_time_passes_forwards(board: Board, speed: float) -> None:
-    with pytest.raises(ArduinoError, match="is not positive"):
+    with pytest.raises(ArduinoError, match="it must be positive"):
         board.run(speed)
 
 

@@ -191,7 +191,7 @@ def test_a_pulled_cable_comes_back_latched(rig: Start, controller: Start, board:
     wait_for(lambda: not running.state()["enabled"], "the board's deadline")
     running.tell("end cable-pulled")
     loop.link.reopen()
-    with pytest.raises(PwmLatchedError, match="no new set-point"):
+    with pytest.raises(PwmLatchedError, match="received no command"):
         loop.link.command(10)
     loop.link.clear()
 
@@ -253,10 +253,10 @@ def test_faults_at_run_time_are_checked_too(rig: Start) -> None:
     ("arguments", "message"),
     [
         (["--fault", "drive-last@3"], "did you mean drive-lost?"),
-        (["--speed", "0"], "speed 0.0; give 0.01 to 1000"),
-        (["--duration", "0"], "duration 0.0 s; it must be positive"),
-        (["--seed", "-1"], "seed -1; give 0 or more"),
-        (["--board", "esp32"], "board 'esp32' does not exist; there are: auto, simavr, python"),
+        (["--speed", "0"], "the speed is 0.0; give 0.01 to 1000"),
+        (["--duration", "0"], "the duration is 0.0 s; it must be positive"),
+        (["--seed", "-1"], "the seed is -1; give 0 or more"),
+        (["--board", "esp32"], "board 'esp32' does not exist; choose one of auto, simavr, python"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(rig: Start, arguments: list[str], message: str) -> None:
@@ -270,5 +270,5 @@ def test_a_camera_program_that_dies_ends_the_rig_with_a_reason(rig: Start) -> No
     running = rig("--board", "python")
     (camera,) = running.process.children
     os.kill(camera, signal.SIGKILL)
-    assert "its program has ended by itself" in running.said("twinmatch:")
+    assert "its program has ended unexpectedly" in running.said("twinmatch:")
     assert running.process.wait() == 1

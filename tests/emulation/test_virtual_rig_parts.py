@@ -58,13 +58,13 @@ def test_faults_are_read() -> None:
     ("text", "message"),
     [
         ("drive-last@3", "'drive-last' does not exist; did you mean drive-lost"),
-        ("xyz@3", "'xyz' does not exist; there are: drive-lost, "),
-        ("drive-lost", "when\\? Write drive-lost@SECONDS"),
-        ("drive-lost@", "'' is no time"),
-        ("drive-lost@-1", "'-1' is no time"),
-        ("drive-lost@nan", "'nan' is no time"),
-        ("drive-lost@1+0", "'0' is no time"),
-        ("drive-lost@1+inf", "'inf' is no time"),
+        ("xyz@3", "'xyz' does not exist; choose one of drive-lost, "),
+        ("drive-lost", "no time; write drive-lost@SECONDS"),
+        ("drive-lost@", "'' is not a time"),
+        ("drive-lost@-1", "'-1' is not a time"),
+        ("drive-lost@nan", "'nan' is not a time"),
+        ("drive-lost@1+0", "'0' is not a time"),
+        ("drive-lost@1+inf", "'inf' is not a time"),
     ],
 )
 def test_faults_that_cannot_be(text: str, message: str) -> None:
@@ -220,7 +220,7 @@ def test_a_stream_that_is_not_a_clock_is_refused() -> None:
         connection, _ = listener.accept()
         with connection:
             connection.sendall(b"SSH-2.0\n")
-            wait_for(lambda: "no clock" in client.error, "the refusal")
+            wait_for(lambda: "not the clock" in client.error, "the refusal")
         assert client.close()
 
 
@@ -274,7 +274,7 @@ def test_control_answers_each_line(tmp_path: Path) -> None:
         assert tell(server.path, "hello") == "HELLO"
         with pytest.raises(ControlError, match="it cannot be"):
             tell(server.path, "no")
-        with pytest.raises(ControlError, match="it gave no answer"):
+        with pytest.raises(ControlError, match="no answer"):
             tell(server.path, "x" * 600)
     finally:
         stop.set()
@@ -348,11 +348,11 @@ def test_noise_on_the_line_writes_and_takes(tmp_path: Path) -> None:
 
 
 def test_a_camera_program_that_cannot_listen_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(VirtualCameraError, match=r"has ended by itself: .*emulated Lepton"):
+    with pytest.raises(VirtualCameraError, match=r"has ended unexpectedly: .*emulated Lepton"):
         VirtualCamera(ambient=float("nan"))
     monkeypatch.setattr(shipped, "__file__", "/nowhere/src/twinmatch/shipped.py")
     monkeypatch.setattr("sys.prefix", "/nowhere")
-    with pytest.raises(VirtualCameraError, match=r"camera_server/src is in none of .* install twinmatch"):
+    with pytest.raises(VirtualCameraError, match=r"camera_server/src is in none of .*; reinstall twinmatch"):
         VirtualCamera(ambient=22.0)
 
 
@@ -364,7 +364,7 @@ def test_a_camera_program_that_says_nothing(monkeypatch: pytest.MonkeyPatch) -> 
         return real(["sleep", "60"], **settings)  # type: ignore[call-overload]
 
     monkeypatch.setattr("twinmatch.emulation.virtual_rig_camera.subprocess.Popen", slow)
-    with pytest.raises(VirtualCameraError, match=r"says nothing within 0.05 s"):
+    with pytest.raises(VirtualCameraError, match=r"was not ready after 0.05 s"):
         VirtualCamera(ambient=22.0)
 
 

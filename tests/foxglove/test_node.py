@@ -258,9 +258,9 @@ def test_an_open_server_says_so(serve: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--port", "70000"], "foxglove: there is no port 70000; give one from 0 to 65535"),
+        (["--port", "70000"], "foxglove: --port is 70000; give a port from 0 to 65535"),
         (["--address", "203.0.113.7"], "foxglove: 203.0.113.7:8765 cannot be used: Cannot assign"),
-        (["--namespace", "no name"], "foxglove: 'no name' is no namespace; give one such as /rig_a"),
+        (["--namespace", "no name"], "foxglove: 'no name' is not a namespace; give one such as /rig_a"),
     ],
 )
 def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None:  # noqa: ARG001

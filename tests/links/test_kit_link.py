@@ -60,7 +60,7 @@ def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
     link.open()
     link.drive(50.0, 50.0)
     off(kit)
-    with pytest.raises(KitSilentError, match=r"told nothing for 0\.6 s"):
+    with pytest.raises(KitSilentError, match=r"received no command for 0\.6 s"):
         link.drive(50.0, 0.0)
     assert link.drive(0.0, 0.0)[2] == 0.0
     link.clear()
@@ -72,7 +72,7 @@ def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
 def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink, value: float) -> None:
     """The package itself makes 100 % of what is not a number."""
     link.drive(50.0, 0.0)
-    with pytest.raises(KitError, match="0 to 100 % is possible"):
+    with pytest.raises(KitError, match="it must be within 0 to 100 %"):
         link.drive(value, 0.0)
     off(kit)
     assert kit.highest == 50.0
@@ -127,7 +127,7 @@ def test_rubbish_between_two_questions_is_skipped(kit: BenchKit, link: KitLink) 
 def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink) -> None:
     link.drive(40.0, 0.0)
     kit.shown[1] = math.nan
-    with pytest.raises(KitError, match="T1 says nan"):
+    with pytest.raises(KitError, match="T1 reads nan"):
         link.drive(40.0, 0.0)
     off(kit)
 
@@ -135,13 +135,17 @@ def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink
 def test_a_kit_that_says_nothing_is_given_up(kit: BenchKit, link: KitLink) -> None:
     link.drive(40.0, 0.0)
     kit.board.hung = True
-    with pytest.raises(KitError, match="no answer"):
+    with pytest.raises(KitError, match="no valid answer"):
         link.drive(40.0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("port", "words"),
-    [("/nowhere/ttyACM0", "No such file"), (__file__, "no serial port"), ("/dev/null", "cannot be opened")],
+    [
+        ("/nowhere/ttyACM0", "No such file"),
+        (__file__, "not a serial port"),
+        ("/dev/null", "cannot be opened"),
+    ],
 )
 def test_a_wrong_port_is_one_clear_line(port: str, words: str) -> None:
     with pytest.raises(KitAbsentError, match=words) as caught:
@@ -155,7 +159,7 @@ def test_another_device_is_reported_as_such() -> None:
     master, slave = pty.openpty()
     try:
         require_port(os.ttyname(slave))
-        with pytest.raises(KitAbsentError, match="does not answer as a Temperature Control Lab does"):
+        with pytest.raises(KitAbsentError, match="does not answer like a Temperature Control Lab"):
             KitLink(os.ttyname(slave)).open()
     finally:
         os.close(master)

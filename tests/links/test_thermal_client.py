@@ -153,7 +153,7 @@ def test_connects_when_the_server_comes_up_later() -> None:
 
 def test_silence_is_a_stall() -> None:
     with served(lambda _: None) as client:
-        assert "no whole frame within 0.3 s" in str(failed_with(client, ThermalStallError))
+        assert "no complete frame within 0.3 s" in str(failed_with(client, ThermalStallError))
         until(client, lambda s: s.connections >= 2)
 
 

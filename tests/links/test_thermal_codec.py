@@ -120,7 +120,7 @@ def test_the_array_of_rfc_8746_figure_1_in_little_endian() -> None:
 
 def test_the_big_endian_array_of_rfc_8746_figure_1_is_refused() -> None:
     array = bytes.fromhex("d82882820203d8414c000200040008000400100100")
-    with pytest.raises(FrameFieldError, match="no two-dimensional RFC 8746 array"):
+    with pytest.raises(FrameFieldError, match="not a two-dimensional RFC 8746 array"):
         decode_frame(sealed(wire_map(img=cbor2.loads(array))))
 
 
@@ -265,7 +265,7 @@ def test_noise_is_refused(data: bytes) -> None:
 def test_changed_pixel_is_reported_as_checksum() -> None:
     data = bytearray(encode_frame(make_frame()))
     data[5000] ^= 1
-    with pytest.raises(FrameChecksumError, match="changed on its way"):
+    with pytest.raises(FrameChecksumError, match="the bytes were corrupted"):
         decode_frame(bytes(data))
 
 
@@ -282,14 +282,14 @@ def test_bytes_after_the_frame() -> None:
 
 @pytest.mark.parametrize("item", ["01", "80", "f6", "d81800"])
 def test_another_cbor_item(item: str) -> None:
-    with pytest.raises(FrameSyntaxError, match="where a map must be"):
+    with pytest.raises(FrameSyntaxError, match="instead of a map"):
         decode_frame(bytes.fromhex(item))
 
 
 @pytest.mark.parametrize("item", ["ff", "1c", "c000", "d81d05", "81" * 5000])
 def test_bytes_that_are_not_cbor(item: str) -> None:
     # Releases of cbor2 differ in whether a lone break is an error or a value.
-    with pytest.raises(FrameSyntaxError, match=r"not CBOR|where a map must be"):
+    with pytest.raises(FrameSyntaxError, match=r"not CBOR|instead of a map"):
         decode_frame(bytes.fromhex(item))
 
 
@@ -303,7 +303,7 @@ def test_absurd_length_is_refused_before_it_is_read(start: str) -> None:
         asked += count
         return sent[asked - count : asked].ljust(count, b"\0")
 
-    with pytest.raises((FrameTooLongError, FrameSyntaxError), match=r"announces more than|not CBOR"):
+    with pytest.raises((FrameTooLongError, FrameSyntaxError), match=r"longer than|not CBOR"):
         read_frame(read)
     assert asked <= MAX_FRAME_BYTES
 
@@ -352,9 +352,9 @@ def test_a_checksum_that_is_not_at_the_end() -> None:
         ({"fpa_ck": 65_536}, "sensor_temperature is 65536"),
         ({"frame_counter": 2**32}, "frame_counter is 4294967296"),
         ({"flags": 65_536}, "flags is 65536"),
-        ({"img": b"123456"}, "no two-dimensional RFC 8746 array"),
-        ({"img": cbor2.CBORTag(40, [[2, 3], b"123456789012"])}, "no two-dimensional"),
-        ({"img": cbor2.CBORTag(40, [[3], cbor2.CBORTag(69, b"123456")])}, "no two-dimensional"),
+        ({"img": b"123456"}, "not a two-dimensional RFC 8746 array"),
+        ({"img": cbor2.CBORTag(40, [[2, 3], b"123456789012"])}, "not a two-dimensional"),
+        ({"img": cbor2.CBORTag(40, [[3], cbor2.CBORTag(69, b"123456")])}, "not a two-dimensional"),
         ({"img": cbor2.CBORTag(40, [[2, 3], cbor2.CBORTag(69, b"1234")])}, "4 bytes for 2 by 3 pixels"),
         ({"img": cbor2.CBORTag(40, [[0, 3], cbor2.CBORTag(69, b"")])}, "shape 0 by 3"),
         ({"img": cbor2.CBORTag(40, [[1, 2000], cbor2.CBORTag(69, bytes(4000))])}, "shape 1 by 2000"),

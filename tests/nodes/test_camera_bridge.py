@@ -162,7 +162,7 @@ def test_a_camera_that_goes_and_comes_back(
     camera("--plate", "50", port=first.port)
     ears.until(lambda: ears.temperatures[-1].temperature == pytest.approx(50.0, abs=0.6), "the new one")
     ears.until(lambda: ears.level == b"\x00", "health")
-    assert ears.values["reconnects"] == ears.values["restarts of the server"] == "1"
+    assert ears.values["reconnects"] == ears.values["server restarts"] == "1"
 
 
 def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
@@ -172,7 +172,7 @@ def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
     start("camera_bridge", "-p", f"port:={program.port}", "-p", "stall_timeout:=0.5")
     ears.go_on()
     program.process.freeze()
-    ears.until(lambda: "no whole frame within" in ears.warning, "the stall")
+    ears.until(lambda: "no complete frame within" in ears.warning, "the stall")
     program.process.thaw()
     ears.go_on()
     ears.until(lambda: ears.level == b"\x00", "health")
@@ -278,8 +278,8 @@ def test_stamps_are_of_the_simulated_clock(
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["-p", "port:=0"], "parameter port is 0; allowed is 1 to 65535"),
-        (["-p", "roi.width:=0"], "parameter roi.width is 0; allowed is pixels, 1 to 1024"),
+        (["-p", "port:=0"], "parameter port is 0; allowed: 1 to 65535"),
+        (["-p", "roi.width:=0"], "parameter roi.width is 0; allowed: pixels, 1 to 1024"),
         (["-p", "hots:=pi"], "there is no parameter hots; did you mean host?"),
     ],
 )

@@ -136,7 +136,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
 def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Process], bench: Bench) -> None:
     bench.stamp = 1000
     start("controller", *FAST)
-    bench.feed(lambda: bench.said("s old; is the camera up?"), "the warning")
+    bench.feed(lambda: bench.said("s old; is the camera working?"), "the warning")
     assert not bench.samples
 
 
@@ -222,7 +222,7 @@ def test_the_profile_can_be_changed_while_it_runs(start: Callable[..., Process],
     bench.feed(lambda: asked() == 51.0, "the second one")
     for name, value, why in (
         ("profile.levels", [50.0, 51.0, 52.0], "3 levels and 2 times"),
-        ("profile.levels", [50.0, 500.0], "allowed is"),
+        ("profile.levels", [50.0, 500.0], "allowed: "),
         ("profile.highest", 40.0, "level 1 is 50 °C"),
         ("profile.highest", 150.0, "restart the controller with it"),
         (
@@ -264,7 +264,7 @@ def test_it_waits_for_its_readers(start: Callable[..., Process], bench: Bench) -
 
 def test_readers_that_do_not_come_are_said(start: Callable[..., Process], bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=5", "-p", "wait_timeout:=0.5")
-    bench.feed(lambda: bench.said("of 5 readers of /plant/sample came"), "the warning")
+    bench.feed(lambda: bench.said("of 5 subscribers; started without them"), "the warning")
     assert bench.samples
 
 
@@ -306,13 +306,13 @@ def test_ticks_follow_the_clock(start: Callable[..., Process], bench: Bench) -> 
     [
         (
             ["-p", "profile.levels:=[120.0]", "-p", "profile.holds:=[9.0]"],
-            "level 1 is 120 °C; the safe range",
+            "level 1 is 120 °C; give one in the safe range",
         ),
         (["-p", "profile.levels:=[30.0]"], "1 levels and 4 times are given"),
-        (["-p", "exit_at_end:=true"], "exit_at_end waits for ever with profile.repeat"),
+        (["-p", "exit_at_end:=true"], "with profile.repeat, exit_at_end would never take effect"),
         (["-p", "exit_at_end:=true", "-p", "reference_source:=topic"], "a topic has no end"),
         (["-p", "profile.lowest:=60.0", "-p", "profile.highest:=50.0"], "profile.lowest 60 must be below"),
-        (["-p", "reference_source:=moon"], "reference_source is 'moon'; allowed is one of"),
+        (["-p", "reference_source:=moon"], "reference_source is 'moon'; allowed: one of"),
         (["-p", "pid.hihg:=3.0"], "did you mean pid.high?"),
     ],
 )

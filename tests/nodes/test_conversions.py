@@ -266,7 +266,7 @@ def test_a_sample_of_another_number_of_loops_is_refused(arrays: dict[str, list[f
 
 
 def test_a_state_of_another_number_of_loops_is_refused() -> None:
-    with pytest.raises(SignalError, match="closed_output of sample 3 has 2 values; one loop has one"):
+    with pytest.raises(SignalError, match="closed_output of sample 3 has 2 values; a twin runs one loop"):
         one_of(messages.TwinState(index=3, closed_output=[1.0, 2.0]), "closed_output")
 
 

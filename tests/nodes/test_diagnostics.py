@@ -25,12 +25,12 @@ def test_nothing_to_warn_about() -> None:
 
 def test_worst_warning_is_the_level_and_comes_first() -> None:
     health = Health()
-    health.complain("a", Level.WARN, "slow")
-    health.complain("b", Level.ERROR, "wrong")
+    health.flag("a", Level.WARN, "slow")
+    health.flag("b", Level.ERROR, "wrong")
     assert health.report()[:2] == (Level.ERROR, "wrong; slow")
     health.withdraw("b")
     assert health.report()[:2] == (Level.WARN, "slow")
-    health.complain("a", Level.STALE, "silent")
+    health.flag("a", Level.STALE, "silent")
     assert health.report()[:2] == (Level.STALE, "silent")
     health.withdraw("a")
     health.withdraw("never said")
@@ -61,7 +61,7 @@ def test_watch_of_gaps_and_silence() -> None:
     watch.push(8, 1.0)
     assert health.report()[:2] == (Level.OK, "working")
     watch.push(11, 2.0)
-    assert health.report()[:2] == (Level.ERROR, "samples 9 to 10 are missing; windows begin anew")
+    assert health.report()[:2] == (Level.ERROR, "samples 9 to 10 are missing; windows start over")
     watch.push(12, 3.0)
     assert health.report().level is Level.ERROR
     watch.push(13, 4.0)
@@ -130,7 +130,10 @@ def test_worker_reports_its_backlog() -> None:
         worker.put(number)
     wait_for(lambda: worker.depth == 4, "the first message being handled")
     worker.watch()
-    assert health.report()[:2] == (Level.WARN, "4 messages wait; the work takes longer than they come in")
+    assert health.report()[:2] == (
+        Level.WARN,
+        "4 messages are queued; they arrive faster than they are processed",
+    )
     assert not worker.close(timeout=0.01)
     gate.set()
     assert worker.close()

@@ -53,7 +53,7 @@ def test_open_leaves_the_variables_and_says_so(capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_closed_when_a_profile_is_missing(tmp_path: Path, name: str) -> None:
-    with pytest.raises(NetworkError, match=r"gone\.xml is missing, the nodes would talk"):
+    with pytest.raises(NetworkError, match=r"gone\.xml is missing, without which the nodes would be open"):
         prepare({"AMENT_PREFIX_PATH": "/nowhere"}, {**PROFILES, name: tmp_path / "gone.xml"})
 
 
@@ -69,7 +69,9 @@ def test_both_profiles_say_the_same() -> None:
 
 
 def test_closed_with_another_middleware() -> None:
-    with pytest.raises(NetworkError, match="rmw_cyclonedds_cpp, which cannot be bound to this machine"):
+    with pytest.raises(
+        NetworkError, match="rmw_cyclonedds_cpp, which twinmatch cannot restrict to this machine"
+    ):
         prepare({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"})
 
 
@@ -169,7 +171,7 @@ def test_a_middleware_that_is_not_installed_is_named_before_ros_starts(
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert (
-        "RMW_IMPLEMENTATION is 'rmw_gone_cpp', which is not installed; there is rmw_fastrtps" in done.stderr
+        "RMW_IMPLEMENTATION is 'rmw_gone_cpp', which is not installed (installed: rmw_fastrtps" in done.stderr
     )
 
 

@@ -63,24 +63,24 @@ def test_whole_numbers_become_float64() -> None:
         (
             "qos_overrides./plant/sample.subscription.depth",
             1,
-            "node: qos_overrides./plant/sample.subscription.depth is not taken: reliability",
+            "node: qos_overrides./plant/sample.subscription.depth cannot be set: reliability",
         ),
-        ("zzz", 1.0, "node: there is no parameter zzz; it has: depth, gains, loud, name, parts, rate"),
+        ("zzz", 1.0, "node: there is no parameter zzz; choose from: depth, gains, loud, name, parts, rate"),
         ("rate", "fast", "node: parameter rate is 'fast'; it must be a number"),
         ("rate", True, "node: parameter rate is True; it must be a number"),
-        ("rate", 0.4, "node: parameter rate is 0.4; allowed is Hz, 0.5 to 10"),
-        ("rate", math.nan, "node: parameter rate is nan; allowed is"),
-        ("rate", math.inf, "node: parameter rate is inf; allowed is"),
+        ("rate", 0.4, "node: parameter rate is 0.4; allowed: Hz, 0.5 to 10"),
+        ("rate", math.nan, "node: parameter rate is nan; allowed:"),
+        ("rate", math.inf, "node: parameter rate is inf; allowed:"),
         ("rate", None, "node: parameter rate is None; it must be a number"),
-        ("depth", 0, "node: parameter depth is 0; allowed is at least 1"),
+        ("depth", 0, "node: parameter depth is 0; allowed: at least 1"),
         ("depth", 2.0, "node: parameter depth is 2.0; it must be a whole number"),
         ("depth", True, "node: parameter depth is True; it must be a whole number"),
-        ("name", "core", "node: parameter name is 'core'; allowed is one of: plate, sink"),
+        ("name", "core", "node: parameter name is 'core'; allowed: one of: plate, sink"),
         ("loud", 1, "node: parameter loud is 1; it must be true or false"),
-        ("gains", [1.0, 7.0], "node: parameter gains is [1.0, 7.0]; allowed is dB, at most 6"),
+        ("gains", [1.0, 7.0], "node: parameter gains is [1.0, 7.0]; allowed: dB, at most 6"),
         ("gains", ["x"], "node: parameter gains is ['x']; every item must be a number"),
         ("gains", 1.0, "node: parameter gains is 1.0; it must be a list"),
-        ("parts", [1], "node: parameter parts is [1]; every item must be a text"),
+        ("parts", [1], "node: parameter parts is [1]; every item must be text"),
     ],
 )
 def test_refusals(name: str, value: Any, message: str) -> None:
@@ -124,7 +124,7 @@ def test_file_agrees_with_its_table(name: str, section: str, table: tuple[Parame
     assert list(values) == [parameter.name for parameter in table]
     checked = check(name, table, values)
     assert text.endswith(render(section, table, checked)), (
-        f"write it anew:\n{render(section, table, checked)}"
+        f"write it again:\n{render(section, table, checked)}"
     )
 
 
@@ -155,20 +155,23 @@ def test_every_structure_has_its_own_start_values(structure: str, tmp_path: Path
         ("plant: nothing_like_it", "plant 'nothing_like_it': not known; there are peltier"),
         ("structure: two sinks", "no structure 'two sinks'; it has held sink, "),
         ("start.seebek: 0.1", "there is no parameter start.seebek; did you mean start.seebeck?"),
-        ("start.sensor_lag: 0.3", "'held sink' has no sensor_lag; name one that has: sink with mass, sensor"),
-        ("start.seebeck: -0.1", "parameter start.seebeck is -0.1; allowed is V/K, at least 0"),
+        (
+            "start.sensor_lag: 0.3",
+            "'held sink' has no sensor_lag; choose a structure that has: sink with mass, sensor",
+        ),
+        ("start.seebeck: -0.1", "parameter start.seebeck is -0.1; allowed: V/K, at least 0"),
         ("start.heat_capacity: 0.0", "heat_capacity is 0 J/K; it must be finite and positive"),
         (
             "free: [seebeck, sensor_lag]",
-            "'sensor_lag']; allowed is one of: seebeck",
+            "'sensor_lag']; allowed: one of: seebeck",
         ),
         ("noise.pwm: 7.0", "noise.pwm is now called noise.input; rename it"),
         ("camera.noise: 0.1", "camera.noise is now called sensor.noise; rename it"),
         ("pid.limit: 200.0", "pid.limit is now called pid.low and pid.high; rename it"),
         ("limits.fault_y: 12.0", "limits.fault_y is no longer used"),
-        ("pid.high: 256.0", "parameter pid.high is 256.0; allowed is PWM, -255 to 255"),
+        ("pid.high: 256.0", "parameter pid.high is 256.0; allowed: PWM, -255 to 255"),
         ("pid.high: -255.0", "the limits -255.0 and -255.0 in increasing order"),
-        ("pid.proportional: -3.0", "parameter pid.proportional is -3.0; allowed is PWM/°C, 0 to 10000"),
+        ("pid.proportional: -3.0", "parameter pid.proportional is -3.0; allowed: PWM/°C, 0 to 10000"),
         ("sensor.pause_period: 0.5", "a pause every 0.5 s leaves no time between pauses of 0.9 s"),
     ],
 )
@@ -217,5 +220,5 @@ def test_a_plant_in_a_file_is_run_for_a_configuration_and_not_for_a_recording(tm
     again = recorded_values("session", {"plant": f"/elsewhere/{path.name}", "loop": "unknown"})
     assert settings_from(again) == settings
     assert values_of(settings)["plant"] == str(path)
-    with pytest.raises(ParameterError, match="is for plant block_configured, and what is to be judged is of"):
+    with pytest.raises(ParameterError, match="is for plant block_configured, but the data are of"):
         read_settings(twin_file(tmp_path, f'plant: "{path}"'), "peltier")

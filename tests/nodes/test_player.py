@@ -139,7 +139,7 @@ def test_end_is_on_diagnostics(start: Callable[..., Process], listener: Listener
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     start("player", "-p", f"session:={path}", "-p", "rate:=1.0")
     listener.spin_until(lambda: any("ended" in m.status[0].message for m in health), "the end")
-    assert health[-1].status[0].message == "ended: all 41 messages were taken"
+    assert health[-1].status[0].message == "ended: all 41 messages were delivered"
     assert {entry.key: entry.value for entry in health[-1].status[0].values}["messages"] == "41"
 
 
@@ -155,11 +155,14 @@ def test_recorded_namespace_gives_way_to_the_players(
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ([], "player: no session; give"),
+        ([], "player: the session is missing; give"),
         (["-p", "session:=/nowhere"], "session /nowhere: does not exist"),
-        (["-p", "session:=SESSION", "-p", "wait_timeout:=0.5"], "player: 0 of 1 readers of /plant/sample"),
+        (
+            ["-p", "session:=SESSION", "-p", "wait_timeout:=0.5"],
+            "player: /plant/sample has 0 of 1 subscribers",
+        ),
         (["-p", "session:=SESSION", "-p", "topics:=[thermal/]"], "leave out plant/sample"),
-        (["-p", "session:=SESSION", "-p", "rate:=-1.0"], "player: parameter rate is -1.0; allowed is 0 to"),
+        (["-p", "session:=SESSION", "-p", "rate:=-1.0"], "player: parameter rate is -1.0; allowed: 0 to"),
     ],
 )
 def test_refusals(start: Callable[..., Process], session: Path, arguments: list[str], line: str) -> None:

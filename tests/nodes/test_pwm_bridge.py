@@ -371,27 +371,27 @@ def test_no_samples_no_runaway_watch_and_that_is_said(
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(50.0, board)
-    rig.until(lambda: "nobody watches for a runaway" in rig.warnings(), "the warning")
+    rig.until(lambda: "runaway is not monitored" in rig.warnings(), "the warning")
     rig.reference = 25.0
-    rig.until(lambda: "watches" not in rig.warnings(), "samples that are seen")
+    rig.until(lambda: "not monitored" not in rig.warnings(), "samples that are seen")
 
 
 def test_two_controllers_are_warned_of(
     start: Callable[..., Process], rig: Rig, board: StandInArduino
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
-    rig.until(lambda: rig.warnings() and "two nodes" not in rig.warnings(), "health")
+    rig.until(lambda: rig.warnings() and "more than one node" not in rig.warnings(), "health")
     other = rig.listener.node.create_publisher(PwmCommand, "plant/pwm_command", 10)
-    rig.until(lambda: "two nodes send commands" in rig.warnings(), "the warning")
+    rig.until(lambda: "more than one node publishes commands" in rig.warnings(), "the warning")
     rig.listener.node.destroy_publisher(other)
-    rig.until(lambda: "two nodes" not in rig.warnings(), "health")
+    rig.until(lambda: "more than one node" not in rig.warnings(), "health")
 
 
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
         (["-p", "lowest:=120.0", "-p", "highest:=100.0"], "lowest 120.0 °C must be below highest 100.0 °C"),
-        (["-p", "command_timeout:=0.0"], "parameter command_timeout is 0.0; allowed is s, 0.1 to 10"),
+        (["-p", "command_timeout:=0.0"], "parameter command_timeout is 0.0; allowed: s, 0.1 to 10"),
         (["-p", "prot:=/dev/ttyACM1"], "there is no parameter prot; did you mean port?"),
     ],
 )
@@ -407,5 +407,5 @@ def test_another_protocol_ends_it_in_one_line(
     monkeypatch.setattr("twinmatch.emulation.arduino_model.PROTOCOL", 9)
     bridge = start("pwm_bridge", "-p", f"port:={board.port}")
     assert bridge.wait() == 2
-    assert "speaks another protocol than 1" in bridge.text
+    assert "which is not protocol version 1" in bridge.text
     assert len(bridge.text.splitlines()) == 1

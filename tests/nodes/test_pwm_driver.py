@@ -331,6 +331,6 @@ def test_answers_slower_than_the_deadline_allows_are_warned_of() -> None:
     bench = Bench(board, LinkSettings(timeout=0.4, retries=2)).start()
     try:
         bench.until(lambda: bench.health.report().level is Level.WARN)
-        assert "an answer may take 1.3 s, the board waits 1 s" in bench.health.report().message
+        assert "an answer may take 1.3 s, but the board's deadline is 1 s" in bench.health.report().message
     finally:
         bench.close()

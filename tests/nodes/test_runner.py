@@ -124,7 +124,7 @@ def test_thread_that_continues_does_not_hold_the_end_up(start_script: Callable[[
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ('["program", "fast"]', "program: unknown argument fast; --help says what there is"),
+        ('["program", "fast"]', "program: unknown argument fast; see --help"),
         ('["program", "--ros-args", "-p"]', "program: Couldn't parse trailing -p flag"),
         (
             '["program", "--ros-args", "--params-file", "/nowhere.yaml"]',

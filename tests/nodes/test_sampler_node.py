@@ -105,7 +105,7 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     assert len(beside.gaps) == before + 1
     assert beside.gaps[-1] == pytest.approx(frozen / PERIOD, rel=0.2, abs=10)
     rig.kill()
-    beside.wait_for_word("nobody publishes /oven/heater any more")
+    beside.wait_for_word("/oven/heater no longer has a publisher")
     begun = len(beside.samples)
     rig = beside.rig()
     beside.wait_for_samples(60)
@@ -139,7 +139,7 @@ def test_without_a_set_point_there_is_one_that_stands(beside: Beside) -> None:
 def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(beside: Beside) -> None:
     beside.rig("--kelvin")
     wrong = beside.sampler()
-    beside.wait_for_word("beyond -10 to 120 °C: no samples; if /oven/temperature is in another unit")
+    beside.wait_for_word("outside -10 to 120 °C: no samples; if /oven/temperature has another unit")
     assert not beside.samples
     wrong.end()
     beside.sampler(output="/oven/temperature; unit=K")
@@ -150,27 +150,30 @@ def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(beside: Bes
 def test_stamps_of_a_clock_that_is_behind_are_reported(beside: Beside) -> None:
     beside.rig("--stamped", "--behind", "100")
     beside.sampler(output="/oven/temperature:temperature")
-    beside.wait_for_word("the stamps of /oven/temperature:temperature are behind this machine's clock")
+    beside.wait_for_word("the stamps of /oven/temperature:temperature lag behind this machine's clock")
     assert not beside.samples
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"output": "/oven/temp"}, "nobody publishes /oven/temp, for 2 s now; there are .*/oven/temperature"),
+        (
+            {"output": "/oven/temp"},
+            "no publisher on /oven/temp for 2 s; topics with a publisher: .*/oven/temperature",
+        ),
         (
             {"output": "/oven/temperature:value"},
-            "std_msgs/msg/Float64 has no field 'value'; numbers there are",
+            "std_msgs/msg/Float64 has no field 'value'; its numbers:",
         ),
         (
             {"output": "/oven/temperature; unit=Pa"},
             "output: /oven/temperature:data is in Pa, the plant's output",
         ),
-        ({"input": "/oven/heater; unit=wibble"}, "'wibble' is no unit that is known"),
+        ({"input": "/oven/heater; unit=wibble"}, "'wibble' is not a known unit"),
         ({"input": ""}, "there is no map.input"),
         (
             {"paced_by": "timr"},
-            "parameter paced_by is 'timr'; allowed is one of: reference, output, input, timer",
+            "parameter paced_by is 'timr'; allowed: one of: reference, output, input, timer",
         ),
         ({"input": "/oven/heater; gain=3"}, "unknown setting 'gain'; there are unit, scale and offset"),
         ({"max_age__room": "3.0"}, "there is no parameter max_age.room"),

@@ -72,7 +72,7 @@ def test_units_that_messages_have_by_their_definition_are_known() -> None:
     kinds = ["sensor_msgs/msg/Temperature"]
     assert wire.to("K", kinds, ["temperature"]).value([20.0]) == pytest.approx(293.15)
     assert wire.to("°C", kinds, ["temperature"]).value([20.0]) == 20.0
-    with pytest.raises(TwinmatchError, match=r"in Pa \(as sensor_msgs/msg/FluidPressure says\)"):
+    with pytest.raises(TwinmatchError, match=r"in Pa \(according to sensor_msgs/msg/FluidPressure\)"):
         wire.to("°C", ["sensor_msgs/msg/FluidPressure"], ["fluid_pressure"])
 
 

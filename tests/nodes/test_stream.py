@@ -72,10 +72,10 @@ def test_without_a_keeper_it_continues_behind_the_gap() -> None:
     stream = Stream(lambda s: out.append(s.index))
     for k in (5, 6, 9):
         stream.push(sample(k))
-    stream.go_on()
+    stream.skip()
     assert out == [5, 6]
     assert stream.missing == Missing(7, 8)
-    stream.go_on()
+    stream.skip()
     assert out == [5, 6, 9]
 
 

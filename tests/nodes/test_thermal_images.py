@@ -54,5 +54,5 @@ def test_a_closed_shutter_shows_nothing() -> None:
 
 
 def test_a_picture_does_not_hold_temperatures() -> None:
-    with pytest.raises(RegionError, match="counts are no temperatures"):
+    with pytest.raises(RegionError, match="counts are not temperatures"):
         celsius_image(exposure([[1, 2]], flags=FrameFlags.GAIN_CONTROL), no_header)

@@ -103,7 +103,8 @@ def test_a_matcher_that_dies_costs_time_and_nothing_else(
     listener.spin_until(lambda: requests, "the first request")
     first.kill()
     listener.spin_until(
-        lambda: any("has not come" in m.status[0].message for m in health), "word of the lost match"
+        lambda: any("no answer to the match request" in m.status[0].message for m in health),
+        "word of the lost match",
     )
     assert {request.sample for request in requests} == {requests[0].sample}
     assert len(requests) > 1
@@ -182,7 +183,7 @@ def test_gap_is_an_error_on_diagnostics(
     ("name", "arguments", "line"),
     [
         ("matcher", ["-p", "sed:=3"], "matcher: there is no parameter sed; did you mean seed?"),
-        ("matcher", ["-p", "seed:=-3"], "matcher: parameter seed is -3; allowed is 0 to"),
+        ("matcher", ["-p", "seed:=-3"], "matcher: parameter seed is -3; allowed: 0 to"),
         ("discriminator", ["-p", "candidates:=/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
         ("twin_simulator", ["-p", "schedule.span:=700", "-p", "schedule.capacity:=600"], "increasing order"),
         ("twin_simulator", ["-p", "recent:=[]"], "a parameter is empty"),

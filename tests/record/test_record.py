@@ -160,9 +160,11 @@ def test_what_is_absent_is_null_in_json() -> None:
 
 def test_a_record_of_another_version_is_refused() -> None:
     tree = tree_of(VERDICT)
-    with pytest.raises(RecordError, match="a Verdict without reason; it is of another version"):
+    with pytest.raises(RecordError, match="a Verdict lacks reason; it was recorded by another version"):
         object_of(Verdict, {name: value for name, value in tree.items() if name != "reason"})
-    with pytest.raises(RecordError, match="'certain' is none of unknown, trusted, doubtful, fault"):
+    with pytest.raises(
+        RecordError, match="'certain' is unknown; expected one of unknown, trusted, doubtful, fault"
+    ):
         object_of(Verdict, tree | {"level_name": "certain"})
 
 

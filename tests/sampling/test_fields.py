@@ -54,24 +54,24 @@ def test_a_path_to_a_number_is_found(kind: str, path: str, found: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "path", "words"),
     [
-        ("sensor_msgs/msg/Temperature", "", "has several numbers; write which: temperature, variance"),
-        ("sensor_msgs/msg/Temperature", "data", "no field 'data'; numbers there are temperature, variance"),
+        ("sensor_msgs/msg/Temperature", "", "has several numbers; choose one: temperature, variance"),
+        ("sensor_msgs/msg/Temperature", "data", "no field 'data'; its numbers: temperature, variance"),
         ("sensor_msgs/msg/Temperature", "temperature.x", "temperature has no field 'x'"),
         (
             "sensor_msgs/msg/Temperature",
             "header",
-            "header is a message; name a number: temperature, variance",
+            "header is a message; choose a number in it: temperature, variance",
         ),
-        ("lab_msgs/msg/Rack", "readings", "readings is a list; write which is meant, such as readings.0."),
+        ("lab_msgs/msg/Rack", "readings", "readings is a list; choose an element, such as readings.0."),
         ("lab_msgs/msg/Rack", "readings.value", "readings is a list; .* such as readings.0..value"),
-        ("lab_msgs/msg/Rack", "readings[0].name", "is a text; numbers there are readings.0..value"),
-        ("lab_msgs/msg/Rack", "first[0]", "first is no list; leave out .0."),
+        ("lab_msgs/msg/Rack", "readings[0].name", "is text; choose a number: readings.0..value"),
+        ("lab_msgs/msg/Rack", "first[0]", "first is not a list; leave out .0."),
         ("lab_msgs/msg/Rack", "pose[3]", "pose has 3 values, counted from 0"),
-        ("lab_msgs/msg/Rack", "first", "first is a message; name a number: first.value, first.good"),
+        ("lab_msgs/msg/Rack", "first", "first is a message; choose a number in it: first.value, first.good"),
         ("lab_msgs/msg/Nothing", "", "has no numbers"),
-        ("std_msgs/msg/Float64", "data..x", "is no path of fields"),
-        ("std_msgs/msg/Float64", "[0]", "is no path of fields"),
-        ("std_msgs/msg/Float64", "data[-1]", "is no path of fields"),
+        ("std_msgs/msg/Float64", "data..x", "is not a field path"),
+        ("std_msgs/msg/Float64", "[0]", "is not a field path"),
+        ("std_msgs/msg/Float64", "data[-1]", "is not a field path"),
     ],
 )
 def test_what_is_not_a_number_is_refused_with_what_there_is(kind: str, path: str, words: str) -> None:
@@ -113,7 +113,7 @@ def test_bytes_flags_and_short_lists_are_followed() -> None:
     assert follow(message, "byte") == 7.0
     assert follow(message, "values[1]") == 2.5
     assert np.isnan(follow(message, "values[2]"))
-    with pytest.raises(SamplingError, match="text is 'on', which is no number"):
+    with pytest.raises(SamplingError, match="text is 'on', which is not a number"):
         follow(message, "text")
 
 

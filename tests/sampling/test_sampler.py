@@ -108,7 +108,7 @@ def test_a_value_beyond_what_the_plant_can_be_given_makes_no_sample() -> None:
     assert [s.input for s in samples] == [97.0, 96.0, 95.0, 94.0, 93.0]
     assert sampler.counts["input"].beyond == 3
     run(sampler, [(20.0, "output", 20.0), (20.0, "input", 101.0)], 22.0)
-    assert sampler.troubles["input"] == "input is 101, beyond 0 to 97.5"
+    assert sampler.troubles["input"] == "input is 101, outside 0 to 97.5"
 
 
 def test_a_reading_beyond_the_span_is_another_unit_at_first_and_a_failed_sensor_later() -> None:
@@ -116,7 +116,7 @@ def test_a_reading_beyond_the_span_is_another_unit_at_first_and_a_failed_sensor_
     kelvin = [(at, name, value + 273.15 * (name == "output")) for at, name, value in loop(10)]
     sampler = Sampler(signals, 1.0)
     assert not run(sampler, kelvin, 12.0)
-    assert "beyond -20 to 25" in sampler.troubles["output"]
+    assert "outside -20 to 25" in sampler.troubles["output"]
     assert len(run(Sampler(signals, 1.0), loop(10), 12.0)) == 10  # up to 29
 
 
@@ -124,7 +124,7 @@ def test_no_sample_is_made_with_a_wrong_period() -> None:
     sampler = Sampler(SIGNALS, 0.9)
     samples = run(sampler, loop(30), 32.0)
     assert len(samples) <= 5
-    assert "input comes every 1 s, and the period is 0.9 s" in sampler.troubles["pace"]
+    assert "input arrives every 1 s, but the period is 0.9 s" in sampler.troubles["pace"]
 
 
 def test_ticks_that_come_at_once_with_their_own_times_are_not_mixed() -> None:
@@ -185,8 +185,8 @@ def test_what_always_stands_is_its_own_mean_to_the_last_digit() -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"signals": {"output": Limits()}}, "there is no input"),
-        ({"paced_by": "clock"}, "paced_by is 'clock'; there are reference, output, input, timer"),
+        ({"signals": {"output": Limits()}}, "input is not mapped"),
+        ({"paced_by": "clock"}, "paced_by is 'clock'; choose one of reference, output, input, timer"),
         ({"settle": 0.6}, "settle is 0.6"),
         ({"period": 0.0}, "period is 0 s"),
     ],

@@ -164,8 +164,8 @@ def test_headers_of_another_clock_are_reported_and_not_used(tmp_path: Path, plan
     ("entries", "words"),
     [
         (["output=/rakc", "input=/heater"], "has no topic /rakc; it has /empty, /heater, /rack"),
-        (["output=/rack:readings[1].temp", "input=/heater"], "has no field 'temp'; numbers there are"),
-        (["output=/rack:readings[1].name", "input=/heater"], "readings[1].name is a text; numbers there are"),
+        (["output=/rack:readings[1].temp", "input=/heater"], "has no field 'temp'; its numbers:"),
+        (["output=/rack:readings[1].name", "input=/heater"], "readings[1].name is text; choose a number:"),
         (["output=/said", "input=/heater"], "std_msgs/msg/String has no numbers"),
         (["output=/empty", "input=/heater"], "topic /empty has no messages"),
         (["output=/room:temperature; unit=Pa", "input=/heater"], "is in Pa"),

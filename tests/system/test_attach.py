@@ -76,13 +76,13 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         commanding = listener.node.get_publishers_info_by_topic("/oven/heater")
         assert [info.node_name for info in commanding] == ["oven_rig"]
         rig.kill()
-        run.said(r"sampler: health: .*nobody publishes /oven/heater any more")
+        run.said(r"sampler: health: .*/oven/heater no longer has a publisher")
         rig = processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
         run.said("sampler: health: recovered")
         seen = len(verdicts)
         listener.spin_until(lambda: len(verdicts) > seen, lambda: run.text)
         rig.kill()  # what is asked for then is answered before the end
-        run.said(r"twin_simulator: health: no sample for|sampler: health: .*any more")
+        run.said(r"twin_simulator: health: no sample for|sampler: health: .*no longer has")
         listener.spin_until(
             lambda: {r.sample for r in requests} <= {m.sample for m in matches}, lambda: run.text, FIRST
         )
@@ -146,6 +146,6 @@ def test_a_topic_that_has_no_publisher_ends_it_with_those_there_are(
     )
     run = attach("--config", config)
     assert run.wait() == 2
-    assert "nobody publishes /oven/temp" in run.text
+    assert "no publisher on /oven/temp" in run.text
     assert "/oven/temperature (std_msgs/msg/Float64)" in run.text
     assert "sampler rejected its configuration or input" in run.text

@@ -65,7 +65,7 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
         (("--port", "/nowhere/ttyACM0"), "kit at /nowhere/ttyACM0: No such file"),
         (("--port", "/dev/null"), "kit at /dev/null: the port cannot be opened"),
         (("--virtual", "--port", "/dev/ttyACM0"), "--port is for a real plant"),
-        (("--virtual", "--fault", "fan-failed@3"), "fault 'fan-failed': not of this plant"),
+        (("--virtual", "--fault", "fan-failed@3"), "fault 'fan-failed': not available for this plant"),
         (("--twin-config", "config/twin.yaml"), "is for plant peltier"),
     ],
 )

@@ -1,8 +1,8 @@
-"""The loop that holds the plate: set-point over time, and one PID step per tick, without clock or ROS.
+"""The control loop: set-point over time, and one PID step per tick, without clock or ROS.
 
-`Profile` says which set-point is asked for at which time. `Loop` is told temperatures and the time and
-makes one `Sample` per tick; where it cannot (no fresh temperature, a tick that came too late) it invents
-none, so the index of the next sample shows how many are missing.
+`Profile` is the set-point as a function of time. `Loop` takes readings and the time, and makes one `Sample`
+per tick. Where it cannot (no fresh reading, a missed tick) it makes none, so the index of the next sample
+shows how many are missing.
 """
 
 from twinmatch.control.errors import ControlError

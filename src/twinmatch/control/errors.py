@@ -1,4 +1,4 @@
-"""What can be wrong with a set-point profile or a loop."""
+"""Errors in a set-point profile or a loop."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["ControlError"]
 
 
 class ControlError(TwinmatchError):
-    """A profile or a loop that cannot be run."""
+    """A profile or a loop cannot be run."""

@@ -1,4 +1,4 @@
-"""One tick of the loop after the other: the newest output and the time in, a sample out."""
+"""The control loop, tick by tick: the newest output and the time in, a sample out."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ NANOSECONDS = 1_000_000_000
 class Loop:
     """The PID on a grid of ticks, one period apart.
 
-    The first tick that has a reading and a set-point begins the grid and is sample 0. A tick without
-    (none yet, or the newest reading is too old) makes no sample and switches the output off; a tick
-    that is late by a period or more means that others were missed. Neither is filled in: the next
-    sample's index is the number of its tick on the grid, so a gap in the indices is a gap in time, and
-    whoever works on windows of samples begins anew behind it. So does the controller: it goes on from
-    the output that stands, without a jump.
+    The first tick that has a reading and a set-point starts the grid and is sample 0. A tick without them
+    (none yet, or the newest reading is stale) makes no sample and switches the output off; a tick that is
+    late by a period or more means that others were missed. Neither is filled in: a sample's index is the
+    number of its tick on the grid, so a gap in the indices is a gap in time, after which windows of samples
+    start over. The controller restarts after a gap too, bumplessly from the current output.
 
-    A tick a little before its time moves the grid: those before it were late. One that is early by half
-    a period or more is none: a busy machine makes up for a late call with a second one at once. A clock
-    that was set back begins the grid anew behind a gap.
+    A tick slightly before its time moves the grid, because those before it were late. One that is early by
+    half a period or more does not count: a busy machine makes up for a late call with an immediate second
+    one. If the clock is set back, the grid restarts after a gap.
     """
 
     def __init__(
@@ -37,15 +36,13 @@ class Loop:
         max_age: float = 2.0,
         state: PidState | None = None,
     ) -> None:
-        """Begin with the output off and nothing seen.
+        """Start with the output off and without readings.
 
         Args:
-            plant: what is controlled.
-            gains: of the controller; its period is that of the ticks. Those of the plant file, at 1 s, if not
-                given.
-            max_age: age from which a reading is not used any more, s.
-            state: what the controller starts with at sample 0; without it, it starts so that its output
-                continues from zero.
+            plant: the controlled plant.
+            gains: gains and period of the controller; default: those of the plant file, at 1 s.
+            max_age: age from which a reading is stale, s.
+            state: state of the controller at sample 0; default: its output starts at zero.
 
         Raises:
             ControlError: the age is not positive.
@@ -55,17 +52,17 @@ class Loop:
             msg = f"loop: max_age is {max_age} s; it must be positive"
             raise ControlError(msg)
         self.input = 0.0
-        """The command to the plant that stands, in its unit."""
+        """The current command to the plant, in its unit."""
         self.trouble = "no tick yet"
-        """Why the output is off; empty while samples are made."""
+        """Why the output is off; empty while there are samples."""
         self.missed = 0
-        """Ticks that were missed since sample 0."""
+        """Ticks missed since sample 0."""
         self.idle = 0
         """Ticks since sample 0 at which there was no usable reading or set-point."""
         self.refused = 0
-        """Readings that could not be used."""
+        """Number of unusable readings."""
         self.jitter = 0.0
-        """How late the newest tick was, s."""
+        """Lateness of the newest tick, s."""
         self._plant = plant
         self._pid = Pid(gains or gains_of(plant, 1.0), state)
         self._restart = state is None
@@ -80,7 +77,7 @@ class Loop:
 
     @property
     def time(self) -> float:
-        """Seconds from sample 0 to the newest tick, counted in periods; 0 before."""
+        """Time from sample 0 to the newest tick in whole periods, s; 0 before sample 0."""
         return (self._number or 0) * self._pid.gains.period
 
     @property
@@ -91,7 +88,7 @@ class Loop:
     def measure(self, output: float, stamp: int, disturbances: Sequence[float] = ()) -> None:
         """Take a reading measured at `stamp` (ns), with the disturbances if they are measured too.
 
-        One that is not finite, or has not all of the plant's disturbances or none, is only counted.
+        A reading that is not finite, or has some but not all of the plant's disturbances, is only counted.
         """
         whole = len(disturbances) in (0, len(self._plant.disturbances))
         if whole and all(map(math.isfinite, (output, *disturbances))):
@@ -102,12 +99,12 @@ class Loop:
     def tick(self, now: int, profile: Callable[[float], float | None]) -> Sample | None:
         """Take the time of a tick; return its sample, if there is one.
 
-        Without one, `trouble` says why the output is off, or nothing has changed.
+        If there is none, `trouble` says why the output is off, or the tick did not count.
 
         Args:
             now: the time, ns.
-            profile: gives the set-point, or None, at a time in seconds since sample 0, counted in
-                periods so that a late tick moves no step of the set-point.
+            profile: returns the set-point, or None, at a time since sample 0 (s), which is in whole periods
+                so that a late tick does not shift a step of the set-point.
         """
         number = self._place(now)
         if number is None:
@@ -132,14 +129,14 @@ class Loop:
         return Sample(number, now, reference, self._output, self.input, self._disturbances)
 
     def _place(self, now: int) -> int | None:
-        """Number of this tick on the grid; None if it is none."""
+        """Number of this tick on the grid; None if it does not count."""
         if self._number is None:
             return 0
         expected = self._number + 1
         late = now - self._origin - expected * self._period
         if now < self._newest:  # the clock was set back
             self._origin = now - (expected + 1) * self._period
-            self._measured = None  # by the old clock; it would seem fresh until the new one caught up
+            self._measured = None  # stamped by the old time; it would seem fresh until the clock caught up
             self.missed += 1
             self.jitter = 0.0
             return expected + 1
@@ -154,21 +151,21 @@ class Loop:
         return expected + skipped
 
     def _doubt(self, now: int, reference: float | None) -> str:
-        """Why there can be no sample now; empty if there can."""
+        """Why there is no sample now; empty if there is one."""
         output = self._plant.output
         if self._measured is None:
-            return f"no {output.name} yet; is the {output.sensor} up?"
+            return f"no {output.name} yet; is the {output.sensor} working?"
         if now - self._measured > self._max_age:
             age = (now - self._measured) / NANOSECONDS
-            return f"the newest {output.name} is {age:.1f} s old; is the {output.sensor} up?"
+            return f"the newest {output.name} is {age:.1f} s old; is the {output.sensor} working?"
         if reference is None:
             return "no set-point yet"
         if not math.isfinite(reference):
-            return f"the set-point is {reference}"
+            return f"the set-point is {reference}, not a finite number"
         return ""
 
     def _continue(self, reference: float) -> None:
-        """Give the controller the state in which its output is the one that stands."""
+        """Set the controller's state so that its output continues from the current one."""
         gains, error = self._pid.gains, reference - self._output
         integral = self.input - gains.proportional * error
         self._pid.state = PidState(integral, -self._output if gains.on_measurement else error)

@@ -1,4 +1,4 @@
-"""Which set-point is asked for at which time."""
+"""The set-point as a function of time."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ __all__ = ["Profile"]
 
 @dataclass(frozen=True)
 class Profile:
-    """Levels one after the other, each held for its time.
+    """A sequence of levels, each held for its time.
 
-    With a ramp the set-point moves to a level at that rate, beginning when the level's time begins; the
-    first level is there from the start.
+    With a ramp the set-point moves to a level at that rate, starting when the level's time starts; the first
+    level applies from the start.
 
     Raises:
-        ControlError: no level, as many levels as times are not given, a level outside the safe range, a
-            time or rate that is not possible, a ramp that takes longer than the level's time.
+        ControlError: there is no level, the numbers of levels and times differ, a level is outside the safe
+            range, a time or rate is invalid, or a ramp takes longer than the level's time.
     """
 
     levels: tuple[float, ...]
     """Set-points."""
     holds: tuple[float, ...]
-    """How long each is asked for, s."""
+    """Time of each level, s."""
     repeat: bool = False
-    """Begin again at the end."""
+    """Start over at the end."""
     ramp: float = 0.0
-    """Rate of change, per second; 0: at once."""
+    """Rate of change, per second; 0: steps."""
     lowest: float = field(kw_only=True)
     """Lower end of the safe range, such as the plant's `output.safe`."""
     highest: float = field(kw_only=True)
     """Upper end."""
     unit: str = field(kw_only=True)
-    """Of the set-points, for messages."""
+    """Unit of the set-points, for messages."""
 
     def __post_init__(self) -> None:
         if not self.lowest < self.highest:
@@ -52,10 +52,12 @@ class Profile:
         for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True), 1):
             if not self.lowest <= level <= self.highest:
                 allowed = f"{self.lowest:g} to {self.highest:g} {self.unit}"
-                msg = f"profile: level {number} is {level:g} {self.unit}; the safe range is {allowed}"
+                msg = (
+                    f"profile: level {number} is {level:g} {self.unit}; give one in the safe range, {allowed}"
+                )
                 raise ControlError(msg)
             if not (math.isfinite(hold) and hold > 0):
-                msg = f"profile: level {number} is to be held for {hold:g} s; give a positive time"
+                msg = f"profile: the time of level {number} is {hold:g} s; give a positive time"
                 raise ControlError(msg)
         self._check_ramp()
 
@@ -71,14 +73,14 @@ class Profile:
             needed = abs(level - self.levels[number - 1]) / self.ramp
             if needed > hold:
                 msg = (
-                    f"profile: the ramp to level {number + 1} takes {needed:g} s, longer than the {hold:g} s "
-                    "of that level; hold it longer or choose a faster ramp"
+                    f"profile: the ramp to level {number + 1} takes {needed:g} s, longer than its time of "
+                    f"{hold:g} s; hold it longer or choose a faster ramp"
                 )
                 raise ControlError(msg)
 
     @property
     def duration(self) -> float:
-        """Seconds until the last level's time is over; infinite for a profile that repeats."""
+        """Time until the end of the last level, s; infinite for a profile that repeats."""
         return math.inf if self.repeat else sum(self.holds)
 
     def ended(self, time: float) -> bool:
@@ -86,13 +88,13 @@ class Profile:
         return time >= self.duration
 
     def reference(self, time: float) -> float:
-        """The set-point at a time (s since the start); after the end that of the last level.
+        """The set-point at a time (s since the start); after the end, the last level.
 
         Raises:
             ControlError: the time is not finite.
         """
         if not math.isfinite(time):
-            msg = f"profile: the set-point at t = {time} s was asked for"
+            msg = f"profile: the time is {time} s; it must be finite"
             raise ControlError(msg)
         round_ = sum(self.holds)
         first_round = not self.repeat or time < round_

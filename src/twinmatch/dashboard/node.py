@@ -145,7 +145,7 @@ class Dashboard(TwinmatchNode):
             try:
                 take(message)
             except TwinmatchError as error:
-                self.health.complain(topic, Level.WARN, f"{topic}: {error}")
+                self.health.flag(topic, Level.WARN, f"{topic}: {error}")
 
         self.create_subscription(kind, topic, receive, qos)
 

@@ -1,1 +1,1 @@
-"""The rig without the rig: a camera and an Arduino behind the real protocols."""
+"""Emulated hardware behind the real protocols: camera, Arduino, and Temperature Control Lab."""

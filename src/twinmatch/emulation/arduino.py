@@ -1,7 +1,7 @@
 """A stand-in for the Arduino: the firmware's behaviour in Python behind a pseudo-terminal.
 
-It needs nothing but Python, and it is honest about itself: its banner names the firmware `standin-…`.
-Where the AVR simulator is installed, `arduino_virtual` runs the real firmware image instead.
+It needs only Python, and identifies itself: its banner names the firmware `standin-…`. Where the AVR
+simulator is installed, `arduino_virtual` runs the real firmware image instead.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ __all__ = ["StandInArduino"]
 
 _log = logging.getLogger(__name__)
 
-_AWAY_MS = 20  # a board that restarts leaves the bus for so long
-_LATE = 0.020  # s of board time made up at most when the machine was busy elsewhere; the rest is lost
+_AWAY_MS = 20  # time that a restarting board is off the bus
+_LATE = 0.020  # s of board time caught up at most after the machine was busy; the rest is lost
 
 
 class StandInArduino:
-    """A `Board` without a board. `port` may name where the port is to appear; else it is a temporary path."""
+    """A `Board` in Python. Its port appears at `port`, by default a temporary path."""
 
     def __init__(self, port: str | Path | None = None) -> None:
         self._folder = None if port else tempfile.TemporaryDirectory(prefix="twinmatch-arduino-")
@@ -45,7 +45,7 @@ class StandInArduino:
         _log.warning("%s is a stand-in for the Arduino (%s); no firmware runs behind it", self.port, FIRMWARE)
 
     def __enter__(self) -> StandInArduino:
-        """Nothing to do: it stands since it was made."""
+        """Nothing to do: the board exists since construction."""
         return self
 
     def __exit__(
@@ -55,25 +55,25 @@ class StandInArduino:
         self.close()
 
     def advance(self, seconds: float) -> Drive:
-        """Let time pass, to the millisecond, and give the drive at the end.
+        """Advance by this time, rounded to ms, and return the drive at the end.
 
         Raises:
-            ArduinoError: it runs by itself, or is closed.
+            ArduinoError: it is running, or is closed.
         """
         if self._thread is not None:
-            raise ArduinoError(f"stand-in at {self.port}: it runs by itself; pause() it before advance()")
+            raise ArduinoError(f"stand-in at {self.port}: it is running; pause() it before advance()")
         for _ in range(round(seconds * 1000)):
             self._millisecond()
         return self.drive()
 
     def run(self, speed: float = 1.0) -> None:
-        """Let time pass by itself, `speed` times as fast as the wall clock.
+        """Run `speed` times as fast as the wall clock.
 
         Raises:
             ArduinoError: the speed is not positive.
         """
         if not speed > 0:
-            raise ArduinoError(f"stand-in at {self.port}: speed {speed} is not positive")
+            raise ArduinoError(f"stand-in at {self.port}: speed is {speed}; it must be positive")
         self.pause()
         self._running.set()
         self._thread = threading.Thread(
@@ -82,7 +82,7 @@ class StandInArduino:
         self._thread.start()
 
     def pause(self) -> None:
-        """Stand still again."""
+        """Stop running."""
         self._running.clear()
         if self._thread is not None:
             self._thread.join()
@@ -99,17 +99,17 @@ class StandInArduino:
             self.model.set_current(amperes)
 
     def set_fault(self, fault: bool) -> None:
-        """Pull the driver's fault flag, or let go of it."""
+        """Set or release the driver's fault flag."""
         with self._lock:
             self.model.fault = fault
 
     def hang(self) -> None:
-        """Let the firmware hang; the watchdog will start it anew."""
+        """Let the firmware hang; the watchdog will restart it."""
         with self._lock:
             self.model.hang()
 
     def unplug(self) -> None:
-        """Take the port away."""
+        """Remove the port."""
         with self._lock:
             self._away_ms = 0
             if self._master is not None:
@@ -118,10 +118,10 @@ class StandInArduino:
             self._master = None
 
     def plug(self) -> None:
-        """Put the port (back) in its place.
+        """Create the port, or restore it.
 
         Raises:
-            ArduinoError: something else is in that place.
+            ArduinoError: the path cannot be created.
         """
         with self._lock:
             if self._master is not None:
@@ -133,7 +133,7 @@ class StandInArduino:
                 Path(self.port).symlink_to(os.ttyname(slave))
             except OSError as error:
                 os.close(master)
-                msg = f"stand-in: the port cannot be put at {self.port} ({error}); choose another path"
+                msg = f"stand-in: the port cannot be created at {self.port} ({error}); choose another path"
                 raise ArduinoError(msg) from error
             finally:
                 os.close(slave)

@@ -1,6 +1,6 @@
 """The firmware's behaviour in Python, one millisecond at a time, for machines without an AVR simulator.
 
-It follows `firmware/twinmatch_leonardo` rule by rule; the tests run the same stories against both.
+It follows `firmware/twinmatch_leonardo` rule by rule; the same test scenarios run against both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from twinmatch.links.pwm_messages import (
 __all__ = ["DEADLINE_MS", "FIRMWARE", "ArduinoModel"]
 
 FIRMWARE = "standin-1.0.0"
-"""What the banner says, so that nobody takes this for the real firmware."""
+"""Firmware name in the banner, which cannot be mistaken for the real firmware."""
 
 DEADLINE_MS = 1000
 _WATCHDOG_MS = 500
@@ -41,7 +41,7 @@ class ArduinoModel:
 
     def __init__(self) -> None:
         self.counts = 0
-        """What the current feedback shows, 0 to 1023."""
+        """Reading of the current feedback, 0 to 1023."""
         self.fault = False
         """Whether the driver pulls its fault flag."""
         self.restarts = 0
@@ -52,7 +52,7 @@ class ArduinoModel:
 
     @property
     def level(self) -> int:
-        """What the pins do, −255 to 255."""
+        """PWM on the pins, −255 to 255."""
         return self._level
 
     @property
@@ -65,11 +65,11 @@ class ArduinoModel:
         self.counts = min(1023, max(0, round(amperes / AMPERES_PER_COUNT)))
 
     def hang(self) -> None:
-        """Stop everything but the watchdog."""
+        """Stop everything except the watchdog."""
         self._hung_ms = 1
 
     def tick(self, data: bytes = b"") -> bytes:
-        """One millisecond: take what came over the line, give what goes back."""
+        """Advance by one millisecond: takes received bytes, returns the bytes to send."""
         if self._hung_ms:
             return self._tick_hung()
         self._time_ms = (self._time_ms + 1) % 2**32

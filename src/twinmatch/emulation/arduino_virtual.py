@@ -1,7 +1,7 @@
-"""The real firmware image on a simulated ATmega32U4, as a process beside us.
+"""The real firmware image on a simulated ATmega32U4, in a separate process.
 
-The process is `virtual_board` (folder `virtual_board/`, under a licence of its own); we speak lines of text
-with its standard input and output. Every byte on the serial port is made by the firmware itself.
+The process is `virtual_board` (folder `virtual_board/`, which has its own licence), controlled by lines of
+text on its standard input and output. Every byte on the serial port comes from the firmware itself.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _log = logging.getLogger(__name__)
 
 SIMAVR_HEADER = Path("/usr/include/simavr/sim_avr.h")
 TOOLS = {"make": "make", "avr-g++": "gcc-avr, avr-libc and arduino-core-avr"}
-"""Programs that building needs, and the Debian packages they come with."""
+"""Programs needed for the build, and their Debian packages."""
 
 _MILLIVOLTS_PER_AMPERE = 525.0
-_ENDING = 5.0  # s the process gets to end by itself
+_ENDING = 5.0  # s until a process that does not end is killed
 
 
 class VirtualTools(NamedTuple):
-    """What a virtual board is made of."""
+    """The files of a virtual board."""
 
     program: Path
     """The simulator."""
@@ -41,7 +41,7 @@ class VirtualTools(NamedTuple):
 
 
 def build_virtual_board(project: Path, build: Path) -> VirtualTools:
-    """Compile firmware and simulator of the sources in `project` into the folder `build`.
+    """Compile firmware and simulator from the sources in `project` into the folder `build`.
 
     Raises:
         ArduinoError: a tool is missing, or something does not compile.
@@ -72,9 +72,9 @@ class _State(NamedTuple):
 
 
 class VirtualArduino:
-    """A `Board` that runs the firmware. `port` may name where its port is to appear.
+    """A `Board` that runs the firmware. Its port appears at `port`, by default a temporary path.
 
-    `heat_level` is the level of the direction pin that heats, as in the firmware's `config.h`.
+    `heat_level` is the level of the direction pin for heating, as in the firmware's `config.h`.
 
     Raises:
         ArduinoError: the simulator does not start.
@@ -95,7 +95,7 @@ class VirtualArduino:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._remarks,
-                start_new_session=True,  # Ctrl-C is for us; the end of its input ends it
+                start_new_session=True,  # Ctrl-C does not reach it; it ends with its input
             )
         except OSError as error:
             self._remarks.close()
@@ -111,7 +111,7 @@ class VirtualArduino:
         _log.info("%s is a simulated board that runs %s", self.port, tools.image.name)
 
     def __enter__(self) -> VirtualArduino:
-        """Nothing to do: it stands since it was made."""
+        """Nothing to do: the board exists since construction."""
         return self
 
     def __exit__(
@@ -122,34 +122,32 @@ class VirtualArduino:
 
     @property
     def restarts(self) -> int:
-        """Restarts of the firmware the simulator has seen."""
+        """Number of restarts of the firmware."""
         return self._ask("state").restarts
 
     def advance(self, seconds: float) -> Drive:
-        """Let time pass, to the millisecond, and give the drive at the end.
+        """Advance by this time, rounded to ms, and return the drive at the end.
 
         Raises:
-            ArduinoError: it runs by itself, or its process has ended.
+            ArduinoError: it is running, or its process has ended.
         """
         if self._running:
-            raise ArduinoError(
-                f"virtual board at {self.port}: it runs by itself; pause() it before advance()"
-            )
+            raise ArduinoError(f"virtual board at {self.port}: it is running; pause() it before advance()")
         return self._drive(self._ask(f"step {round(seconds * 1000) * 1000}"))
 
     def run(self, speed: float = 1.0) -> None:
-        """Let time pass by itself, `speed` times as fast as the wall clock.
+        """Run `speed` times as fast as the wall clock.
 
         Raises:
             ArduinoError: the speed is not positive, or the process has ended.
         """
         if not speed > 0:
-            raise ArduinoError(f"virtual board at {self.port}: speed {speed} is not positive")
+            raise ArduinoError(f"virtual board at {self.port}: speed is {speed}; it must be positive")
         self._ask(f"run {speed:.6f}")
         self._running = True
 
     def pause(self) -> None:
-        """Stand still again."""
+        """Stop running."""
         self._ask("pause")
         self._running = False
 
@@ -162,19 +160,19 @@ class VirtualArduino:
         self._ask(f"feedback {round(max(0.0, amperes) * _MILLIVOLTS_PER_AMPERE)}")
 
     def set_fault(self, fault: bool) -> None:
-        """Pull the driver's fault flag, or let go of it."""
+        """Set or release the driver's fault flag."""
         self._ask(f"fault {int(fault)}")
 
     def unplug(self) -> None:
-        """Pull the USB cable; the port is gone one millisecond of the board's time later."""
+        """Unplug the USB cable; the port vanishes one millisecond of board time later."""
         self._ask("unplug")
 
     def plug(self) -> None:
-        """Put the USB cable back; the port returns when the board has been enumerated."""
+        """Plug the USB cable in; the port returns when the board has been enumerated."""
         self._ask("plug")
 
     def hang(self) -> None:
-        """Let the firmware run astray with interrupts off."""
+        """Let the firmware hang with interrupts off."""
         self._ask("hang")
 
     def close(self) -> None:
@@ -198,7 +196,7 @@ class VirtualArduino:
     def _ask(self, line: str) -> _State:
         with self._lock:
             try:
-                assert self._process.stdin is not None  # noqa: S101  (a pipe, as asked for)
+                assert self._process.stdin is not None  # noqa: S101  (opened as a pipe)
                 self._process.stdin.write(line.encode() + b"\n")
                 self._process.stdin.flush()
             except (OSError, ValueError) as error:
@@ -206,7 +204,7 @@ class VirtualArduino:
             return self._hear()
 
     def _hear(self) -> _State:
-        assert self._process.stdout is not None  # noqa: S101  (a pipe, as asked for)
+        assert self._process.stdout is not None  # noqa: S101  (opened as a pipe)
         words = self._process.stdout.readline().split()
         if not words:
             self._remarks.seek(0)
@@ -214,7 +212,7 @@ class VirtualArduino:
             raise ArduinoError(f"virtual board at {self.port}: its process has ended: {said}")
         if words[0] != b"state":
             raise ArduinoError(
-                f"virtual board at {self.port}: it refused a command; are its parts of one version?"
+                f"virtual board at {self.port}: it refused a command; rebuild it from this version's sources"
             )
         return _State(*map(int, words[1:]))
 

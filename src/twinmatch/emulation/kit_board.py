@@ -1,8 +1,8 @@
-"""The board of a Temperature Control Lab behind a pseudo-terminal: its line protocol, and nothing of a kit.
+"""The board of a Temperature Control Lab behind a pseudo-terminal: only its line protocol, no heaters.
 
-As its public firmware (github.com/jckantor/TCLab-sketch, 1.4) reads and answers: a command is a word and a
-number and ends with a carriage return or a newline; what it does not know switches both heaters off and is
-echoed; numbers have two decimals. It has no deadline: a host that falls silent leaves the heaters on.
+It behaves like the public firmware (github.com/jckantor/TCLab-sketch, 1.4): a command is a word and a number
+and ends with a carriage return or a newline; an unknown command switches both heaters off and is echoed;
+numbers have two decimals. There is no deadline: a host that falls silent leaves the heaters on.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from pathlib import Path
 __all__ = ["KitBoard"]
 
 _LONGEST = 64
-"""Characters of a command that the firmware keeps."""
+"""Longest command that the firmware accepts, characters."""
 
 
 class KitBoard:
-    """Answers on a serial port. `heaters` is what it drives, %; `read` gives the temperature of a sensor."""
+    """Answers on a serial port. `heaters` are the set powers, %; `read` returns a sensor's temperature."""
 
     VERSION = "TCLab Firmware 1.4.0 Arduino Uno"
 
@@ -30,14 +30,14 @@ class KitBoard:
         self.port = str(port)
         self.heaters = [0.0, 0.0]
         self.hung = False
-        """Whether it neither hears nor answers; the heaters stay as they are."""
+        """Whether it ignores commands; the heaters stay as they are."""
         self._read_sensor = read
         self._line = b""
         self._master: int | None = None
         self.plug()
 
     def plug(self) -> None:
-        """Put the port in its place. A board that was without USB was without power: its heaters are off."""
+        """Create the port. The board is powered by USB, so its heaters are off."""
         if self._master is not None:
             return
         self.heaters = [0.0, 0.0]
@@ -50,7 +50,7 @@ class KitBoard:
         self._master = master
 
     def unplug(self) -> None:
-        """Take the port away, and with it the power."""
+        """Remove the port, and with it the power."""
         self.heaters = [0.0, 0.0]
         if self._master is not None:
             Path(self.port).unlink(missing_ok=True)
@@ -58,7 +58,7 @@ class KitBoard:
         self._master = None
 
     def wait(self, seconds: float) -> None:
-        """Wait for a host's command at most so long, and answer it."""
+        """Wait at most this time for a command, and answer it."""
         if self._master is None:
             select.select([], [], [], seconds)
             return
@@ -71,7 +71,7 @@ class KitBoard:
         self.attend()
 
     def attend(self) -> None:
-        """Answer what has been asked."""
+        """Answer the commands received."""
         if self._master is None:
             return
         try:
@@ -114,7 +114,7 @@ class KitBoard:
 
 
 def _number(text: str) -> float:
-    """As `toFloat` reads it: 0 if it is none."""
+    """Parse like the firmware's `toFloat`: 0 if it is not a number."""
     try:
         value = float(text)
     except ValueError:

@@ -1,11 +1,11 @@
-"""A FLIR Lepton 2.5 without the camera: images of a plate whose temperature is given.
+"""An emulated FLIR Lepton 2.5: images of a plate at a given temperature.
 
-What matters to a loop closed through the camera is here: 9 new images a second, noise that pixels share
-and noise that they do not, a plate that is not at one temperature, drift between flat-field corrections,
-and the corrections themselves, during which the image stands still and says so. Not here: optics,
-emissivity, and corrections asked for by a change of the sensor's temperature.
+It models what matters to a loop closed through the camera: 9 new images per second, common noise of all
+pixels and independent noise of each, a plate of non-uniform temperature, drift between flat-field
+corrections, and the corrections, during which the image is frozen and marked as such. Not modelled: optics,
+emissivity, and corrections triggered by a change of the sensor's temperature.
 
-An image is a function of the settings, the seed, the plate and the time since power-on alone.
+An image depends only on the settings, the seed, the plate's temperature and the time since power-on.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SENSOR_TIME = 300.0
 
 
 class LeptonError(TwinmatchError):
-    """Settings, a temperature or a time that no camera could have."""
+    """Invalid settings, temperature or time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +44,13 @@ class LeptonSettings:
     rate: float = 9.0
     """New images per second."""
     ambient: float = 23.0
-    """Temperature of everything but the plate, °C."""
+    """Temperature of everything except the plate, °C."""
     gradient: float = 0.02
-    """Share of the plate's excess over ambient that is lost from its centre to its corners."""
+    """Fraction by which the plate's excess over ambient falls from its centre to its corners."""
     pixel_noise: float = 0.05
     """Standard deviation of the noise of each pixel, K."""
     common_noise: float = 0.08
-    """Standard deviation of the noise that all pixels of an image share, K."""
+    """Standard deviation of the noise common to all pixels of an image, K."""
     drift: float = 0.02
     """Rise of all temperatures per minute since the last flat-field correction, K/min."""
     resolution: float = 0.01
@@ -58,9 +58,9 @@ class LeptonSettings:
     flat_field_period: float = 180.0
     """Seconds between the starts of flat-field corrections; the first is at power-on."""
     flat_field_duration: float = 0.9
-    """Seconds for which the image stands still."""
+    """Time for which the image is frozen, s."""
     flat_field_warning: float = 2.0
-    """Seconds before a correction during which it is announced."""
+    """Time before a correction during which it is announced, s."""
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -93,24 +93,25 @@ class EmulatedLepton:
     def expose(self, plate: float, elapsed: float, stamp: int) -> Exposure:
         """The camera's output `elapsed` seconds after power-on.
 
-        Asked again within 1/rate seconds, or during a flat-field correction, it repeats its last image and
-        frame counter.
+        Within 1/rate seconds of the last image, and during a flat-field correction, the last image and frame
+        counter are repeated.
 
         Args:
             plate: temperature of the plate's centre, °C.
-            elapsed: seconds since power-on, never less than at the call before.
+            elapsed: time since power-on, s; must not decrease from call to call.
             stamp: the monotonic clock to write into the exposure, ns.
 
         Raises:
             LeptonError: the temperature is not finite, or time goes back.
         """
         if not math.isfinite(plate):
-            msg = f"emulated Lepton: the plate is {plate} °C; only a finite temperature can be seen"
+            msg = f"emulated Lepton: the plate's temperature is {plate} °C; it must be finite"
             raise LeptonError(msg)
-        # A tick asked for at its very start must not fall into the one before by rounding.
+        # At its exact start, a tick must not be rounded into the one before.
         tick = math.floor(elapsed * self.settings.rate + 1e-6)
         if tick < self._tick or tick < 0:
-            msg = f"emulated Lepton: {elapsed} s since power-on after {self._tick / self.settings.rate} s"
+            newest = self._tick / self.settings.rate
+            msg = f"emulated Lepton: time {elapsed} s is before that of the last image, {newest} s"
             raise LeptonError(msg)
         state, since = self._flat_field(tick / self.settings.rate)
         if tick > self._tick and state is not FlatField.RUNNING:

@@ -1,8 +1,8 @@
-"""How a simulated rig tells an emulated camera its plate temperature: datagrams on a local socket.
+"""Plate temperatures from a simulated rig to an emulated camera: datagrams on a local socket.
 
-The camera server binds the socket's path; whoever simulates the plate sends to it. A datagram is the
-temperature in °C as text, `31.25`. The sender never waits and never fails because nobody listens: the
-camera may be started, stopped and killed at any time, as a real one may.
+The camera server binds the socket's path, and the simulation sends to it. A datagram is the temperature in °C
+as text, `31.25`. The sender never blocks, and never fails if there is no receiver: the camera may be started,
+stopped and killed at any time, as a real one may.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class PlateFeed:
         self._socket.setblocking(False)
 
     def send(self, plate: float) -> bool:
-        """Tell the plate's temperature, °C; False when no camera took it.
+        """Send the plate's temperature, °C; returns False if there is no receiver.
 
         Raises:
-            LeptonError: the temperature is not finite or far from any a plate could have.
+            LeptonError: the temperature is not finite, or out of range.
         """
         _check(plate)
         try:
@@ -42,7 +42,7 @@ class PlateFeed:
         return True
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         self._socket.close()
 
     def __enter__(self) -> PlateFeed:
@@ -56,7 +56,7 @@ class PlateReceiver:
     """The receiving end, in the emulated camera.
 
     Raises:
-        LeptonError: the socket cannot be made at the path.
+        LeptonError: the socket cannot be created at the path.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -73,10 +73,10 @@ class PlateReceiver:
             raise LeptonError(msg) from error
 
     def newest(self) -> float | None:
-        """The last temperature sent since the call before, °C; None if there is none. Never blocks.
+        """The newest temperature since the last call, °C; None if there is none. Never blocks.
 
         Raises:
-            LeptonError: what was sent is no temperature.
+            LeptonError: the datagram is not a temperature.
         """
         newest = None
         while True:
@@ -86,7 +86,7 @@ class PlateReceiver:
                 return None if newest is None else _parse(newest)
 
     def close(self) -> None:
-        """Give the socket and its path back."""
+        """Close the socket and remove its path."""
         self._socket.close()
         self.path.unlink(missing_ok=True)
 
@@ -95,7 +95,7 @@ def _parse(text: bytes) -> float:
     try:
         plate = float(text)
     except ValueError:
-        msg = f"plate feed: {text!r} is no temperature; send it in °C as text, such as 31.25"
+        msg = f"plate feed: {text!r} is not a temperature; send °C as text, such as 31.25"
         raise LeptonError(msg) from None
     _check(plate)
     return plate
@@ -104,5 +104,5 @@ def _parse(text: bytes) -> float:
 def _check(plate: float) -> None:
     low, high = _RANGE
     if not (math.isfinite(plate) and low <= plate <= high):
-        msg = f"plate feed: {plate} °C; a plate's temperature lies between {low} and {high} °C"
+        msg = f"plate feed: the temperature is {plate} °C; it must be between {low} and {high} °C"
         raise LeptonError(msg)

@@ -1,8 +1,8 @@
-"""A Temperature Control Lab without the kit: the model of the package `tclab` behind a real serial line.
+"""An emulated Temperature Control Lab: the model of the package `tclab` behind a real serial line.
 
-The model's equations are others than those of our plant file: linear, a sensor that follows its heater with
-140 s, a heater with 20 s, readings cut off to 0.3223 °C. It lives by the plant's time; the host opens the
-port and cannot tell the difference.
+The model's equations differ from those of our plant file: they are linear, with a sensor lag of 140 s, a
+heater lag of 20 s, and readings truncated to steps of 0.3223 °C. It runs on plant time; the host opens the
+port as if it were a real one.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from twinmatch.emulation.virtual_rig_time import VirtualPlantTime, VirtualRigErr
 __all__ = ["VirtualKit"]
 
 _WARMER = 10.0
-"""What `ambient-step` adds to the room, °C."""
+"""Temperature step of `ambient-step`, °C."""
 _NOISE = b"\x00\xff12.3\r\n\xfe"
-"""What another program leaves on the line."""
+"""Bytes of another program on the line."""
 
 
 class VirtualKit(VirtualPlantTime):
@@ -37,12 +37,12 @@ class VirtualKit(VirtualPlantTime):
     )
 
     def make(self, stack: ExitStack) -> dict[str, str]:
-        """Board and model."""
+        """Create board and model."""
         if importlib.util.find_spec("tclab") is None:
             raise VirtualRigError(
                 "virtual kit: the package tclab is not installed; pip install 'twinmatch[tclab]'"
             )
-        import tclab  # noqa: PLC0415 (not everybody has it)
+        import tclab  # noqa: PLC0415 (an optional dependency)
 
         random.seed(self.settings.seed)  # the model draws its noise there
         with contextlib.redirect_stdout(io.StringIO()):
@@ -55,11 +55,11 @@ class VirtualKit(VirtualPlantTime):
         return {"serial": self.board.port}
 
     def rest(self, seconds: float) -> None:
-        """Answer the host meanwhile."""
+        """Answer the host while waiting."""
         self.board.wait(seconds)
 
     def advance(self) -> None:
-        """One slice of plant time."""
+        """Advance by one slice of plant time."""
         self.board.attend()
         if "garbage-serial" in self.schedule.active and random.random() < 0.05:  # noqa: S311
             self.board.say(_NOISE)
@@ -70,7 +70,7 @@ class VirtualKit(VirtualPlantTime):
         self._model.update(self.elapsed)
 
     def state(self) -> dict[str, object]:
-        """What there is to know."""
+        """Time, temperatures, powers, speed and active faults."""
         return {
             "time": self.elapsed,
             "heater": self._model._H1,
@@ -82,7 +82,7 @@ class VirtualKit(VirtualPlantTime):
         }
 
     def turn(self, kind: str, *, on: bool) -> None:
-        """Let a fault begin or end."""
+        """Start or end a fault."""
         if kind == "ambient-step":
             self._model.Ta += _WARMER if on else -_WARMER
         elif kind == "cable-pulled":

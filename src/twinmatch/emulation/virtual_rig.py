@@ -1,9 +1,9 @@
-"""The rig without the rig: plate, heat sink, board and camera behind the real serial port and TCP stream.
+"""The virtual rig: plate, heat sink, board and camera behind the real serial port and TCP stream.
 
-One process owns the plant's time. It steps the board in small slices, reads what the driver's pins do,
-moves the plate, shows the driver's current to the board and the plate to the camera program, and tells
-the time to whoever listens. Nothing of the production path is replaced: a host opens the serial port,
-connects to the camera, and cannot tell the difference but by the time, which may pass faster.
+One process owns plant time. It steps the board in small slices, reads the driver's pins, advances the plate,
+passes the driver's current to the board and the plate's temperature to the camera program, and serves the
+time. Nothing of the production path is replaced: a host opens the serial port and connects to the camera as
+on a real rig; only time may pass faster.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from twinmatch.emulation.virtual_rig_time import RigSettings, VirtualPlantTime, 
 __all__ = ["RigSettings", "VirtualRig", "VirtualRigError"]
 
 _FEEDBACK_EVERY = 100
-"""Milliseconds of plant time between two changes of the current shown to the board."""
+"""Interval at which the board's current feedback is updated, ms of plant time."""
 
 
 class VirtualRig(VirtualPlantTime):
-    """A Peltier rig that stands until told to `step` or `run`; a context manager, since it has children.
+    """A Peltier rig whose time stands still until `step` or `run`; a context manager, since it has children.
 
     Raises:
-        TwinmatchError: the board or the camera cannot be made.
+        TwinmatchError: the board or the camera cannot be created.
     """
 
     def make(self, stack: ExitStack) -> dict[str, str]:
-        """Board, camera and plate."""
+        """Create board, camera and plate."""
         self.plant = VirtualPlant()
         made = make_board(self.settings.board, self.folder / "ttyACM0")
         self._board, self.board_kind, self.board_remark = made
@@ -43,11 +43,11 @@ class VirtualRig(VirtualPlantTime):
 
     @property
     def drive(self) -> Drive:
-        """What the driver's pins do."""
+        """State of the driver's pins."""
         return self._drive
 
     def advance(self) -> None:
-        """One slice of plant time."""
+        """Advance by one slice of plant time."""
         seconds = self.slice / 1000
         self._advance_board()
         self.plant.advance(self._drive, seconds)
@@ -60,12 +60,12 @@ class VirtualRig(VirtualPlantTime):
         if "garbage-serial" not in self.schedule.active:
             self._drive = self._board.advance(self.slice / 1000)
             return
-        for _ in range(self.slice):  # the other program gets its chance between any two milliseconds
+        for _ in range(self.slice):  # the other program may interfere at every millisecond
             self._drive = self._board.advance(0.001)
             self._noise.burst()
 
     def state(self) -> dict[str, object]:
-        """What there is to know."""
+        """Time, temperatures, drive, speed and active faults."""
         return {
             "time": self.elapsed,
             "plate": self.plant.plate,
@@ -78,7 +78,7 @@ class VirtualRig(VirtualPlantTime):
         }
 
     def turn(self, kind: str, *, on: bool) -> None:
-        """Let a fault begin or end."""
+        """Start or end a fault."""
         if kind == "drive-lost":
             self.plant.wire_broken = on
         elif kind == "fan-failed":

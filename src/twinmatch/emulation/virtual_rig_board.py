@@ -1,4 +1,4 @@
-"""Which board the virtual rig has, and who else talks on its serial line."""
+"""The board of the virtual rig, and interference on its serial line."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _PROJECT = Path(__file__).resolve().parents[3]
 _BOOT = 0.5
 """Board time until it is on the bus, s."""
 _WRITING = 0.05
-"""How often the other program on the line writes when it has its chance."""
+"""Probability per burst that the other program writes to the line."""
 _TAKEN = 20
-"""Bytes it takes away at most; a reply has about 25."""
+"""Most bytes it takes from the line; a reply has about 25."""
 
 
 class VirtualBoard(NamedTuple):
-    """A board and what it is, in words."""
+    """A board and its description."""
 
     board: Board
     kind: str
@@ -38,15 +38,15 @@ class VirtualBoard(NamedTuple):
 def make_board(wanted: str, port: Path) -> VirtualBoard:
     """A board on the bus, with its serial port at `port`.
 
-    `simavr` runs the firmware image on a simulated processor, `python` is a stand-in, `auto` takes the
-    first if it can be had.
+    `simavr` runs the firmware image on a simulated processor, `python` is a stand-in, `auto` is simavr if
+    available.
 
     Raises:
-        ArduinoError: no such kind, or it cannot be made.
+        ArduinoError: there is no such kind, or it cannot be created.
     """
     if wanted not in BOARDS:
-        raise ArduinoError(f"virtual rig: board {wanted!r} does not exist; there are: {', '.join(BOARDS)}")
-    why = "as asked for"
+        raise ArduinoError(f"virtual rig: board {wanted!r} does not exist; choose one of {', '.join(BOARDS)}")
+    why = "as requested"
     if wanted != "python":
         try:
             board = VirtualArduino(virtual_tools(), port)
@@ -60,7 +60,7 @@ def make_board(wanted: str, port: Path) -> VirtualBoard:
 
 
 def virtual_tools() -> VirtualTools:
-    """Simulator and firmware, compiled from the sources into the user's cache when that is needed.
+    """Simulator and firmware, compiled from the sources into the user's cache if necessary.
 
     Raises:
         ArduinoError: there are no sources, a tool is missing, or something does not compile.
@@ -83,19 +83,19 @@ def _on_the_bus(board: Board) -> Board:
     board.advance(_BOOT)
     if not Path(board.port).exists():
         board.close()
-        raise ArduinoError(f"virtual board at {board.port}: it is not on the bus after {_BOOT} s")
+        raise ArduinoError(f"virtual board at {board.port}: not on the bus after {_BOOT} s")
     return board
 
 
 class SerialNoise:
-    """Another program on the port that respects no lock: it writes damaged frames and takes replies away."""
+    """Another program on the port that ignores the lock: it writes damaged frames and takes replies away."""
 
     def __init__(self, port: str, seed: int = 0) -> None:
         self._port = port
         self._random = np.random.default_rng(seed)
 
     def burst(self) -> None:
-        """A moment of that."""
+        """Interfere once."""
         try:
             line = os.open(self._port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError:
@@ -105,6 +105,6 @@ class SerialNoise:
                 os.write(line, b":" + self._random.bytes(12) + b"\n")
             os.read(line, int(self._random.integers(1, _TAKEN)))
         except OSError:
-            return  # nothing there to take
+            return  # nothing to take
         finally:
             os.close(line)

@@ -1,4 +1,4 @@
-"""The virtual rig's camera: the real camera program as a child, and what may take its place."""
+"""The virtual rig's camera: the real camera program as a child process, and its substitutes under faults."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from twinmatch.shipped import NotShippedError, shipped
 __all__ = ["Serving", "VirtualCamera", "VirtualCameraError"]
 
 _RATE = 9.0
-"""New images per second of plant time, as a Lepton has them."""
+"""New images per second of plant time, as of a Lepton."""
 _PATIENCE = 30.0
 """Longest start of the camera program, s."""
 _GARBAGE = 512
@@ -30,11 +30,11 @@ _GARBAGE = 512
 
 
 class VirtualCameraError(TwinmatchError):
-    """The camera program is missing, does not start, or has ended by itself."""
+    """The camera program is missing, does not start, or has ended unexpectedly."""
 
 
 class Serving(Enum):
-    """Who answers at the camera's address."""
+    """The program at the camera's address."""
 
     CAMERA = "camera"
     NOBODY = "nobody"
@@ -42,9 +42,9 @@ class Serving(Enum):
 
 
 class VirtualCamera:
-    """A camera that sees the plate nine times a second of plant time.
+    """A camera that takes nine images of the plate per second of plant time.
 
-    Its program is led through its standard input, so it ends with this process, however that ends.
+    Its program is controlled through its standard input, so it ends with this process, however that ends.
 
     Raises:
         VirtualCameraError: the program is missing or does not start.
@@ -52,7 +52,7 @@ class VirtualCamera:
 
     def __init__(self, *, ambient: float, seed: int = 0) -> None:
         self.frozen = False
-        """Whether the sensor repeats itself."""
+        """Whether the sensor repeats its last image."""
         self._ambient = ambient
         self._seed = seed
         self._starts = 0
@@ -73,12 +73,12 @@ class VirtualCamera:
             raise
 
     def see(self, elapsed: float, plate: float, stamp: int) -> None:
-        """Make an image if it is time for one.
+        """Take an image if one is due.
 
         Args:
             elapsed: plant time since the start, s.
             plate: the plate's temperature, °C.
-            stamp: plant time as the image tells it, ns.
+            stamp: plant time for the image's stamp, ns.
         """
         tick = math.floor(elapsed * _RATE + 1e-6)
         if tick == self._tick:
@@ -92,7 +92,7 @@ class VirtualCamera:
             self._lead(self._process, b"%s %d\n" % (self._line, stamp))
 
     def serve(self, who: Serving) -> None:
-        """Change who answers at the camera's address."""
+        """Change the program at the camera's address."""
         if who is self._serving:
             return
         self._serving = who
@@ -106,7 +106,7 @@ class VirtualCamera:
             self._garbage = _Garbage(self.address, self._seed)
 
     def close(self) -> None:
-        """End whatever serves."""
+        """End the program at the camera's address."""
         self.serve(Serving.NOBODY)
 
     def _start(self) -> None:
@@ -121,7 +121,7 @@ class VirtualCamera:
             stderr=subprocess.PIPE,
             env=self._environment,
             bufsize=0,
-            start_new_session=True,  # Ctrl-C is for us; we end it
+            start_new_session=True,  # Ctrl-C does not reach it; this process ends it
         )
         for pipe in (self._process.stdin, self._process.stderr):
             os.set_blocking(_pipe(pipe).fileno(), False)
@@ -134,15 +134,17 @@ class VirtualCamera:
                 if found := re.search(r"serving .*:(\d+)$", line):
                     return int(found[1])
             time.sleep(0.01)
-        raise VirtualCameraError(f"virtual camera: its program says nothing within {_PATIENCE:g} s")
+        raise VirtualCameraError(f"virtual camera: its program was not ready after {_PATIENCE:g} s")
 
     def _lead(self, process: subprocess.Popen[bytes], line: bytes) -> None:
-        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # it is slow, or about to be noticed
+        with contextlib.suppress(
+            BlockingIOError, BrokenPipeError
+        ):  # it is slow, or its end is detected below
             _pipe(process.stdin).write(line)
         self._listen()
 
     def _listen(self) -> None:
-        """Read what the program says, and notice its end."""
+        """Read the program's output, and detect its end."""
         process = self._process
         if process is None:
             return
@@ -151,10 +153,10 @@ class VirtualCamera:
             self._said.extend(said.decode(errors="replace").splitlines())
         elif said == b"" or process.poll() is not None:
             last = " / ".join(list(self._said)[-3:])
-            raise VirtualCameraError(f"virtual camera: its program has ended by itself: {last}")
+            raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
 
     def _end_program(self) -> None:
-        """As a pulled plug does: with no chance to say good-bye."""
+        """Kill the program, as a pulled plug would."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -166,7 +168,7 @@ class VirtualCamera:
 
 
 class _Garbage:
-    """Another program at the camera's address, which sends noise."""
+    """Another program at the camera's address that sends noise."""
 
     def __init__(self, address: tuple[str, int], seed: int) -> None:
         self._listener = socket.create_server(address)
@@ -204,6 +206,6 @@ def _environment() -> dict[str, str]:
 
 
 def _pipe(pipe: object) -> io.FileIO:
-    if not isinstance(pipe, io.FileIO):  # bufsize=0 gives no other
-        raise TypeError(f"{pipe!r} is no unbuffered pipe")
+    if not isinstance(pipe, io.FileIO):  # always so with bufsize=0
+        raise TypeError(f"{pipe!r} is not an unbuffered pipe")
     return pipe

@@ -1,8 +1,8 @@
-"""Plant time over a loopback TCP stream: one line for each update, nanoseconds as text.
+"""Plant time over a loopback TCP stream: one line per update, nanoseconds as text.
 
-The rig sends what time it is on the plant; who does not read misses updates. A reader keeps the newest
-alone. A reader may say back, in the same form, up to which time it has done its work: where time runs
-faster than the wall clock, the rig does not run far ahead of those.
+The rig sends plant time; a slow reader misses updates. A reader keeps only the newest. It may report back, in
+the same form, up to which time it has processed everything: when plant time runs faster than the wall clock,
+the rig does not run far ahead of such readers.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
 
 
 class ClockError(TwinmatchError):
-    """An address that is none, or a stream that is no clock."""
+    """An invalid address, or a stream that is not a clock."""
 
 
 def parse_address(text: str) -> tuple[str, int]:
     """Host and port from `HOST:PORT`.
 
     Raises:
-        ClockError: it is something else.
+        ClockError: the text is not an address.
     """
     host, _, port = text.rpartition(":")
     if not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
@@ -38,7 +38,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 class ClockServer:
-    """The rig's end. It has no thread: `accept` and `send` are called in the rig's own loop."""
+    """The rig's side. It has no thread: the rig's loop calls `accept` and `send`."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
         self._listener = socket.create_server((host, port), backlog=8)
@@ -53,7 +53,7 @@ class ClockServer:
         return str(host), int(port)
 
     def accept(self) -> None:
-        """Take in who waits."""
+        """Accept waiting clients."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 client, _ = self._listener.accept()
@@ -63,23 +63,23 @@ class ClockServer:
                 self._clients.append(client)
 
     def send(self, stamp: int) -> None:
-        """Tell everybody the plant's time, ns."""
+        """Send plant time, ns, to all clients."""
         self.accept()
         line = b"%d\n" % stamp
         for client in list(self._clients):
             try:
                 whole = client.send(line) == len(line)
             except BlockingIOError:
-                continue  # it has not read the updates before: it may miss this one
+                continue  # it has not read earlier updates: it may miss this one
             except OSError:
                 whole = False
             if not whole:
                 self._drop(client)
 
     def slowest(self, patience: float) -> int | None:
-        """The time, ns, up to which the slowest of those has come that say so; None if nobody does.
+        """The progress of the slowest client that reports it, ns; None if none does.
 
-        Who has said nothing for `patience` seconds of the wall clock is not waited for.
+        Clients without a report for `patience` (wall s) are not counted.
         """
         now = time.monotonic()
         for client in list(self._clients):
@@ -115,32 +115,32 @@ class ClockServer:
 
 
 class ClockClient:
-    """A reader's end: a thread that calls `tell` with the newest time, and connects again when it must."""
+    """A reader's side: a thread that calls `tell` with the newest time, and reconnects when necessary."""
 
     def __init__(self, address: tuple[str, int], tell: Callable[[int], None]) -> None:
         self.address = address
         self.error: str = "not connected yet"
         """Why there is no connection; empty while there is one."""
         self.failure: Exception | None = None
-        """A defect that ended the thread."""
+        """The error that ended the thread, if any."""
         self._tell = tell
         self._connection: socket.socket | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="plant clock", daemon=True)
 
     def start(self) -> None:
-        """Begin; returns at once."""
+        """Start the thread; returns at once."""
         self._thread.start()
 
     def close(self) -> bool:
-        """End the thread; whether it did."""
+        """End the thread; returns whether it ended."""
         self._stopping.set()
         if self._thread.ident is not None:
             self._thread.join(3.0)
         return not self._thread.is_alive()
 
     def done(self, stamp: int) -> None:
-        """Say that everything up to this time, ns, is done; lost if there is no connection."""
+        """Report that everything up to this time, ns, is processed; lost without a connection."""
         connection = self._connection
         if connection is not None:
             with contextlib.suppress(OSError):
@@ -149,7 +149,7 @@ class ClockClient:
     def _run(self) -> None:
         try:
             self._keep_following()
-        except Exception as error:  # whoever owns us looks at it
+        except Exception as error:  # checked by the owner
             self.failure = error
 
     def _keep_following(self) -> None:
@@ -174,34 +174,34 @@ class ClockClient:
             try:
                 piece = connection.recv(4096)
             except TimeoutError:
-                continue  # a clock that stands is no error of the line
+                continue  # a stopped clock is not an error of the connection
             if not piece:
                 raise ClockError("the virtual rig has ended")
             *lines, rest = (rest + piece).split(b"\n")
             if len(rest) > _LONGEST or any(not line.isdigit() for line in lines[-1:]):
-                raise ClockError("what comes is no clock of a virtual rig; is the address right?")
+                raise ClockError("the stream is not the clock of a virtual rig; is the address right?")
             if lines:
                 self._tell(int(lines[-1]))
 
 
 class Stillness:
-    """Notices when a clock stands still."""
+    """Detects that a clock stands still."""
 
     def __init__(self, patience: float = 1.0) -> None:
         self._patience = patience
         self._last: int | None = None
         self._moved = time.monotonic()
         self.set_backs = 0
-        """How often the clock went back: the rig was started anew."""
+        """Number of times that the clock was set back, because the rig was restarted."""
 
     def tell(self, stamp: int) -> None:
-        """Take note of an update."""
+        """Take an update."""
         if self._last is not None and stamp < self._last:
             self.set_backs += 1
         if stamp != self._last:
             self._last, self._moved = stamp, time.monotonic()
 
     def seconds(self) -> float:
-        """Wall time for which the clock has stood, once that is longer than the patience; else 0."""
+        """Wall time for which the clock has stood still, s; 0 up to the patience."""
         still = time.monotonic() - self._moved
         return still if still > self._patience else 0.0

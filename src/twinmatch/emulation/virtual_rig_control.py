@@ -1,7 +1,7 @@
-"""Talking to a virtual rig that runs: lines on a socket in its private folder, one answer for each.
+"""Control of a running virtual rig: lines on a socket in its private folder, with one answer each.
 
-KIND[+SECONDS]   let a fault begin now         end KIND   end it
-state            what there is to know         stop       end the rig
+KIND[+SECONDS]   start a fault now             end KIND   end it
+state            report the rig's state        stop       end the rig
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _PATIENCE = 5.0
 
 
 class ControlError(TwinmatchError):
-    """A virtual rig that cannot be talked to, or that refused."""
+    """A virtual rig cannot be reached, or refused a command."""
 
 
 class ControlServer:
-    """The rig's end, without a thread: `attend` is called in the rig's own loop."""
+    """The rig's side, without a thread: the rig's loop calls `attend`."""
 
     def __init__(self, path: Path, obey: Callable[[str], str]) -> None:
         self.path = path
@@ -36,7 +36,7 @@ class ControlServer:
         self._clients: dict[socket.socket, bytes] = {}
 
     def attend(self) -> None:
-        """Answer what was asked."""
+        """Answer pending commands."""
         with contextlib.suppress(BlockingIOError):
             client, _ = self._listener.accept()
             client.setblocking(False)
@@ -70,10 +70,10 @@ class ControlServer:
 
 
 def tell(path: str | Path, line: str) -> str:
-    """Say a line to the rig whose control socket is at `path`; its answer without `ok`.
+    """Send a line to the rig with its control socket at `path`; returns its answer without `ok`.
 
     Raises:
-        ControlError: there is no such rig, or it refused.
+        ControlError: there is no such rig, or it refused the command.
     """
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
@@ -86,5 +86,5 @@ def tell(path: str | Path, line: str) -> str:
         raise ControlError(msg) from error
     verdict, _, rest = answer.partition(" ")
     if verdict != "ok":
-        raise ControlError(f"virtual rig: {rest or 'it gave no answer'}")
+        raise ControlError(f"virtual rig: {rest or 'no answer'}")
     return rest

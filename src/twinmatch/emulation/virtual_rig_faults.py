@@ -1,7 +1,7 @@
-"""What can be made to go wrong on the virtual rig, when, and for how long.
+"""The faults of the virtual rig, and their schedule.
 
-A fault is written `KIND@SECONDS`, to the end, or `KIND@SECONDS+SECONDS`, the second number being how long
-it lasts. Seconds are of plant time, from the start of the rig.
+A fault is written `KIND@SECONDS`, which lasts to the end, or `KIND@SECONDS+DURATION`. Times are in seconds of
+plant time from the start of the rig.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from twinmatch.errors import TwinmatchError
 __all__ = ["KINDS", "Change", "Fault", "FaultError", "Schedule", "parse_fault", "parse_faults"]
 
 KINDS: Final = {
-    "drive-lost": "a wire to the plate breaks: no current, whatever the board does",
-    "driver-fault": "the motor driver pulls its fault flag",
-    "board-hung": "the firmware hangs once; its watchdog starts it anew",
-    "cable-pulled": "the board's USB cable is pulled; the board keeps its power",
-    "garbage-serial": "another program talks on the serial line and takes replies away",
-    "camera-gone": "the camera's program is killed; at the end it is started anew",
-    "garbage-camera": "another program answers at the camera's address and sends noise",
+    "drive-lost": "a wire to the plate breaks: no current at any command",
+    "driver-fault": "the motor driver sets its fault flag",
+    "board-hung": "the firmware hangs once, until its watchdog restarts it",
+    "cable-pulled": "the board's USB cable is unplugged; the board keeps its power",
+    "garbage-serial": "another program writes to the serial line and takes replies away",
+    "camera-gone": "the camera's program is killed; at the end of the fault it is restarted",
+    "garbage-camera": "another program at the camera's address sends noise",
     "sensor-frozen": "the camera repeats its last image and frame counter",
     "fan-failed": "the fan stops: the heat sink keeps a tenth of its convection",
     "ambient-step": "the surroundings become 10 °C warmer",
 }
-"""Every fault and what it does."""
+"""Every fault and its effect."""
 
 
 class FaultError(TwinmatchError):
-    """A fault that does not exist or has no possible time."""
+    """A fault does not exist, or has an invalid time."""
 
 
 class Fault(NamedTuple):
@@ -40,18 +40,18 @@ class Fault(NamedTuple):
 
     kind: str
     start: float
-    """Plant time at which it begins, s."""
+    """Plant time at which it starts, s."""
     duration: float = math.inf
     """How long it lasts, s."""
 
 
 class Change(NamedTuple):
-    """The beginning or the end of a fault."""
+    """The start or the end of a fault."""
 
     time: float
     """Plant time, s."""
     number: int
-    """Counts changes, so that those of one time keep their order."""
+    """Counts changes, so that simultaneous ones keep their order."""
     kind: str
     begins: bool
 
@@ -60,18 +60,18 @@ def parse_fault(text: str) -> Fault:
     """A fault from `KIND@SECONDS` or `KIND@SECONDS+SECONDS`.
 
     Raises:
-        FaultError: no such kind, or times that are none.
+        FaultError: there is no such kind, or a time is invalid.
     """
     kind, at, times = text.strip().partition("@")
     check_kind(kind)
     start, plus, duration = times.partition("+")
     if not at:
-        raise FaultError(f"fault {text!r}: when? Write {kind}@SECONDS or {kind}@SECONDS+DURATION")
+        raise FaultError(f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION")
     return Fault(kind, _seconds(text, start, 0.0), _seconds(text, duration, 1e-3) if plus else math.inf)
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
-    """Faults from a list with commas.
+    """Faults from a comma-separated list.
 
     Raises:
         FaultError: as for `parse_fault`.
@@ -83,7 +83,7 @@ def parse_now(text: str, now: float) -> Fault:
     """A fault that begins `now`, from `KIND` or `KIND+SECONDS`.
 
     Raises:
-        FaultError: no such kind, or a duration that is none.
+        FaultError: there is no such kind, or the duration is invalid.
     """
     kind, plus, duration = text.strip().partition("+")
     check_kind(kind)
@@ -91,14 +91,14 @@ def parse_now(text: str, now: float) -> Fault:
 
 
 def check_kind(kind: str) -> str:
-    """The kind, if there is such a fault.
+    """The kind, checked.
 
     Raises:
-        FaultError: there is not.
+        FaultError: there is no such fault.
     """
     if kind not in KINDS:
         near = difflib.get_close_matches(kind, KINDS, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(KINDS)}"
+        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(KINDS)}"
         raise FaultError(f"fault {kind!r} does not exist; {hint}")
     return kind
 
@@ -109,12 +109,12 @@ def _seconds(text: str, number: str, least: float) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value >= least):
-        raise FaultError(f"fault {text!r}: {number!r} is no time; give seconds of plant time")
+        raise FaultError(f"fault {text!r}: {number!r} is not a time; give seconds of plant time")
     return value
 
 
 class Schedule:
-    """Faults to come, and those that are on."""
+    """Scheduled and active faults."""
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._changes: list[Change] = []
@@ -125,7 +125,7 @@ class Schedule:
 
     @property
     def active(self) -> tuple[str, ...]:
-        """Kinds that are on, in the order in which they began."""
+        """Active kinds, in the order in which they started."""
         return tuple(self._on)
 
     def add(self, fault: Fault) -> None:
@@ -135,10 +135,10 @@ class Schedule:
             self._push(fault.start + fault.duration, fault.kind, begins=False)
 
     def end(self, kind: str, now: float) -> None:
-        """End every fault of a kind that has begun or is to come.
+        """End the active fault of a kind, and cancel those scheduled.
 
         Raises:
-            FaultError: no such kind.
+            FaultError: there is no such kind.
         """
         check_kind(kind)
         self._changes = [change for change in self._changes if change.kind != kind]
@@ -148,7 +148,7 @@ class Schedule:
             self._push(now, kind, begins=False)
 
     def due(self, now: float) -> list[Change]:
-        """Kinds that go on or off by this time. Of two overlapping faults of one kind the last end counts."""
+        """Kinds that turn on or off by this time. If faults of one kind overlap, the last end counts."""
         turned = []
         while self._changes and self._changes[0].time <= now + 1e-9:
             change = heapq.heappop(self._changes)

@@ -1,4 +1,4 @@
-"""The virtual rig's private folder: it holds serial port and control socket, and goes with its rig."""
+"""The virtual rig's private folder for serial port and control socket, which is removed with the rig."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PREFIX = "twinmatch-rig-"
 
 @contextlib.contextmanager
 def private_folder() -> Iterator[Path]:
-    """A folder of our own, after those of rigs that were killed have been removed."""
+    """A new private folder; folders left by killed rigs are removed first."""
     for left in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
         _remove_if_left(left)
     folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
@@ -29,7 +29,7 @@ def private_folder() -> Iterator[Path]:
 
 
 def _remove_if_left(folder: Path) -> None:
-    """Remove a rig's folder unless its rig lives; a live one holds the lock, and one being made has none."""
+    """Remove a folder unless its rig is alive: then it is locked, or while starting has no lock file yet."""
     with contextlib.suppress(OSError), (folder / "lock").open("r+") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         shutil.rmtree(folder, ignore_errors=True)

@@ -9,17 +9,17 @@ from collections import deque
 __all__ = ["RigPace"]
 
 _MOST_LATE = 0.2
-"""Plant time made up for at most, s, when it runs faster than the wall clock. What a busy machine took beyond
-that is lost: caught up with in a leap, it would look like a silent host to the board, whose deadline is a
-second. At the wall clock's own pace nothing is lost: a plant does not wait either."""
+"""Most plant time caught up after a delay, s, when it runs faster than the wall clock. Longer delays of a
+busy machine are lost: catching up in one jump would look like a silent host to the board, with its deadline
+of one second. At real time nothing is lost, because a real plant does not wait either."""
 _LEAST = 0.005
-"""Wall time made up for in any case, s: what it may take to be woken."""
+"""Wall time always caught up, s: the latency of waking up."""
 _RECENT = 2.0
-"""Wall time over which the achieved speed is told, s."""
+"""Wall time over which the achieved speed is averaged, s."""
 
 
 class RigPace:
-    """Says how long to wait before plant time may go on."""
+    """Computes how long to wait before plant time may advance."""
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
@@ -28,7 +28,7 @@ class RigPace:
         self._marks: deque[tuple[float, float]] = deque([(self._start, 0.0)])
 
     def wait(self, plant: float) -> float:
-        """Wall time, s, until the plant's time `plant` (s since the start) is due; 0 if it is."""
+        """Wall time, s, until plant time `plant` (s since the start) is due; 0 if it already is."""
         now = time.monotonic()
         self._mark(now, plant)
         due = self._wall + (plant - self._plant) / self.speed
@@ -38,7 +38,7 @@ class RigPace:
         return max(0.0, due - now)
 
     def achieved(self) -> float:
-        """Plant time per wall time lately."""
+        """Recent plant time per wall time."""
         (first_wall, first), (last_wall, last) = self._marks[0], self._marks[-1]
         return (last - first) / (last_wall - first_wall) if last_wall > first_wall else 0.0
 

@@ -1,4 +1,4 @@
-"""The plate, the heat sink, the fan and the room of the virtual rig: richer than the twin, on purpose."""
+"""Plate, heat sink, fan and room of the virtual rig; the model is deliberately richer than the twin's."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ RICH_RIG = Peltier.model("sink with mass").parameters(
     sink_heat_capacity=250.0,
     sink_convection=6.0,
 )
-"""The truth behind the virtual rig: its heat sink has a mass, and a fan cools it."""
+"""The true parameters of the virtual rig: its heat sink has a mass, and a fan cools it."""
 
 _STILL_AIR = 0.1
-"""Share of the convection that is left without the fan."""
+"""Fraction of the convection that remains without the fan."""
 _AMBIENT_STEP = 10.0
-"""K."""
+"""K"""
 _OPEN = 1e-9
-"""Current limit of a circuit that is open: none flows, not even that of the Seebeck voltage, A."""
+"""Current limit of an open circuit, A: no current flows, not even from the Seebeck voltage."""
 
 
 class VirtualPlant:
-    """The plant between the driver's pins and the camera's eye, in any structure of the Peltier rig."""
+    """The plant between the driver's pins and the camera, in any structure of the Peltier rig."""
 
     def __init__(self, parameters: Parameters = RICH_RIG) -> None:
         self.states = begin(parameters, parameters["ambient"] - Peltier.output.absolute)
@@ -39,13 +39,13 @@ class VirtualPlant:
         self.warm_room = False
         self._parameters = parameters
         self._made: dict[tuple[bool, ...], Parameters] = {}
-        # The first tick loads the plant's arithmetic, which must not hold up the board's time later.
+        # The first tick loads the plant's compiled code, which must not delay board time later.
         advance(self._under(enabled=False), self.states, 0.0, 1e-3)
         quantities(parameters, self.states, 0.0)
 
     @property
     def parameters(self) -> Parameters:
-        """The rig's parameters as of now, faults of the surroundings included."""
+        """The rig's current parameters, including faults of the surroundings."""
         return self._under(enabled=True)
 
     @property
@@ -64,15 +64,15 @@ class VirtualPlant:
         return self._celsius("sink")
 
     def advance(self, drive: Drive, seconds: float) -> None:
-        """Let time pass under a drive. A driver that is off, or a broken wire, leaves the circuit open."""
+        """Advance under a drive. If the driver is off or the wire broken, the circuit is open."""
         found = self._under(enabled=drive.enabled and not self.wire_broken)
         self.states = advance(found, self.states, drive.pwm, seconds)
 
     def feedback(self, drive: Drive) -> float:
         """Mean current at the driver's feedback pin, A.
 
-        The driver measures at its supply side, so that the pin shows the current while the PWM is high
-        and nothing while it is low.
+        The driver measures on its supply side, so the pin shows the current while the PWM is high and zero
+        while it is low.
         """
         if self.wire_broken or not drive.enabled:
             return 0.0
@@ -80,12 +80,12 @@ class VirtualPlant:
         return math.fabs(current * drive.pwm) / Peltier.drive.limits[1]
 
     def _celsius(self, name: str) -> float:
-        """A state; a sink without mass is as warm as the room."""
+        """A state, °C; a sink without mass is at room temperature."""
         known = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
         return float(known.get(name, self.parameters["ambient"])) - Peltier.output.absolute
 
     def _under(self, *, enabled: bool) -> Parameters:
-        """Parameters under the faults of now, with a closed circuit or an open one; made once each."""
+        """Parameters under the active faults, with a closed or an open circuit; cached."""
         case = (self.fan_failed, self.warm_room, enabled)
         if case not in self._made:
             found = self._parameters

@@ -1,6 +1,6 @@
-"""The virtual rig as a program: its options, what it prints, how it ends.
+"""The virtual rig as a program: its options, its output, its end.
 
-Each line it prints is `key: value`; `ready` alone stands on its own line once everything can be used.
+Each line of output is `key: value`; a line `ready` follows once everything can be used.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["EXIT_LOST", "add_arguments", "run"]
 
 EXIT_LOST = 1
-"""Exit code after a part of the rig has ended by itself."""
+"""Exit code after a part of the rig has ended unexpectedly."""
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -32,39 +32,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     width = max(map(len, KINDS))
     parser.epilog = "faults:\n" + "\n".join(f"  {kind:{width}}  {text}" for kind, text in KINDS.items())
     parser.add_argument(
-        "--plant", default="peltier", choices=("peltier", "tclab"), help="which plant (peltier)"
+        "--plant", default="peltier", choices=("peltier", "tclab"), help="plant to emulate (default: peltier)"
     )
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="N", help="plant time per wall time, at most (1)"
+        "--speed", type=float, default=1.0, metavar="N", help="plant time per wall time, at most (default: 1)"
     )
     parser.add_argument(
         "--board",
         default="auto",
         metavar="KIND",
         help="simavr: the firmware image on a simulated processor; python: a stand-in; "
-        "auto: the first if it can be had",
+        "auto (default): simavr if available",
     )
     parser.add_argument(
-        "--fault", action="append", default=[], metavar="KIND@S[+S],…", help="what fails when, for how long"
+        "--fault",
+        action="append",
+        default=[],
+        metavar="KIND@S[+S],…",
+        help="faults with their start and duration",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the camera's noise (0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sensor's noise (default: 0)")
     parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="plant time to run for")
     parser.add_argument(
         "--tell",
         nargs=2,
         metavar=("CONTROL", "LINE"),
-        help="say a line to a rig that runs: KIND[+S], 'end KIND', state, stop",
+        help="send a command to a running rig: KIND[+S], 'end KIND', state, stop",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run a virtual rig until its duration is over or a signal ends it; or talk to one.
+    """Run a virtual rig until its duration is over or a signal ends it, or send a command to one.
 
     Returns:
-        The exit code: 0 ended as asked, `EXIT_LOST` when the board or the camera ended by itself.
+        The exit code: 0 ended as requested, `EXIT_LOST` if the board or the camera ended unexpectedly.
 
     Raises:
-        TwinmatchError: an option cannot be followed, or a part of the rig cannot be made.
+        TwinmatchError: an option cannot be used, or a part of the rig cannot be created.
     """
     if options.tell is not None:
         print(tell(*options.tell))
@@ -89,14 +93,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(rig: VirtualPlantTime) -> int:
-    rig.on_change = lambda change: _say("fault", _told(change))
+    rig.on_change = lambda change: _say("fault", _described(change))
     _say("board", f"{rig.board_kind} ({rig.board_remark})")
     for name, address in rig.addresses.items():
         _say(name, address)
     print("ready", flush=True)
     try:
         rig.run(lambda: rig.request_stop() if _reader_gone() else None)
-    except TwinmatchError as error:  # a part of the rig is lost; not a mistake of the user
+    except TwinmatchError as error:  # a part of the rig was lost: not an error of the user
         print(f"twinmatch: {error}", file=sys.stderr)
         return EXIT_LOST
     wall, speed = rig.achieved()
@@ -106,13 +110,13 @@ def _run(rig: VirtualPlantTime) -> int:
 
 
 def _reader_gone() -> bool:
-    """Whether nobody is left who could read what we print: whoever started us was killed."""
+    """Whether the reader of our output is gone: the process that started us was killed."""
     look = select.poll()
-    look.register(sys.stdout, 0)  # errors are told unasked
+    look.register(sys.stdout, 0)  # errors are reported without registration
     return any(event & select.POLLERR for _, event in look.poll(0))
 
 
-def _told(change: Change) -> str:
+def _described(change: Change) -> str:
     return f"{change.kind} {'begins' if change.begins else 'ends'} at {change.time:.2f} s"
 
 

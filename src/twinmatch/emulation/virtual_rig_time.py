@@ -1,6 +1,7 @@
-"""What every virtual plant is: one process that owns the plant's time, tells it, and can be talked to.
+"""Base of every virtual plant: a process that owns plant time, serves it, and accepts commands.
 
-Time passes in small slices, at a multiple of the wall clock's pace and never ahead of who follows the clock.
+Time advances in small slices, at a multiple of the wall clock's speed, and never far ahead of the readers of
+the clock.
 """
 
 from __future__ import annotations
@@ -26,24 +27,24 @@ __all__ = ["RigSettings", "VirtualPlantTime", "VirtualRigError"]
 _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
 _CLOCK_EVERY = 0.005
-"""Wall time between two updates of the clock at most, s."""
+"""Longest wall time between two updates of the clock, s."""
 _LEASH = 0.25
-"""Plant time that the rig runs ahead at most, s, of who says how far it has come: well within the second
+"""Most plant time that the rig runs ahead of readers that report their progress, s: well within the second
 that the board waits for a command."""
 _PATIENCE = 3.0
-"""Wall time after which it is not waited for any longer, s: it has died, or hangs."""
+"""Wall time after which a reader without reports is no longer waited for, s: it has crashed or hangs."""
 
 
 class VirtualRigError(TwinmatchError):
-    """A virtual plant that cannot be made as asked."""
+    """A virtual plant cannot be created as requested."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigSettings:
-    """How a virtual plant is to be.
+    """Settings of a virtual plant.
 
     Raises:
-        VirtualRigError: speed or duration is not positive, or too large to mean anything.
+        VirtualRigError: speed, duration or seed is out of range.
     """
 
     speed: float = 1.0
@@ -51,39 +52,41 @@ class RigSettings:
     board: str = "auto"
     """One of `virtual_rig_board.BOARDS`; for the Peltier rig."""
     seed: int = 0
-    """Of the sensor's noise and of the faults."""
+    """Seed of the sensor's noise and of the faults."""
     faults: tuple[Fault, ...] = ()
     duration: float = math.inf
     """Plant time after which it ends, s."""
 
     def __post_init__(self) -> None:
         if not 0.01 <= self.speed <= 1000:
-            msg = f"virtual rig: speed {self.speed}; give 0.01 to 1000 times the wall clock"
+            msg = f"virtual rig: the speed is {self.speed}; give 0.01 to 1000 times the wall clock"
             raise VirtualRigError(msg)
         if not self.duration > 0:
-            raise VirtualRigError(f"virtual rig: duration {self.duration} s; it must be positive")
+            raise VirtualRigError(f"virtual rig: the duration is {self.duration} s; it must be positive")
         if self.seed < 0:
-            raise VirtualRigError(f"virtual rig: seed {self.seed}; give 0 or more")
+            raise VirtualRigError(f"virtual rig: the seed is {self.seed}; give 0 or more")
 
 
 class VirtualPlantTime(ABC):
-    """Stands until told to `step` or `run`; a context manager. A subclass makes its parts in `make`.
+    """A plant whose time stands still until `step` or `run`; a context manager.
+
+    A subclass creates its parts in `make`.
 
     Raises:
-        TwinmatchError: a part of it cannot be made, or a fault is asked for that it does not have.
+        TwinmatchError: a part cannot be created, or the plant does not have a requested fault.
     """
 
     board_kind: str
-    """What kind of board it has, in a word …"""
+    """Kind of its board, in a word."""
     board_remark: str
-    """… and a few more."""
+    """Remark on its board."""
     KINDS: ClassVar[frozenset[str] | None] = None
-    """Faults that it can have; None: all that there are."""
+    """Faults of this plant; None: all."""
 
     def __init__(self, settings: RigSettings | None = None) -> None:
         self.settings = settings or RigSettings()
         self.on_change: Callable[[Change], None] = lambda _: None
-        """Called when a fault begins or ends."""
+        """Called when a fault starts or ends."""
         for fault in self.settings.faults:
             self._require(fault)
         self.schedule = Schedule(self.settings.faults)
@@ -93,7 +96,7 @@ class VirtualPlantTime(ABC):
         self.pace = RigPace(self.settings.speed)
         self.slice = min(20, max(1, round(5 * self.settings.speed)))
         """Plant time of one step, ms."""
-        self._clock_told = 0.0
+        self._clock_sent = 0.0
         with ExitStack() as stack:
             self.folder = stack.enter_context(private_folder())
             self._own = self.make(stack)
@@ -105,7 +108,7 @@ class VirtualPlantTime(ABC):
             self._stack = stack.pop_all()
 
     def __enter__(self: _Own) -> _Own:
-        """Nothing to do: it stands since it was made."""
+        """Nothing to do: it exists since construction."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -114,27 +117,27 @@ class VirtualPlantTime(ABC):
 
     @abstractmethod
     def make(self, stack: ExitStack) -> dict[str, str]:
-        """Make the parts, left to the stack to be ended; the addresses of those that have one, by name."""
+        """Create the parts, which the stack will close; returns the addresses of some of them, by name."""
 
     @abstractmethod
     def advance(self) -> None:
-        """Let one slice of plant time pass."""
+        """Advance by one slice of plant time."""
 
     @abstractmethod
     def turn(self, kind: str, *, on: bool) -> None:
-        """Let a fault begin or end."""
+        """Start or end a fault."""
 
     @abstractmethod
     def state(self) -> dict[str, object]:
-        """What there is to know."""
+        """The state of the plant, for the command `state`."""
 
     def rest(self, seconds: float) -> None:
-        """Let wall time pass until the next slice is due."""
+        """Wait, in wall time, until the next slice is due."""
         time.sleep(seconds)
 
     @property
     def addresses(self) -> dict[str, str]:
-        """Where everything is, by name."""
+        """The addresses of all parts, by name."""
         clock = "{}:{}".format(*self._clock.address)
         return {**self._own, "clock": clock, "control": str(self._control.path)}
 
@@ -145,24 +148,24 @@ class VirtualPlantTime(ABC):
 
     @property
     def stamp(self) -> int:
-        """Plant time as it is told, ns since 1970: the wall clock at the start, and plant time from there."""
+        """Plant time as served, ns since 1970: the wall clock at the start plus the elapsed plant time."""
         return self._start + self.ms * 1_000_000
 
     def achieved(self) -> tuple[float, float]:
-        """Wall time since the rig began to run, s, and plant time per wall time over all of it."""
+        """Wall time since the start of the run, s, and mean plant time per wall time."""
         return self.pace.overall(self.elapsed)
 
     def request_stop(self) -> None:
-        """Let `run` return; from a signal handler too."""
+        """Let `run` return; may be called from a signal handler."""
         self._stop = True
 
     def run(self, watch: Callable[[], object] = lambda: None) -> None:
-        """Let time pass until the duration is over or a stop is requested.
+        """Run until the duration is over or a stop is requested.
 
-        `watch` is called now and then, a hundred times a second or so.
+        `watch` is called about a hundred times per second.
 
         Raises:
-            TwinmatchError: a part has ended by itself.
+            TwinmatchError: a part has ended unexpectedly.
         """
         self.pace = RigPace(self.settings.speed)
         while not self._stop and self.elapsed < self.settings.duration:
@@ -170,20 +173,20 @@ class VirtualPlantTime(ABC):
             if wait > 0:
                 self.rest(wait)
             if self._ahead_of_followers():
-                self._clock.send(self.stamp)  # they may not have been told how late it is
+                self._clock.send(self.stamp)  # they may have missed the newest update
                 self.rest(_CLOCK_EVERY / 5)
                 self._control.attend()
                 continue
             self.step()
             self._control.attend()
             now = time.monotonic()
-            if now - self._clock_told >= _CLOCK_EVERY or self.slice >= 5 * self.settings.speed:
+            if now - self._clock_sent >= _CLOCK_EVERY or self.slice >= 5 * self.settings.speed:
                 self._clock.send(self.stamp)
-                self._clock_told = now
+                self._clock_sent = now
                 watch()
 
     def step(self) -> None:
-        """One slice of plant time, and the faults that begin or end with it."""
+        """Advance by one slice of plant time, with the faults that start or end in it."""
         for change in self.schedule.due(self.elapsed):
             self.turn(change.kind, on=change.begins)
             self.on_change(change)
@@ -194,7 +197,7 @@ class VirtualPlantTime(ABC):
         self._stack.close()
 
     def _ahead_of_followers(self) -> bool:
-        """Whether those who follow the clock need a moment; never at the wall clock's own pace."""
+        """Whether the readers of the clock lag behind; always False up to real time."""
         if self.settings.speed <= 1:
             return False
         done = self._clock.slowest(_PATIENCE)
@@ -203,15 +206,16 @@ class VirtualPlantTime(ABC):
     def _require(self, fault: Fault) -> Fault:
         if self.KINDS is not None and fault.kind not in self.KINDS:
             raise FaultError(
-                f"fault {fault.kind!r}: not of this plant; it has {', '.join(sorted(self.KINDS))}"
+                f"fault {fault.kind!r}: not available for this plant; choose one of "
+                f"{', '.join(sorted(self.KINDS))}"
             )
         return fault
 
     def _obey(self, line: str) -> str:
-        """One line from the control socket.
+        """Execute one line from the control socket.
 
         Raises:
-            FaultError: it is no command.
+            FaultError: it is not a command.
         """
         if line == "state":
             return json.dumps(self.state())
@@ -223,6 +227,6 @@ class VirtualPlantTime(ABC):
             self.schedule.end(kind, self.elapsed)
             return ""
         if not line:
-            raise FaultError("empty command; say KIND[+SECONDS], end KIND, state or stop")
+            raise FaultError("empty command; send KIND[+SECONDS], end KIND, state or stop")
         self.schedule.add(self._require(parse_now(line, self.elapsed)))
         return ""

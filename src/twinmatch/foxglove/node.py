@@ -126,7 +126,7 @@ class Foxglove(TwinmatchNode):
         try:
             write_layout(path, layout(self._described, present, rig))
         except FoxgloveError as error:
-            self.health.complain("layout", Level.WARN, str(error))
+            self.health.flag("layout", Level.WARN, str(error))
             return
         print(f"layout for {self._described.title}: {path}", flush=True)
 
@@ -167,7 +167,7 @@ class Foxglove(TwinmatchNode):
                 self._server.advertise(name, kind, schema_of(kind))
         except SessionError as error:
             self._unknown.add(name)
-            self.health.complain(name, Level.WARN, f"{name} is not shown: {error}")
+            self.health.flag(name, Level.WARN, f"{name} is not shown: {error}")
             return False
         return True
 

@@ -1,1 +1,1 @@
-"""The wires, without ROS: the thermal stream from the camera and the serial line to the Arduino."""
+"""Connections to the hardware, without ROS: the camera's thermal stream, serial lines to board and kit."""

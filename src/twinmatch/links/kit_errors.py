@@ -1,4 +1,4 @@
-"""What can go wrong between us and a Temperature Control Lab."""
+"""Errors of the link to a Temperature Control Lab."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ __all__ = ["KitAbsentError", "KitError", "KitSilentError"]
 
 
 class KitError(TwinmatchError):
-    """The kit, or what stands between, did something else than it should."""
+    """The kit or the link to it failed."""
 
 
 class KitAbsentError(KitError):
-    """There is no kit where one was looked for: no package, no port, or another device on it."""
+    """No kit was found: the package or the port is missing, or another device is on the port."""
 
 
 class KitSilentError(KitError):

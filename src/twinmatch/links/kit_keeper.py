@@ -1,13 +1,13 @@
-"""The process that holds a kit's serial port, and switches the heaters off when nobody tells it anything.
+"""A watchdog process that holds a kit's serial port, and switches the heaters off when commands stop.
 
-The firmware of a Temperature Control Lab has no deadline: without a host its heaters stay as they are. So the
-port is held by this small process, which outlives whoever commands it by just so long as it takes to switch
-off. It reads a line for each command and answers each with one.
+The firmware of a Temperature Control Lab has no deadline: without a host its heaters stay as they are. So
+this small process holds the port, and outlives the commanding process just long enough to switch off. It
+reads one line per command and answers each with one line.
 
     drive POWER OTHER     →  read T1 T2 POWER OTHER
     clear                 →  cleared
-                             error WHAT: both heaters were told to be off, and this process ends
-                             silent WHAT: heaters are off because no command came; until cleared
+                             error WHAT: both heaters were switched off, and this process ends
+                             silent WHAT: heaters are off because no command arrived, until cleared
 
 Usage: python -m twinmatch.links.kit_keeper PORT DEADLINE
 """
@@ -27,7 +27,7 @@ from twinmatch.links.kit_serial import Kit, open_kit
 __all__ = ["main"]
 
 _OFFS = 5
-"""How often the heaters are told to be off before the line is given up."""
+"""Attempts to switch the heaters off before giving up."""
 
 
 class _Keeper:
@@ -39,7 +39,7 @@ class _Keeper:
         self._heard = b""
 
     def serve(self) -> int:
-        """Answer until there is nobody left to answer to."""
+        """Answer commands until the input ends."""
         while True:
             for line in self._lines():
                 if line is None:
@@ -57,7 +57,7 @@ class _Keeper:
                 return
 
     def _lines(self) -> list[str | None]:
-        """What was said; None at its end. Waits, but not past the deadline of a heater that is on."""
+        """The received lines; None at the end of input. Waits at most the deadline while a heater is on."""
         if not select.select([0], [], [], self._deadline if self._driving else None)[0]:
             self._kit.off()
             self._driving, self._silent = False, True
@@ -71,19 +71,19 @@ class _Keeper:
             self._silent = False
             return "cleared"
         if len(words) != 3 or words[0] != "drive":
-            raise KitError(f"kit: {' '.join(words)!r} is no command")
+            raise KitError(f"kit: {' '.join(words)!r} is not a command")
         power, other = (_number(word) for word in words[1:])
         wanted = power > 0.0 or other > 0.0
         if self._silent and wanted:
             return (
-                f"silent the kit was told nothing for {self._deadline:g} s, so its heaters were switched off"
+                f"silent the kit received no command for {self._deadline:g} s; its heaters were switched off"
             )
         self._driving = wanted
         return "read {:.4f} {:.4f} {:.4f} {:.4f}".format(*self._kit.drive(power, other))
 
     @staticmethod
     def _say(line: str) -> None:
-        with contextlib.suppress(OSError):  # whoever asked is gone; the end of our input tells
+        with contextlib.suppress(OSError):  # the reader is gone, which the end of our input will show
             os.write(1, f"{line}\n".encode())
 
 
@@ -91,13 +91,13 @@ def _number(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise KitError(f"kit: {word!r} is no command") from None
+        raise KitError(f"kit: {word!r} is not a number") from None
 
 
 def main(arguments: list[str]) -> int:
     """Hold a port until the standard input ends; returns the exit code."""
     port, deadline = arguments[0], float(arguments[1])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the end of our input tells when to end
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ends at the end of its input instead
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     signal.signal(signal.SIGHUP, lambda *_: sys.exit(0))
     try:

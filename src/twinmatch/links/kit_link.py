@@ -1,4 +1,4 @@
-"""Our end of a Temperature Control Lab: commands in, readings out, by the process that holds its port."""
+"""Host side of a Temperature Control Lab: commands and readings, through the process that holds its port."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ __all__ = ["KitLink", "KitReading", "require_package", "require_port"]
 _START = 20.0
 """Longest start, s: the package waits 2 s at each of two speeds."""
 _ANSWER = 3.0
-"""Longest wait for an answer, s; the process gives up on the kit before."""
+"""Longest wait for an answer, s; the process gives up on the kit earlier."""
 
 KitReading = tuple[float, float, float, float]
-"""T1 and T2, °C, and both heaters as they are set, %."""
+"""T1 and T2, °C, and the set power of both heaters, %."""
 
 
 def require_package() -> None:
-    """Refuse a Python that has no package `tclab`.
+    """Check that the package `tclab` is installed.
 
     Raises:
-        KitAbsentError: it has none.
+        KitAbsentError: it is not.
     """
     if importlib.util.find_spec("tclab") is None:
         raise KitAbsentError("kit: the package tclab is not installed; pip install 'twinmatch[tclab]'")
 
 
 def require_port(port: str) -> None:
-    """Refuse a port at which nothing can be.
+    """Check that a port is a serial port.
 
     Raises:
-        KitAbsentError: there is none, or it is no serial port.
+        KitAbsentError: it does not exist, or is not a serial port.
     """
     try:
         device = stat.S_ISCHR(Path(port).stat().st_mode)
     except OSError as error:
         raise KitAbsentError(
-            f"kit at {port}: {error.strerror}; is it plugged in, is the port right?"
+            f"kit at {port}: {error.strerror}; is it plugged in, and is the port right?"
         ) from error
     if not device:
-        raise KitAbsentError(f"kit at {port}: is no serial port")
+        raise KitAbsentError(f"kit at {port}: this is not a serial port; give another --port")
 
 
 class KitLink:
-    """One kit; open it, drive it, and close it, from one thread."""
+    """One kit; to be opened, driven and closed from one thread."""
 
     def __init__(self, port: str, deadline: float = 1.0) -> None:
-        """`port` may be empty: the first on the USB bus. `deadline` s without a command switch heaters off.
+        """An empty `port` is the first on the USB bus; heaters go off `deadline` s after the last command.
 
         Raises:
             KitAbsentError: the package `tclab` is not installed.
@@ -72,14 +72,14 @@ class KitLink:
         return self._process is not None
 
     def open(self) -> None:
-        """Start the process; both heaters are off then.
+        """Start the process; both heaters are then off.
 
         Raises:
             KitAbsentError: there is no kit.
-            KitError: it does not work with us.
+            KitError: the kit does not work.
         """
         words = [sys.executable, "-m", "twinmatch.links.kit_keeper", self._wanted, f"{self._deadline}"]
-        # A session of its own: Ctrl-C reaches those who command it, and they let it end.
+        # In its own session: Ctrl-C reaches only the commanding process, which then ends this one.
         self._process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
@@ -106,7 +106,7 @@ class KitLink:
         return first, second, set_to, other_set
 
     def clear(self) -> None:
-        """Let heaters be driven again after a silence.
+        """Allow the heaters to be driven again after the deadline has passed.
 
         Raises:
             KitError: the kit or its process is lost; close the link.
@@ -116,11 +116,11 @@ class KitLink:
             raise KitError(rest)
 
     def close(self) -> None:
-        """Let the process switch off and end; returns when it has."""
+        """Let the process switch the heaters off and end; returns when it has ended."""
         process, self._process = self._process, None
         if process is None:
             return
-        assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 — we asked for them
+        assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 — opened as pipes
         with contextlib.suppress(OSError):
             process.stdin.close()
         try:
@@ -141,7 +141,7 @@ class KitLink:
 
     def _answer(self, patience: float) -> tuple[str, str]:
         """The first word of an answer, and the rest."""
-        assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018 — just asked
+        assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018 — just checked
         pipe, deadline = self._process.stdout.fileno(), time.monotonic() + patience
         while b"\n" not in self._heard:
             if not select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:

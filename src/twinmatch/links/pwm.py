@@ -1,7 +1,7 @@
-"""The PWM board on a serial line: what other rooms need of it.
+"""The PWM board on a serial line: its public interface.
 
-`PwmLink` is the board. Below it lie the frames (`pwm_frame`), the messages (`pwm_messages`), the host's half
-of the conversation (`pwm_protocol`) and the errors (`pwm_errors`, whose docstring draws their tree).
+`PwmLink` is the board. Below it are the frames (`pwm_frame`), the messages (`pwm_messages`), the host side of
+the protocol (`pwm_protocol`) and the errors (`pwm_errors`, whose docstring shows their tree).
 """
 
 from __future__ import annotations

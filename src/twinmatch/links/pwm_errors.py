@@ -1,19 +1,19 @@
-"""What can go wrong between us and the PWM board, one class per remedy.
+"""Errors of the link to the PWM board, one class per remedy.
 
-PwmLinkError                  a set-point could not be placed; nothing may be assumed about the output
-├── PwmRangeError             a number the caller gave is out of range; nothing was sent
-├── PwmPortMissingError       no such port, or no right to it: is the board plugged in
+PwmLinkError                  a command could not be delivered; the state of the output is unknown
+├── PwmRangeError             an argument is out of range; nothing was sent
+├── PwmPortMissingError       no such port, or no permission: is the board plugged in
 ├── PwmPortBusyError          another program holds the port
-├── PwmPortLostError          the port went away or was never opened: cable, board reset; reopen()
-├── PwmTimeoutError           the port stands, but no answer came in time
-├── PwmCorruptReplyError      answers came, but damaged, or not fitting the question
-├── PwmStaleReplyError        only answers to earlier questions came
-├── PwmRejectedError          the board refused: .code says why
-│   └── PwmLatchedError       it has tripped and waits for clear(): .flags say what tripped it
-├── PwmResetError             the board started anew in mid-session; clear() if that is no fault
-└── PwmVersionError           the board speaks another version of the protocol
+├── PwmPortLostError          the port vanished or was never opened: cable, board reset; reopen()
+├── PwmTimeoutError           the port is open, but no answer arrived in time
+├── PwmCorruptReplyError      answers arrived, but damaged, or not matching the request
+├── PwmStaleReplyError        only answers to earlier requests arrived
+├── PwmRejectedError          the board refused: .code is the reason
+│   └── PwmLatchedError       it has tripped and waits for clear(): .flags show the cause
+├── PwmResetError             the board restarted in mid-session; clear() if that is no fault
+└── PwmVersionError           the board has another version of the protocol
 
-Every set-point is absolute, so sending one again is safe after any of them.
+Every command is absolute, so it is safe to send it again after any of them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PwmLinkError(TwinmatchError):
 
 
 class PwmRangeError(PwmLinkError):
-    """A set-point that is not finite or beyond ±255, or a setting out of its range."""
+    """A command is not finite or outside ±255, or a setting is out of range."""
 
 
 class PwmPortMissingError(PwmLinkError):
@@ -58,7 +58,7 @@ class PwmPortBusyError(PwmLinkError):
 
 
 class PwmPortLostError(PwmLinkError, ConnectionError):
-    """The serial port is closed or vanished while open."""
+    """The serial port is closed or vanished."""
 
 
 class PwmTimeoutError(PwmLinkError, TimeoutError):
@@ -66,11 +66,11 @@ class PwmTimeoutError(PwmLinkError, TimeoutError):
 
 
 class PwmCorruptReplyError(PwmLinkError):
-    """An answer whose check sum or content is wrong."""
+    """An answer has a wrong checksum or invalid content."""
 
 
 class PwmStaleReplyError(PwmLinkError):
-    """Answers came, but none to the question asked."""
+    """Answers arrived, but none to this request."""
 
 
 class PwmRejectedError(PwmLinkError):
@@ -94,4 +94,4 @@ class PwmResetError(PwmLinkError):
 
 
 class PwmVersionError(PwmLinkError):
-    """The board speaks another version of the protocol."""
+    """The board has another version of the protocol."""

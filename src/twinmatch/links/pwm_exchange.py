@@ -1,4 +1,4 @@
-"""One request and its reply over a serial port, with repetitions, and an error for each way to fail."""
+"""One request and its reply over a serial port, with retries, and an error for each kind of failure."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Exchange:
     """An open port and the conversation on it.
 
     Raises:
-        PwmPortMissingError, PwmPortBusyError: the port cannot be had.
+        PwmPortMissingError, PwmPortBusyError: the port cannot be opened.
     """
 
     def __init__(self, port: str, settings: LinkSettings) -> None:
         self.port = port
         self.settings = settings
         self._wire: serial.Serial | None = open_port(port, settings.timeout)
-        # A number nobody can guess, so that replies meant for a session before are not taken for ours.
+        # A random number, so that late replies to an earlier session are not taken for ours.
         self._talk = Conversation(secrets.randbelow(SEQUENCES))
 
     @property
@@ -43,11 +43,12 @@ class Exchange:
         return self._wire is not None
 
     def ask(self, verb: Verb, pwm: int = 0) -> Reply:
-        """Send a request and give its reply, repeating it under the same number where that may help.
+        """Send a request and return its reply, with retries under the same sequence number.
 
         Raises:
-            PwmPortLostError: the port is or was lost; it is closed now.
-            PwmTimeoutError, PwmCorruptReplyError, PwmStaleReplyError, PwmRejectedError: no sound reply came.
+            PwmPortLostError: the port was lost; it is closed now.
+            PwmTimeoutError, PwmCorruptReplyError, PwmStaleReplyError, PwmRejectedError: there was no valid
+                reply.
         """
         line = self._talk.ask(verb, pwm)
         for attempt in range(self.settings.retries + 1):
@@ -59,14 +60,14 @@ class Exchange:
         raise self._unanswered(verb)
 
     def close(self) -> None:
-        """Let go of the port, whatever state it is in."""
+        """Release the port, whatever its state."""
         if self._wire is not None:
             with contextlib.suppress(*WIRE_ERRORS):
                 self._wire.close()
         self._wire = None
 
     def _attempt(self, line: bytes) -> Reply | None:
-        """Send a line and wait for its reply; None when none came in time or it was damaged."""
+        """Send a line and wait for its reply; None if none arrived in time or it was damaged."""
         if self._wire is None:
             msg = f"PWM link: {self.port} was lost; reopen() it"
             raise PwmPortLostError(msg)
@@ -79,7 +80,7 @@ class Exchange:
                 if reply is not None:
                     return reply
         except serial.SerialTimeoutException:
-            return None  # the board takes no bytes: as good as no answer
+            return None  # the board accepts no bytes: equivalent to no answer
         except WIRE_ERRORS as error:
             self.close()
             msg = f"PWM link: {self.port} was lost ({error}); check the cable, then reopen()"
@@ -91,14 +92,12 @@ class Exchange:
         what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
         if talk.refused_line is not None:
             code = talk.refused_line.code
-            return PwmRejectedError(
-                f"{what}: our lines reach it damaged ({code.value}); check the cable", code
-            )
+            return PwmRejectedError(f"{what}: requests arrive damaged ({code.value}); check the cable", code)
         if talk.damaged:
-            return PwmCorruptReplyError(f"{what}: {talk.damaged} came damaged; check the cable")
+            return PwmCorruptReplyError(f"{what}: {talk.damaged} arrived damaged; check the cable")
         if talk.stale:
             return PwmStaleReplyError(
-                f"{what}: {talk.stale} came to earlier requests; is the machine overloaded?"
+                f"{what}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
             )
         wait = f"{self.settings.timeout:g} s"
-        return PwmTimeoutError(f"{what} of {wait}; is this the right port, does the board run?")
+        return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")

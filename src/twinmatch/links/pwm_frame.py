@@ -1,7 +1,7 @@
 """Frames of the serial line: `:` payload `*` CRC `\\n`, the CRC as four upper-case hex digits.
 
-A frame is one line of ASCII that a person can read in a serial monitor, and whose damage a machine can
-tell. The firmware's `frame.cpp` keeps the same rules, byte for byte.
+A frame is one line of ASCII: readable in a serial monitor, with damage detected by the CRC. The firmware's
+`frame.cpp` follows the same rules, byte for byte.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _ROOM = MAX_PAYLOAD + _TAIL + 1  # and a '\r', as serial monitors send
 
 
 class Damage(Enum):
-    """A line that began like a frame and is none."""
+    """Why a line that starts like a frame is invalid."""
 
     CHECKSUM = "CRC"
     """Its CRC is wrong or missing."""
@@ -33,10 +33,10 @@ def crc16(payload: bytes) -> int:
 
 
 def seal(payload: str) -> bytes:
-    """Make the line that carries `payload`.
+    """The line that carries `payload`.
 
     Raises:
-        ValueError: the payload is too long, or holds a character that means something to the frame.
+        ValueError: the payload is too long, or contains a reserved character.
     """
     body = payload.encode("ascii")
     if not 1 <= len(body) <= MAX_PAYLOAD or ":" in payload or not payload.isprintable():
@@ -49,8 +49,8 @@ def seal(payload: str) -> bytes:
 class FrameReader:
     """Finds frames in a stream of bytes.
 
-    Whatever stands outside `:` … `\\n` is skipped, and a `:` inside a frame begins it anew, so one lost
-    line end costs one frame.
+    Bytes outside `:` … `\\n` are skipped, and a `:` inside a frame starts a new one, so a lost line end costs
+    one frame.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class FrameReader:
         self._overflow = False
 
     def feed(self, data: bytes) -> list[bytes | Damage]:
-        """Take bytes as they came; give the payloads and damages that they completed, in order."""
+        """Take received bytes; return the payloads and damages they complete, in order."""
         found = []
         for byte in data:
             event = self._take(byte)
@@ -67,7 +67,7 @@ class FrameReader:
         return found
 
     def reset(self) -> None:
-        """Forget a frame that has begun."""
+        """Discard an incomplete frame."""
         self._line = None
 
     def _take(self, byte: int) -> bytes | Damage | None:

@@ -1,8 +1,8 @@
 """The PWM board behind a serial port.
 
-The board trips when it hears no new set-point for its deadline (`Banner.deadline_ms`, one second), so
-whoever holds a `PwmLink` sends the current set-point again a few times each second, changed or not. That is
-the point: a program that hangs or dies stops doing so, and the plate is let go.
+The board trips when it receives no command within its deadline (`Banner.deadline_ms`, one second), so the
+user of a `PwmLink` repeats the current command several times per second, changed or not. This is intended: a
+program that hangs or crashes stops doing so, and the output goes off.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ AMPERES_PER_COUNT = 5.0 / 1024 / 0.525
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """What the board does after a request."""
+    """The state of the output after a request."""
 
     pwm: int
-    """Set-point on the pins, −255 to 255."""
+    """Command on the pins, −255 to 255."""
     current: float
     """Magnitude of the driver's current, A, averaged over the PWM's on and off times."""
     flags: Flags
@@ -59,21 +59,21 @@ class Applied:
 
 
 class PwmLink:
-    """Commands the PWM board at `port`, one request at a time; may be shared by threads.
+    """Commands the PWM board at `port`, one request at a time; thread-safe.
 
-    Used as a context manager it opens on entry and closes, with the output at zero, on exit. After opening
-    the board's output is off and latched: `clear()` it once, then `command()`.
+    As a context manager it opens on entry, and sets zero and closes on exit. After opening, the board's
+    output is off and latched: call `clear()` once, then `command()`.
     """
 
     def __init__(self, port: str, settings: LinkSettings | None = None) -> None:
         self.port = port
         self.settings = settings or LinkSettings()
         self.restarts = 0
-        """Restarts of the board noticed so far."""
+        """Number of detected restarts of the board."""
         self._lock = threading.RLock()
         self._exchange: Exchange | None = None
         self.banner: Banner | None = None
-        """What the board said of itself when it was last greeted."""
+        """The board's banner at the last opening."""
         self._known_restarts: int | None = None
         self._cleared = False
 
@@ -94,11 +94,11 @@ class PwmLink:
         return self._exchange is not None and self._exchange.is_open
 
     def open(self) -> Banner:
-        """Take the port for ourselves alone and greet the board; output goes to zero.
+        """Open the port exclusively and start a session with the board; its output goes to zero.
 
         Raises:
-            PwmPortMissingError, PwmPortBusyError: the port cannot be had.
-            PwmVersionError: the board speaks another protocol; the port is closed again.
+            PwmPortMissingError, PwmPortBusyError: the port cannot be opened.
+            PwmVersionError: the board has another protocol version; the port is closed again.
             PwmLinkError: the board does not answer; the port is closed again.
         """
         with self._lock:
@@ -122,11 +122,11 @@ class PwmLink:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> Banner:
-        """Open the port anew, trying again and again for `patience` seconds, with growing pauses.
+        """Open the port again, with retries for `patience` seconds and growing pauses.
 
         Raises:
-            PwmVersionError: at once, since waiting does not mend it.
-            PwmLinkError: the last attempt's, when patience is over.
+            PwmVersionError: at once, since waiting does not help.
+            PwmLinkError: the error of the last attempt.
         """
         start, pause = clock(), self.settings.first_pause
         while True:
@@ -145,12 +145,12 @@ class PwmLink:
 
         Raises:
             PwmRangeError: not finite or out of range; nothing was sent.
-            PwmLatchedError: the board has tripped; clear() it when the cause is known.
+            PwmLatchedError: the board has tripped; clear() it once the cause is known.
             PwmResetError: the board restarted since it was cleared.
-            PwmLinkError: any other failure of the link; see its tree.
+            PwmLinkError: any other failure of the link; see `pwm_errors`.
         """
         if not (math.isfinite(pwm) and abs(pwm) <= PWM_LIMIT):
-            msg = f"PWM link: {pwm} is no set-point; give a number from -{PWM_LIMIT:g} to {PWM_LIMIT:g}"
+            msg = f"PWM link: the command is {pwm}; give a number from -{PWM_LIMIT:g} to {PWM_LIMIT:g}"
             raise PwmRangeError(msg)
         with self._lock:
             reply = self._ask(Verb.SET, round(pwm))
@@ -161,11 +161,11 @@ class PwmLink:
             return _applied(status)
 
     def query(self) -> Applied:
-        """Ask what the board does; does not feed its deadline.
+        """Query the state of the output; does not satisfy the board's deadline.
 
         Raises:
             PwmResetError: the board restarted since it was cleared.
-            PwmLinkError: any other failure of the link; see its tree.
+            PwmLinkError: any other failure of the link; see `pwm_errors`.
         """
         with self._lock:
             status = self._status(Verb.QUERY)
@@ -173,10 +173,10 @@ class PwmLink:
             return _applied(status)
 
     def clear(self) -> Applied:
-        """Let go of what tripped the board; its output is zero until the next command.
+        """Clear a trip of the board; its output is zero until the next command.
 
         Raises:
-            PwmLinkError: the link failed; see its tree.
+            PwmLinkError: the link failed; see `pwm_errors`.
         """
         with self._lock:
             status = self._status(Verb.CLEAR)
@@ -184,7 +184,7 @@ class PwmLink:
             return _applied(status)
 
     def close(self) -> None:
-        """Set the output to zero, if the board still listens, and let go of the port. Never fails."""
+        """Set the output to zero, if the board still answers, and release the port. Never raises."""
         with self._lock:
             if self.is_open:
                 with contextlib.suppress(PwmLinkError):
@@ -197,7 +197,7 @@ class PwmLink:
             raise self._refused(reply)
         if not isinstance(reply, Banner) or reply.protocol != PROTOCOL:
             msg = (
-                f"PWM link: the board at {self.port} answers {reply} and so speaks another protocol than "
+                f"PWM link: the board at {self.port} answers {reply}, which is not protocol version "
                 f"{PROTOCOL}; load the firmware of this version"
             )
             raise PwmVersionError(msg)
@@ -225,12 +225,12 @@ class PwmLink:
     def _tripped(self, flags: Flags) -> NoReturn:
         self._notice_reset(flags)
         causes = {
-            Flags.DEADLINE: "it heard no new set-point in time",
-            Flags.DRIVER: "the motor driver reported a fault (short circuit, heat, supply)",
+            Flags.DEADLINE: "it received no command in time",
+            Flags.DRIVER: "the motor driver reported a fault (short circuit, over-temperature, supply)",
             Flags.RESET: "it has just started",
         }
         cause = " and ".join(text for flag, text in causes.items() if flags & flag)
-        msg = f"PWM link: the board at {self.port} is off because {cause}; clear() it when that is understood"
+        msg = f"PWM link: the board at {self.port} is off because {cause}; find the cause, then clear() it"
         raise PwmLatchedError(msg, Code.LATCHED, flags)
 
     def _notice_reset(self, flags: Flags) -> None:
@@ -238,7 +238,7 @@ class PwmLink:
             self._cleared = False
             self._known_restarts = None  # this restart is counted
             self.restarts += 1
-            msg = f"PWM link: the board at {self.port} restarted and is off; find out why, then clear() it"
+            msg = f"PWM link: the board at {self.port} restarted and is off; find the cause, then clear() it"
             raise PwmResetError(msg)
 
     def _drop(self) -> None:

@@ -1,14 +1,13 @@
-"""Requests to the PWM board and its replies, each with one spelling only.
+"""Requests to the PWM board and its replies, each with exactly one spelling.
 
 | request | reply |
 |---|---|
-| `H seq` begins a session, output to zero | `B seq firmware protocol mcusr deadline_ms restarts` |
+| `H seq` starts a session, output to zero | `B seq firmware protocol mcusr deadline_ms restarts` |
 | `P seq pwm` sets the output | `S seq time_ms applied adc flags` |
-| `Q seq` asks | `S …` |
-| `C seq` clears what tripped | `S …` |
+| `Q seq` queries the state | `S …` |
+| `C seq` clears a trip | `S …` |
 
-Whatever cannot be done is answered by `E seq code`, with `-` for seq where the request was too damaged
-to hold one.
+The reply to a refused request is `E seq code`, with `-` for seq if the request was too damaged to read it.
 """
 
 from __future__ import annotations
@@ -35,13 +34,13 @@ __all__ = [
 ]
 
 PROTOCOL = 1
-"""Version of the protocol; the board says its own in the banner."""
+"""Version of the protocol; the board reports its own in the banner."""
 
 PWM_LIMIT = 255.0
-"""Largest magnitude of a set-point; its sign is the direction, positive heats the plate."""
+"""Largest magnitude of a command; its sign is the direction, positive heats the plate."""
 
 SEQUENCES = 65536
-"""Sequence numbers count 0 to 65535 and begin again."""
+"""Sequence numbers run from 0 to 65535 and wrap."""
 
 _NUMBER = r"(0|[1-9]\d*)"
 _SIGNED = r"(0|-?[1-9]\d{0,4})"
@@ -49,13 +48,13 @@ _ANY_REQUEST = re.compile(rf"(.) {_NUMBER}(?: .*)?", re.ASCII)
 _SET = re.compile(rf"P {_NUMBER} {_SIGNED}", re.ASCII)
 _PLAIN = re.compile(rf"[HQC] {_NUMBER}", re.ASCII)
 _BANNER = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER}", re.ASCII)
-_FOREIGN = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER}(?: .*)?", re.ASCII)  # this much holds for every version
+_FOREIGN = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER}(?: .*)?", re.ASCII)  # common to all versions
 _STATUS = re.compile(rf"S {_NUMBER} {_NUMBER} {_SIGNED} {_NUMBER} {_NUMBER}", re.ASCII)
 _REFUSAL = re.compile(rf"E (-|{_NUMBER}) ([A-Z_]+)", re.ASCII)
 
 
 class Verb(Enum):
-    """What a host may ask."""
+    """Requests of the host."""
 
     HELLO = "H"
     SET = "P"
@@ -64,7 +63,7 @@ class Verb(Enum):
 
 
 class Code(Enum):
-    """Why the board refuses."""
+    """Reasons of a refusal."""
 
     CRC = "CRC"
     SYNTAX = "SYNTAX"
@@ -81,15 +80,15 @@ class Flags(IntFlag):
     ENABLED = 0x01
     """The driver is enabled."""
     TRIPPED = 0x02
-    """The output is off until it is cleared; one of the next three says why."""
+    """The output is off until it is cleared; one of the next three is the cause."""
     DEADLINE = 0x04
-    """The host fell silent."""
+    """No command within the deadline."""
     DRIVER = 0x08
     """The driver reported a fault."""
     RESET = 0x10
-    """The board started since it was last cleared."""
+    """The board restarted since it was last cleared."""
     DUPLICATE = 0x20
-    """The request repeats one answered before; it had no effect now."""
+    """The request repeats one already answered; it had no effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,15 +107,15 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """What the board says of itself."""
+    """The board's description of itself."""
 
     sequence: int
     firmware: str
     protocol: int
     reset_flags: int
-    """The MCUSR register at start; 0 where a boot loader has cleared it."""
+    """The MCUSR register at start; 0 if a boot loader has cleared it."""
     deadline_ms: int
-    """The output trips after this time without a new set-point."""
+    """Time without a command after which the output trips."""
     restarts: int
     """Starts since power-up, modulo 65536."""
 
@@ -130,13 +129,13 @@ class Banner:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The output as the board sees it."""
+    """The board's report of its output."""
 
     sequence: int
     time_ms: int
     """Milliseconds since the board started, modulo 2³²."""
     applied: int
-    """What the pins do, −255 to 255."""
+    """PWM on the pins, −255 to 255."""
     adc: int
     """Current feedback, 0 to 1023 counts."""
     flags: Flags
@@ -148,7 +147,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A request that had no effect. `sequence` is None where the request was too damaged to hold one."""
+    """A refused request. `sequence` is None if the request was too damaged to read it."""
 
     sequence: int | None
     code: Code
@@ -167,7 +166,7 @@ def is_newer(sequence: int, last: int) -> bool:
 
 
 def parse_request(payload: bytes) -> Request | Refusal:
-    """Read a request as the board does; a refusal says what the board answers instead."""
+    """Parse a request as the board does; a refusal is what the board would answer."""
     text = payload.decode("latin-1")
     outline = _ANY_REQUEST.fullmatch(text)
     if outline is None or int(outline[2]) >= SEQUENCES:
@@ -185,9 +184,9 @@ def parse_request(payload: bytes) -> Request | Refusal:
 
 
 def parse_reply(payload: bytes) -> Reply | None:
-    """Read a reply of the board; None for anything that is not exactly one.
+    """Parse a reply of the board; None if it is not exactly one valid reply.
 
-    Of the banner of another protocol only firmware and protocol are read.
+    From a banner of another protocol version, only firmware and protocol are read.
     """
     text = payload.decode("latin-1")
     if match := _STATUS.fullmatch(text):

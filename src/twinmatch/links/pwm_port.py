@@ -1,4 +1,4 @@
-"""The serial port under a PWM link: how it is opened, and what it raises."""
+"""The serial port of a PWM link: opening it, and the errors it raises."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from twinmatch.links.pwm_errors import PwmPortBusyError, PwmPortMissingError, Pw
 __all__ = ["BAUD_RATE", "WIRE_ERRORS", "LinkSettings", "open_port"]
 
 BAUD_RATE = 115_200
-"""USB ignores it, except for 1200, which sends a Leonardo into its boot loader. Hence no choice here."""
+"""Not configurable: USB ignores it, except for 1200, which starts the boot loader of a Leonardo."""
 
 WIRE_ERRORS = (OSError, termios.error)
-"""What pyserial lets through when a port vanishes; its own SerialException is an OSError."""
+"""Errors raised by pyserial when a port vanishes; its own SerialException is an OSError."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """Patience of a link.
+    """Timeouts and retries of a link.
 
     Raises:
         PwmRangeError: a time is not positive, or `retries` is negative.
     """
 
     timeout: float = 0.2
-    """Wait for one reply, s. With the retries it has to stay below the board's deadline."""
+    """Longest wait for a reply, s. With all retries it must stay below the board's deadline."""
     retries: int = 2
-    """Repetitions of a request whose reply stays out."""
+    """Retries of an unanswered request."""
     first_pause: float = 0.1
-    """Wait before the second attempt to reopen a lost port, s; doubled each time."""
+    """Pause before the second attempt to reopen a lost port, s; doubled each time."""
     longest_pause: float = 2.0
-    """Longest wait between two such attempts, s."""
+    """Longest pause between two such attempts, s."""
 
     def __post_init__(self) -> None:
         for name in ("timeout", "first_pause", "longest_pause"):
@@ -49,9 +49,9 @@ class LinkSettings:
 
 
 def open_port(port: str, timeout: float) -> serial.Serial:
-    """Open a port for ourselves alone, with nothing in its input.
+    """Open a port exclusively, with an empty input buffer.
 
-    pyserial raises DTR and RTS by itself, and bears with ports that have none, as pseudo-terminals do.
+    pyserial raises DTR and RTS, and tolerates ports without them, such as pseudo-terminals.
 
     Raises:
         PwmPortBusyError: another program holds it.
@@ -64,7 +64,7 @@ def open_port(port: str, timeout: float) -> serial.Serial:
         if _is_busy(error):
             msg = f"PWM link: another program holds {port}; end it first"
             raise PwmPortBusyError(msg) from error
-        msg = f"PWM link: {port} cannot be opened ({error}); is the board plugged in, may you use the port?"
+        msg = f"PWM link: {port} cannot be opened ({error}); check the cable and your access to the port"
         raise PwmPortMissingError(msg) from error
     return wire
 

@@ -1,8 +1,8 @@
-"""The host's half of the conversation, without a wire and without a clock.
+"""The host side of the protocol, without a port and without a clock.
 
-One request is outstanding at a time. Replies are told apart by their sequence number: one to an earlier
-request is counted and dropped, a damaged one marks the request as spoiled, so that whoever holds the wire
-may repeat it at once instead of waiting.
+One request is outstanding at a time. Replies are matched by their sequence number: a reply to an earlier
+request is counted and dropped; a damaged one marks the request as spoiled, so that the caller can repeat it
+at once instead of waiting.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ __all__ = ["Conversation"]
 
 
 class Conversation:
-    """Numbers requests and picks their replies out of what comes back.
+    """Numbers requests and finds their replies in the received bytes.
 
-    `first` is the sequence number of the first request; a fresh one for every session keeps replies that
-    were meant for the session before from being taken for new ones.
+    `first` is the sequence number of the first request. A random one for every session prevents late replies
+    to an earlier session from being accepted.
     """
 
     def __init__(self, first: int = 0) -> None:
@@ -34,31 +34,31 @@ class Conversation:
         self._next = first % SEQUENCES
         self._request: Request | None = None
         self.damaged = 0
-        """Damaged or unfitting replies since this request was asked."""
+        """Damaged or mismatched replies since this request was sent."""
         self.stale = 0
-        """Replies to earlier requests since this one was asked."""
+        """Replies to earlier requests since this one was sent."""
         self.spoiled = False
-        """Whether waiting longer is useless: the line or its answer was damaged on the way."""
+        """Whether waiting longer is useless because the request or its reply was damaged."""
         self.refused_line: Refusal | None = None
-        """The board's word that it could not read our line, since this one was last sent."""
+        """The board's report that it could not read the request, since this was last sent."""
 
     @property
     def outstanding(self) -> Request | None:
-        """The request that waits for its reply."""
+        """The request without a reply yet."""
         return self._request
 
     def ask(self, verb: Verb, pwm: int = 0) -> bytes:
-        """Begin a new request, giving up the outstanding one; the bytes to send."""
+        """Start a new request and abandon the outstanding one; returns the bytes to send."""
         self._request = Request(verb, self._next, pwm)
         self._next = (self._next + 1) % SEQUENCES
         self.damaged = self.stale = 0
         return self.repeat()
 
     def repeat(self) -> bytes:
-        """The bytes of the outstanding request once more, under the same number.
+        """The bytes of the outstanding request again, under the same number.
 
         Raises:
-            ValueError: there is none.
+            ValueError: no request is outstanding.
         """
         if self._request is None:
             raise ValueError("conversation: no request is outstanding; ask() first")
@@ -67,7 +67,7 @@ class Conversation:
         return seal(str(self._request))
 
     def hear(self, data: bytes) -> Reply | None:
-        """Take bytes as they came; the reply to the outstanding request once it is there."""
+        """Take received bytes; returns the reply to the outstanding request once it is complete."""
         answer = None
         for event in self._reader.feed(data):
             answer = self._judge(event) or answer

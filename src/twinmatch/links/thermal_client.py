@@ -1,8 +1,8 @@
-"""The reader of a thermal stream: one thread that connects, reconnects and keeps the newest frame.
+"""The client of a thermal stream: one thread that connects, reconnects and keeps the newest frame.
 
-Nothing here makes its caller wait, except `wait`, which is asked to. A frame is replaced by the next
-one whether anybody looked or not, so a slow consumer sees gaps, never old images. Whatever is wrong with
-the stream ends the connection; the thread then waits, longer each time, and connects again.
+Only `wait` blocks its caller. Each frame replaces the one before, read or not, so a slow consumer sees gaps
+but never old images. Any error in the stream ends the connection; the thread then pauses, longer each time,
+and reconnects.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _RECEIVE_BUFFER = 32_768
 
 
 class ThermalClient:
-    """Receives the stream of one camera server in a thread of its own.
+    """Receives the stream of one camera server in its own thread.
 
     Use as a context manager, or call `start` and `close`. `newest` and `status` never block.
     """
@@ -54,7 +54,7 @@ class ThermalClient:
         self._mapper = StampMapper()
 
     def start(self) -> ThermalClient:
-        """Start the reader thread; returns at once, whether or not a server is there."""
+        """Start the reader thread; returns at once, even if there is no server."""
         self._thread.start()
         return self
 
@@ -81,15 +81,15 @@ class ThermalClient:
         return self._status
 
     def newest(self) -> Received | None:
-        """The last frame received, or None before the first. Look at its `age` before trusting it."""
+        """The last frame received, or None before the first. Check its `age` before using it."""
         return self._newest
 
     def news(self) -> Received | None:
-        """The last frame that was news, or None before the first. Its `age` grows while nothing new comes."""
+        """The last frame with a new image, or None before the first. Its `age` grows until the next one."""
         return self._news
 
     def wait(self, after: int = 0, timeout: float = 1.0) -> Received | None:
-        """The newest frame once its number exceeds `after`; None if none comes within `timeout` seconds."""
+        """The newest frame once its number exceeds `after`; None if there is none within `timeout` (s)."""
 
         def ready() -> bool:
             newest = self._newest
@@ -124,7 +124,7 @@ class ThermalClient:
         )
 
     def _stream(self) -> None:
-        """One connection, from the attempt to its end, which is always an error."""
+        """Run one connection until it ends, which is always with an error."""
         self._status = replace(self._status, state=LinkState.CONNECTING)
         host, port = self.address
         try:
@@ -178,7 +178,7 @@ class ThermalClient:
 
 
 class _Reader:
-    """Exact reads from a socket, with one deadline for a whole frame however it trickles in."""
+    """Exact reads from a socket, with one deadline for a whole frame."""
 
     def __init__(self, connection: socket.socket, name: str, timeout: float) -> None:
         self._connection = connection
@@ -207,7 +207,7 @@ class _Reader:
             self._connection.settimeout(remaining)
             piece = self._connection.recv(_RECEIVE_BUFFER)
         except TimeoutError as error:
-            msg = f"{self._name}: no whole frame within {self._timeout} s; camera or network hangs"
+            msg = f"{self._name}: no complete frame within {self._timeout} s; check camera and network"
             raise ThermalStallError(msg) from error
         except OSError as error:
             raise ThermalEndError(f"{self._name}: connection lost ({error})") from error
@@ -220,4 +220,4 @@ def _shut(connection: socket.socket) -> None:
     try:
         connection.shutdown(socket.SHUT_RDWR)
     except OSError:
-        return  # already gone, which is what was wanted
+        return  # already closed, as intended

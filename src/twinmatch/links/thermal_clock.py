@@ -1,11 +1,11 @@
-"""When was a frame taken, on our clock, if the camera's computer only knows its own?
+"""Convert a frame's stamp from the clock of the camera's computer to ours.
 
-The stamps in the stream are of the server's monotonic clock. The difference between our time of
-receipt and such a stamp is the clocks' offset plus the frame's transit. Transit is never negative, so
-the smallest difference lately seen is the offset plus the shortest transit. Stamps mapped with it are
-late by that shortest transit, about a millisecond on a quiet network, and never early; on one computer,
-where the offset is zero, that can be checked. The memory is short, so that crystals that drift apart by
-50 ppm cost milliseconds at most.
+Stamps in the stream are of the server's monotonic clock. The difference between our time of receipt and a
+stamp is the offset of the clocks plus the transit time of the frame. Transit times are never negative, so the
+smallest recent difference is the offset plus the shortest transit time. Stamps converted with it are late by
+that shortest transit time, about a millisecond on a quiet network, and never early; on a single computer,
+where the offset is zero, this can be checked. The memory is short, so that a relative clock drift of 50 ppm
+costs milliseconds at most.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from __future__ import annotations
 __all__ = ["CLOCK_MEMORY", "StampMapper"]
 
 CLOCK_MEMORY = 30_000_000_000
-"""Length of a stretch whose smallest difference is kept, ns; the last two stretches count."""
+"""Length of the intervals for which the smallest difference is kept, ns; the last two intervals count."""
 
 
 class StampMapper:
-    """Maps stamps of a server's clock to ours. One per run of a server."""
+    """Maps stamps of a server's clock to ours; one object per run of a server."""
 
     def __init__(self, memory: int = CLOCK_MEMORY) -> None:
         self._memory = memory

@@ -1,9 +1,8 @@
 """The wire format of thermal frames: one CBOR map per frame, frame after frame (RFC 8742).
 
 The image is a typed array of RFC 8746 (tag 40 with the shape around tag 69, little-endian uint16).
-CBOR carries no checksum, so the last entry of the map is one: `crc` holds the CRC-32 (as in zlib) of
-every byte of the item in front of its own four, big-endian. The format is told in full, with an
-example, in docs/rig/camera.md.
+CBOR has no checksum, so the last entry of the map is one: `crc` is the CRC-32 (as in zlib) of all bytes of
+the item before its own four, big-endian. docs/rig/camera.md specifies the format, with an example.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ def decode_frame(data: bytes) -> ThermalFrame:
     """The frame in `data`, which must be one CBOR item and nothing after it.
 
     Raises:
-        FrameError: one of its kinds, see `twinmatch.links.thermal_errors`.
+        FrameError: one of its subclasses, see `twinmatch.links.thermal_errors`.
     """
     position = 0
 
@@ -100,19 +99,19 @@ def decode_frame(data: bytes) -> ThermalFrame:
 
 
 def read_frame(read: Callable[[int], bytes], limit: int = MAX_FRAME_BYTES) -> ThermalFrame:
-    """Read one frame from a stream and not a byte more.
+    """Read exactly one frame from a stream.
 
     Args:
-        read: gives exactly the number of bytes asked for, or raises; what it raises passes through.
-        limit: most bytes a frame may have. The stream is not read past it.
+        read: returns exactly the requested number of bytes, or raises; its exceptions are passed on.
+        limit: most bytes of a frame. The stream is not read past it.
 
     Raises:
-        FrameError: one of its kinds. The stream has then lost its place and must be closed.
+        FrameError: one of its subclasses. The stream is then out of step and must be closed.
     """
     tap = _Tap(read, limit)
     try:
         value = cbor2.load(cast(IO[bytes], tap))
-    except Exception as error:  # whatever a CBOR library makes of hostile bytes is the same to us
+    except Exception as error:  # a CBOR library may raise anything on hostile bytes
         # Some releases of cbor2 recurse per level of nesting, and the limit may strike within our read.
         if tap.failure is not None and not isinstance(tap.failure, RecursionError):
             raise tap.failure from None
@@ -122,9 +121,9 @@ def read_frame(read: Callable[[int], bytes], limit: int = MAX_FRAME_BYTES) -> Th
 
 
 class _Tap:
-    """A file for the CBOR decoder that remembers what was read and stops at the cap.
+    """A file for the CBOR decoder that keeps the bytes read and stops at the limit.
 
-    It cannot seek, and says so: only then does cbor2 refrain from reading ahead into the next frame.
+    It reports that it cannot seek, because only then does cbor2 not read ahead into the next frame.
     """
 
     def __init__(self, read: Callable[[int], bytes], limit: int) -> None:
@@ -142,7 +141,7 @@ class _Tap:
     def read(self, count: int) -> bytes:
         try:
             if len(self.taken) + count > self._limit:
-                msg = f"thermal frame: it announces more than the {self._limit} bytes a frame may have"
+                msg = f"thermal frame: longer than the {self._limit} bytes that a frame may have"
                 raise FrameTooLongError(msg)
             piece = self._read(count)
         except Exception as error:
@@ -154,7 +153,7 @@ class _Tap:
 
 def _frame(value: object, raw: bytes) -> ThermalFrame:
     if not isinstance(value, dict):
-        msg = f"thermal frame: a CBOR {type(value).__name__} where a map must be"
+        msg = f"thermal frame: a CBOR {type(value).__name__} instead of a map"
         raise FrameSyntaxError(msg)
     version = value.get("v")
     if type(version) is int and version != WIRE_VERSION:
@@ -193,7 +192,7 @@ def _check_crc(crc: object, raw: bytes) -> None:
         raise FrameFieldError(msg)
     computed = zlib.crc32(body).to_bytes(_CRC_LENGTH, "big")
     if computed != tail:
-        msg = f"thermal frame: checksum {tail.hex()} but {computed.hex()} computed; it changed on its way"
+        msg = f"thermal frame: checksum {tail.hex()} but {computed.hex()} computed; the bytes were corrupted"
         raise FrameChecksumError(msg)
 
 
@@ -203,7 +202,7 @@ def _image(value: object) -> CountArray:
         case cbor2.CBORTag(tag=40, value=[[int() as rows, int() as columns], cbor2.CBORTag(tag=69) as array]):
             pixels = array.value
         case _:
-            msg = "thermal frame: img is no two-dimensional RFC 8746 array of little-endian uint16"
+            msg = "thermal frame: img is not a two-dimensional RFC 8746 array of little-endian uint16"
             raise FrameFieldError(msg)
     if not isinstance(pixels, bytes) or not (0 < rows <= MAX_SIDE and 0 < columns <= MAX_SIDE):
         msg = f"thermal frame: img has shape {rows} by {columns}; each side must be 1 to {MAX_SIDE}"

@@ -1,16 +1,16 @@
-"""What can go wrong between a thermal camera's server and us, one class per remedy.
+"""Errors of the link to a thermal camera's server, one class per remedy.
 
-ThermalLinkError              the stream is not usable right now; the client reconnects by itself
-├── ThermalConnectError       nobody answers at the address: is the server running, is the port right
-├── ThermalStallError         connected, but no whole frame in time: camera or network hangs
+ThermalLinkError              the stream is not usable right now; the client reconnects automatically
+├── ThermalConnectError       no server at the address: is it running, is the port right
+├── ThermalStallError         connected, but no complete frame in time: camera or network hangs
 ├── ThermalEndError           the server closed the connection, perhaps in the middle of a frame
-├── ThermalOrderError         the frames of one server go backwards: two programs on one port
-└── FrameError                the bytes are no frame of ours
+├── ThermalOrderError         the frames of one server are out of order: two programs on one port
+└── FrameError                the bytes are not a valid frame
     ├── FrameSyntaxError      not CBOR, or not one map
-    ├── FrameTooLongError     longer than the agreed cap
+    ├── FrameTooLongError     longer than the limit
     ├── FrameVersionError     a frame of another version of the format
     ├── FrameFieldError       a field is missing, surplus, of the wrong type or out of range
-    └── FrameChecksumError    the bytes changed on their way
+    └── FrameChecksumError    the bytes were corrupted in transit
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class ThermalConnectError(ThermalLinkError):
 
 
 class ThermalStallError(ThermalLinkError):
-    """The connection stands, but no whole frame came in time."""
+    """The connection is up, but no complete frame arrived in time."""
 
 
 class ThermalEndError(ThermalLinkError):
@@ -49,28 +49,28 @@ class ThermalEndError(ThermalLinkError):
 
 
 class ThermalOrderError(ThermalLinkError):
-    """A frame's sequence number does not follow the one before."""
+    """A frame's sequence number is not above that of the frame before."""
 
 
 class FrameError(ThermalLinkError):
-    """Bytes that are no thermal frame."""
+    """Bytes are not a thermal frame."""
 
 
 class FrameSyntaxError(FrameError):
-    """Bytes that are not one CBOR map."""
+    """Bytes are not one CBOR map."""
 
 
 class FrameTooLongError(FrameError):
-    """A frame longer than the cap on a message."""
+    """A frame is longer than the limit."""
 
 
 class FrameVersionError(FrameError):
-    """A frame of another version of the wire format."""
+    """A frame has another version of the wire format."""
 
 
 class FrameFieldError(FrameError):
-    """A field that is missing, surplus, of the wrong type or out of range."""
+    """A field is missing, surplus, of the wrong type or out of range."""
 
 
 class FrameChecksumError(FrameError):
-    """The checksum does not fit the bytes in front of it."""
+    """The checksum does not match the bytes before it."""

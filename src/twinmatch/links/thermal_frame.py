@@ -1,8 +1,7 @@
-"""Thermal frames: an image in counts of temperature, and what the camera said while taking it.
+"""Thermal frames: an image in temperature counts, and the camera's state while taking it.
 
-An `Exposure` is what a camera yields; a `ThermalFrame` is an exposure that a server has numbered.
-This module and the codec next to it import nothing but numpy and cbor2, because the program on the
-Raspberry Pi uses them too.
+A camera yields an `Exposure`; a `ThermalFrame` is an exposure that a server has numbered. This module and the
+codec import nothing but numpy and cbor2, because the program on the Raspberry Pi uses them too.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ MAX_SIDE = 1024
 """Most rows or columns an image may have."""
 
 BOOT_ID_LENGTH = 16
-"""Bytes that name one run of a server."""
+"""Length of the identifier of a server's run, bytes."""
 
 
 class FlatField(IntEnum):
@@ -53,21 +52,21 @@ class FlatField(IntEnum):
 
 
 class FrameFlags(IntFlag):
-    """What else a reader must know about a frame."""
+    """Further properties of a frame."""
 
     NONE = 0
     FLAT_FIELD_DESIRED = 1
-    """The camera asks for a flat-field correction."""
+    """The camera requests a flat-field correction."""
     GAIN_CONTROL = 2
     """Automatic gain control is on: counts are a picture, not temperatures."""
     SHUTTER_LOCKED = 4
-    """Too hot or too cold for the shutter; no flat-field correction can be made."""
+    """Too hot or too cold for the shutter; no flat-field correction is possible."""
     OVERHEATING = 8
-    """The camera switches itself off within ten seconds."""
+    """The camera will switch itself off within ten seconds."""
     NOT_RADIOMETRIC = 16
     """Counts are not linear in temperature."""
     EMULATED = 32
-    """No camera took this image."""
+    """The image is from an emulator."""
     RECORDED = 64
     """Played from a file."""
 
@@ -83,19 +82,19 @@ class Exposure:
     image: CountArray
     """Counts, shape (rows, columns); made read-only. Absolute temperature is count times resolution."""
     stamp: int
-    """Monotonic clock of the computer at the camera when the image was complete, ns.
+    """Time when the image was complete, on the monotonic clock of the camera's computer, ns.
 
     Comparable only between frames of one boot id."""
     resolution: float
     """Kelvin per count."""
     frame_counter: int
-    """The camera's own count of images, 32 bits; a frame that repeats it shows nothing new."""
+    """The camera's own count of images, 32 bits; a frame with the same count is a repetition."""
     flat_field: FlatField | None = None
-    """State of the flat-field correction; None where the camera does not tell."""
+    """State of the flat-field correction; None if the camera does not report it."""
     flat_field_age: int | None = None
-    """Milliseconds since the last flat-field correction; None where unknown or never made."""
+    """Time since the last flat-field correction, ms; None if unknown or never made."""
     sensor_temperature: int | None = None
-    """Temperature of the focal plane array, hundredths of a kelvin; None where unknown."""
+    """Temperature of the focal plane array, hundredths of a kelvin; None if unknown."""
     flags: FrameFlags = FrameFlags.NONE
 
     def __post_init__(self) -> None:
@@ -118,7 +117,7 @@ class Exposure:
 
     @property
     def frozen(self) -> bool:
-        """Whether the shutter was closed, so that the image is a repeated or a meaningless one."""
+        """Whether the shutter was closed, so that the image is repeated or meaningless."""
         return self.flat_field is FlatField.RUNNING
 
     @property
@@ -134,7 +133,7 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ThermalFrame(Exposure):
-    """An exposure with its place in the stream of one run of one server.
+    """An exposure with its place in the stream of one run of a server.
 
     Raises:
         FrameFieldError: a field is of the wrong type or out of range.
@@ -143,7 +142,7 @@ class ThermalFrame(Exposure):
     sequence: int
     """Count of frames since the server started."""
     boot_id: bytes
-    """Names the run of the server; a new one means that every counter and clock began again."""
+    """Identifies the run of the server; a new one means that all counters and clocks restarted."""
 
     def __post_init__(self) -> None:
         Exposure.__post_init__(self)  # super() without arguments does not find its class under slots

@@ -1,4 +1,4 @@
-"""From counts to degrees: what a thermal frame says about a rectangle of the scene."""
+"""Temperatures of a rectangle of a thermal frame, from its counts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FULL_COUNT = 65535
 
 
 class RegionError(ThermalLinkError):
-    """A rectangle that a frame cannot answer for: outside of it, empty, or without a valid pixel."""
+    """A rectangle is outside the frame, empty, or without a valid pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Region:
     """A rectangle of pixels.
 
     Raises:
-        RegionError: it starts before the first pixel or holds none.
+        RegionError: it starts before the first pixel, or is empty.
     """
 
     row: int
@@ -40,7 +40,7 @@ class Region:
         if self.row < 0 or self.column < 0 or self.rows < 1 or self.columns < 1:
             msg = (
                 f"region: {self.rows} by {self.columns} pixels from row {self.row}, column {self.column}; "
-                "it must start at 0 or later and hold a pixel"
+                "it must start at 0 or later and contain a pixel"
             )
             raise RegionError(msg)
 
@@ -58,11 +58,11 @@ class RegionStatistics:
     maximum: float
     """°C."""
     pixels: int
-    """Pixels that had a valid count."""
+    """Number of pixels with a valid count."""
 
     @property
     def spread(self) -> float:
-        """Hottest minus coldest pixel, °C: how far the plate is from one temperature."""
+        """Hottest minus coldest pixel, °C: the non-uniformity of the plate."""
         return self.maximum - self.minimum
 
     @property
@@ -78,7 +78,7 @@ def celsius(exposure: Exposure) -> FloatArray:
         RegionError: the camera does not deliver temperatures (see `Exposure.radiometric`).
     """
     if not exposure.radiometric:
-        msg = "region: the camera's counts are no temperatures; switch TLinear on and gain control off"
+        msg = "region: the camera's counts are not temperatures; switch TLinear on and gain control off"
         raise RegionError(msg)
     counts = exposure.image
     degrees = counts * exposure.resolution - KELVIN
@@ -91,7 +91,7 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
 
     Raises:
         RegionError: the rectangle leaves the image, no pixel in it is valid, or the camera's counts
-            are no temperatures.
+            are not temperatures.
     """
     degrees = celsius(exposure)
     if roi is not None:
@@ -105,7 +105,7 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
         degrees = degrees[roi.row : roi.row + roi.rows, roi.column : roi.column + roi.columns]
     valid = degrees[np.isfinite(degrees)]
     if not valid.size:
-        msg = "region: every pixel is below or above the camera's range"
+        msg = "region: every pixel is outside the camera's range; point the camera at the plate"
         raise RegionError(msg)
     return RegionStatistics(
         mean=float(valid.mean()),

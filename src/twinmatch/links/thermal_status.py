@@ -1,4 +1,4 @@
-"""What a thermal client is told, and what it tells: settings, received frames, the state of the link."""
+"""Settings of a thermal client, the frames it receives, and the state of its link."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["ClientSettings", "LinkState", "LinkStatus", "Received", "back_off"]
 
 @dataclass(frozen=True, slots=True)
 class ClientSettings:
-    """Times in seconds and the cap on a frame in bytes.
+    """Times in seconds, and the limit on a frame in bytes.
 
     Raises:
         ThermalLinkError: a value is not positive, or the longest wait is shorter than the first.
@@ -25,9 +25,9 @@ class ClientSettings:
 
     connect_timeout: float = 2.0
     stall_timeout: float = 2.0
-    """A connection without a whole new message for this long is given up."""
+    """Time without a complete message after which a connection is dropped."""
     first_wait: float = 0.1
-    """Pause before the first new attempt; doubles with each attempt in a row that yields no frame."""
+    """Pause before the first retry; doubles with each further attempt that yields no frame."""
     longest_wait: float = 5.0
     frame_limit: int = MAX_FRAME_BYTES
 
@@ -44,12 +44,12 @@ class ClientSettings:
 
 
 def back_off(failures: int, settings: ClientSettings = ClientSettings()) -> float:
-    """Seconds to wait after this many failures in a row (1, 2, …): doubling, capped, without chance."""
+    """Time to wait after this many failures in a row (1, 2, …), s: doubling, capped, without jitter."""
     return float(min(settings.first_wait * 2.0 ** min(failures - 1, 60), settings.longest_wait))
 
 
 class LinkState(Enum):
-    """What the reader thread is doing."""
+    """State of the reader thread."""
 
     IDLE = "idle"
     CONNECTING = "connecting"
@@ -61,7 +61,7 @@ class LinkState(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Received:
-    """A frame and when it came."""
+    """A frame and its times."""
 
     frame: ThermalFrame
     number: int
@@ -71,12 +71,12 @@ class Received:
     received_realtime: int
     """Our wall clock at the same moment, ns since 1970."""
     taken: int
-    """Our monotonic clock when the image was taken, ns: exact but for the shortest transit."""
+    """Our monotonic clock when the image was taken, ns: exact except for the shortest transit time."""
     news: bool
-    """Whether the image is a new one: shutter open, and the camera's frame counter has moved."""
+    """Whether the image is new: the shutter is open, and the camera's frame counter has advanced."""
 
     def age(self, now: int | None = None) -> float:
-        """Seconds since the image was taken, now or at `now` (our monotonic clock, ns)."""
+        """Time since the image was taken, s, at `now` (ns, our monotonic clock; default: the present)."""
         return ((time.monotonic_ns() if now is None else now) - self.taken) / 1e9
 
 
@@ -88,13 +88,13 @@ class LinkStatus:
     connections: int = 0
     frames: int = 0
     frozen: int = 0
-    """Frames that were no news."""
+    """Frames without a new image."""
     missed: int = 0
-    """Frames the server numbered but did not send us, because we or the network were slow."""
+    """Frames that the server did not send because this client or the network was slow."""
     restarts: int = 0
     """Changes of the server's boot id."""
     failures: int = 0
-    """Attempts in a row that have yielded no frame."""
+    """Consecutive attempts without a frame."""
     errors: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    """Failed attempts and lost connections by the name of their error's class."""
+    """Failed attempts and lost connections, by class name of the error."""
     last_error: ThermalLinkError | None = None

@@ -1,10 +1,10 @@
-"""Thin ROS 2 nodes: parameters, topics and diagnostics around the rooms below; no mathematics here.
+"""Thin ROS 2 nodes: parameters, topics and diagnostics around the packages below; no mathematics here.
 
-`network` binds everything to this machine before ROS starts, `runner` starts nodes and ends them, and
-`node` is what all of them are. A node's subscriptions only put messages into the queue of its `worker`,
-one thread that calls the synchronous object of the core and publishes what comes out. `parameters` (and
-the tables of the nodes) need no ROS, so that an offline replay reads the same files; so nothing of it is
-imported here, and `middleware` only waits for somebody who does.
+`network` binds everything to this machine before ROS starts, `runner` starts and ends nodes, and `node` is
+their base class. A node's subscriptions only put messages into the queue of its `worker`, a thread that
+calls the synchronous object of the core and publishes the results. `parameters` and the nodes' tables need
+no ROS, so that an offline replay reads the same files. For that reason ROS is not imported here, and
+`middleware` only hooks into a later import.
 """
 
 import sys

@@ -27,17 +27,17 @@ from twinmatch.signals import KELVIN
 __all__ = ["CameraBridge", "main"]
 
 PATIENCE = 0.2
-"""Seconds the thread waits for a frame before it looks whether it is to end."""
+"""Longest wait of the thread for a frame before it checks whether it should end, s."""
 
 SAME_CLOCK = 60_000_000_000
-"""Stamps of a simulated camera that are as near to simulated time as this are of that clock, ns."""
+"""Stamps of a simulated camera within this of simulated time are taken to be on that clock, ns."""
 
 
 class CameraBridge(TwinmatchNode):
-    """Publishes the newest frame of a camera server, and what it says of the plate.
+    """Publishes the newest frame of a camera server, and the temperature of the plate in it.
 
-    A temperature comes only with a new image: while the shutter is closed, or the camera repeats itself,
-    there is none, so that age tells the truth. Closed, `thermal/image` is all NaN.
+    A temperature is published only with a new image, not while the shutter is closed or the camera repeats
+    an image, so that its age can be trusted. While the shutter is closed, `thermal/image` is all NaN.
     """
 
     NAME = "camera_bridge"
@@ -45,9 +45,9 @@ class CameraBridge(TwinmatchNode):
         Parameter("host", "127.0.0.1", "Computer on which the camera server runs."),
         Parameter("port", DEFAULT_PORT, "Its TCP port.", "", 1, 65535),
         Parameter(
-            "stall_timeout", 2.0, "A connection without a frame for so long is given up.", "s", 0.1, 60.0
+            "stall_timeout", 2.0, "A connection without a frame for this long is dropped.", "s", 0.1, 60.0
         ),
-        Parameter("stale_after", 3.0, "An error is reported when the newest image is older.", "s", 0.1, 60.0),
+        Parameter("stale_after", 3.0, "Age of the newest image that is an error.", "s", 0.1, 60.0),
         Parameter("roi.x", 34, "Region whose mean is the temperature: first column.", "pixels", 0, 1023),
         Parameter("roi.y", 24, "First row, 0 at the top.", "pixels", 0, 1023),
         Parameter("roi.width", 12, "Columns.", "pixels", 1, 1024),
@@ -59,15 +59,17 @@ class CameraBridge(TwinmatchNode):
         Parameter("plate.width", 36, "Columns.", "pixels", 1, 1024),
         Parameter("plate.height", 32, "Rows.", "pixels", 1, 1024),
         Parameter(
-            "temperature_rate", 0.0, "Most temperatures per second; 0: every new image.", "Hz", 0.0, 1000.0
+            "temperature_rate", 0.0, "Highest rate of temperatures; 0: every new image.", "Hz", 0.0, 1000.0
         ),
-        Parameter("image_rate", 10.0, "Most images per second by the wall clock; 0: all.", "Hz", 0.0, 1000.0),
+        Parameter(
+            "image_rate", 10.0, "Highest rate of images, by the wall clock; 0: all.", "Hz", 0.0, 1000.0
+        ),
         Parameter("frame_id", "thermal_camera", "Frame of the images."),
         Parameter("plate_frame_id", "plate", "Frame of the temperature."),
     )
 
     def read_parameters(self) -> None:
-        """Make of them regions and settings of the link."""
+        """Derive the regions and the settings of the link."""
         values = self.values
         self._roi, self._plate = _region_from(values, "roi"), _region_from(values, "plate")
         self._temperature_gap = 1e9 / values["temperature_rate"] if values["temperature_rate"] else 0.0
@@ -83,7 +85,7 @@ class CameraBridge(TwinmatchNode):
         self._counted = (0, time.monotonic())  # frames at the last report, and when that was
 
     def open(self) -> None:
-        """Connect, and go on trying."""
+        """Connect, with retries."""
         self._raw = self.create_publisher(Image, "thermal/image_raw", qos_profile_sensor_data)
         self._degrees = self.create_publisher(Image, "thermal/image", qos_profile_sensor_data)
         self._temperature = self.create_publisher(Temperature, "plant/temperature", qos_profile_sensor_data)
@@ -119,7 +121,7 @@ class CameraBridge(TwinmatchNode):
         health.set("repeated or frozen frames", status.frozen)
         health.set("missed frames", status.missed)
         health.set("reconnects", max(0, status.connections - 1))
-        health.set("restarts of the server", status.restarts)
+        health.set("server restarts", status.restarts)
         for name, count in status.errors.items():
             health.set(name, count)
         bad = sum(n for name, n in status.errors.items() if name.startswith("Frame"))
@@ -128,7 +130,7 @@ class CameraBridge(TwinmatchNode):
             health.withdraw("link")
         else:
             message = str(status.last_error or "thermal camera: connecting")
-            health.complain("link", Level.ERROR, message)
+            health.flag("link", Level.ERROR, message)
         self._report_age()
         return super().report()
 
@@ -146,7 +148,7 @@ class CameraBridge(TwinmatchNode):
         age = (time.monotonic_ns() - news.received) / 1e9
         health.set("age of the newest image", f"{age:.2f} s")
         if age > self.values["stale_after"]:
-            health.complain("age", Level.ERROR, f"no new image for {age:.0f} s; is the shutter stuck?")
+            health.flag("age", Level.ERROR, f"no new image for {age:.0f} s; is the shutter stuck?")
         else:
             health.withdraw("age")
 
@@ -164,7 +166,7 @@ class CameraBridge(TwinmatchNode):
     def _take(self, received: Received) -> None:
         frame = received.frame
         if not (received.news or frame.frozen):
-            return  # the camera is asked more often than it has something new
+            return  # the camera is polled more often than it has a new image
         stamp = self._stamp(received)
         try:
             self._publish_images(frame, stamp)
@@ -172,7 +174,7 @@ class CameraBridge(TwinmatchNode):
                 self._publish_temperature(frame, stamp)
         except RegionError as error:
             self.health.count("unusable frames")
-            self.health.complain("frame", Level.ERROR, str(error))
+            self.health.flag("frame", Level.ERROR, str(error))
         else:
             self.health.withdraw("frame")
 
@@ -181,7 +183,7 @@ class CameraBridge(TwinmatchNode):
         clock = self.get_clock()
         ros, wall = clock.now().nanoseconds, time.monotonic_ns()
         if clock.ros_time_is_active and abs(ros - received.frame.stamp) < SAME_CLOCK:
-            return received.frame.stamp  # a simulated camera, which stamps in the time of its simulation
+            return received.frame.stamp  # a simulated camera stamps in simulated time
         return self._past.at(received.taken, wall=wall, ros=ros, simulated=clock.ros_time_is_active)
 
     def _publish_temperature(self, frame: ThermalFrame, stamp: int) -> None:
@@ -203,7 +205,7 @@ class CameraBridge(TwinmatchNode):
             return
         self._pictured_at = now
         header = _fill(self.values["frame_id"], stamp)
-        degrees = celsius_image(frame, header)  # first, as it refuses counts that are no temperatures
+        degrees = celsius_image(frame, header)  # first, as it refuses counts that are not temperatures
         self._raw.publish(raw_image(frame, header))
         self._degrees.publish(degrees)
 

@@ -1,4 +1,4 @@
-"""Fetches for a node what it missed, from the keeper, while its worker gets on with it."""
+"""Fetch the samples that a node missed from the keeper, while its worker processes them."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from twinmatch_msgs.srv import Past
 __all__ = ["ANSWER", "CatchingUp", "samples_of_answer"]
 
 LOOK = 0.05
-"""Wall seconds between two looks for something missing."""
+"""Interval between two checks for missing samples, wall s."""
 PATIENCE = 6.0
-"""Wall seconds without anything new after which a node does without what is missing."""
+"""Time without progress after which a node gives up on what is missing, wall s."""
 ANSWER = 2.0
-"""Wall seconds after which a question without an answer is asked again; the keeper needs milliseconds."""
+"""Time after which an unanswered request is repeated, wall s; the keeper needs milliseconds."""
 NONE = 2**64 - 1
-"""As many verdicts as nobody has said: none of them is wanted."""
+"""More verdicts than there can be: requests none of them."""
 SETTLE = 1.0
-"""Wall seconds in which the readers of a new node find it; what it says earlier they may miss."""
+"""Time in which readers discover a new node, wall s; they may miss what it publishes earlier."""
 LONGEST_SETTLE = 3.0
-"""Wall seconds after which a reader that is known but not connected is not waited for any longer."""
+"""Longest wait for readers that are known but not connected, wall s."""
 MOST_WAITING = 4000
-"""Samples that may wait for the worker before more are asked for."""
+"""Samples in the worker's queue above which no more are requested."""
 
 
 class CatchingUp:
-    """Asks for what a stream misses, and before the first sample for what was said already."""
+    """Requests what a stream is missing, and before the first sample the results published so far."""
 
     def __init__(
         self,
@@ -44,26 +44,26 @@ class CatchingUp:
         waiting: Callable[[], int],
         learn: Callable[[Past.Response], None],
     ) -> None:
-        """Look after a stream.
+        """Follow a stream.
 
         Args:
-            node: whose it is.
-            stream: of the samples.
-            waiting: how many samples wait for the worker.
-            learn: is given the answers to the question what was said, before the first sample is.
+            node: the node that owns the stream.
+            stream: the samples in order.
+            waiting: returns the number of samples in the worker's queue.
+            learn: called with earlier results, before the first sample is passed on.
         """
         self._node, self._stream, self._waiting, self._learn = node, stream, waiting, learn
         self._client = node.create_client(Past, PAST)
-        self._asked: Any = None  # the future of the question that is out
-        self._asked_at = 0.0
-        self._since: float | None = None  # when something was missing without anything new
+        self._pending: Any = None  # future of the pending request
+        self._requested_at = 0.0
+        self._since: float | None = None  # start of the wait without progress
         self._fresh = True
         self._opened, self._connected = time.monotonic(), False
         self._matches = 0
         node.create_timer(LOOK, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def look(self) -> None:
-        """Ask, if something is missing and no question is out; do without, if nothing comes."""
+        """Request what is missing, unless a request is pending; give up after `PATIENCE`."""
         missing, now = self._stream.missing, time.monotonic()
         if missing is None:
             self._since = None
@@ -72,36 +72,36 @@ class CatchingUp:
         if self._since is None:
             self._since = now
         if now - self._since > PATIENCE:
-            self._do_without(f"samples {missing.first} to {missing.last} cannot be had")
-        elif self._asked is not None and now - self._asked_at > ANSWER:
-            self._asked = None  # an answer to a process that stood still may be lost
-        elif self._asked is None and self._client.service_is_ready() and self._settled(now):
+            self._give_up(f"samples {missing.first} to {missing.last} are missing and cannot be fetched")
+        elif self._pending is not None and now - self._requested_at > ANSWER:
+            self._pending = None  # the answer to a process that was suspended may be lost
+        elif self._pending is None and self._client.service_is_ready() and self._settled(now):
             if self._waiting() > MOST_WAITING:
                 self._since = now  # the worker is busy with what was fetched
                 return
             count = 0 if self._fresh else missing.last + 1 - missing.first
-            question = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
-            self._asked = self._client.call_async(question)
-            self._asked_at = now
-            self._asked.add_done_callback(self._on_answer)
+            request = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
+            self._pending = self._client.call_async(request)
+            self._requested_at = now
+            self._pending.add_done_callback(self._on_answer)
 
     def _settled(self, now: float) -> bool:
-        """Whether those who read this node's topics are connected: what was missed is published at once."""
+        """Whether the readers of this node are connected; results for fetched samples follow at once."""
         age = now - self._opened
         self._connected = (
             self._connected or age > LONGEST_SETTLE or (age > SETTLE and all_connected(self._node))
         )
         return self._connected
 
-    def _do_without(self, why: str) -> None:
-        self._node.health.complain("past", Level.WARN, why)
-        self._asked, self._since, self._fresh = None, None, False
-        self._stream.go_on()
+    def _give_up(self, why: str) -> None:
+        self._node.health.flag("past", Level.WARN, why)
+        self._pending, self._since, self._fresh = None, None, False
+        self._stream.skip()
 
     def _on_answer(self, future: Any) -> None:
-        if future is not self._asked:
-            return  # it came too late
-        self._asked = None
+        if future is not self._pending:
+            return  # too late
+        self._pending = None
         answer = future.result()
         if answer is None or self._stream.missing is None:
             return
@@ -109,10 +109,10 @@ class CatchingUp:
             self._matches += len(answer.match)
             self._fresh = self._matches < answer.matches_heard and len(answer.match) > 0
             self._learn(answer)
-            news = True
+            progress = True
         else:
-            news = self._stream.fetched(list(samples_of_answer(answer)), answer.heard)
-        if news:
+            progress = self._stream.fetched(list(samples_of_answer(answer)), answer.heard)
+        if progress:
             self._since = None
             self._node.health.withdraw("past")
             self.look()

@@ -1,4 +1,4 @@
-"""Holds the plant: readings and the set-point in, commands and samples out, one per tick."""
+"""Controls the plant: readings and the set-point in, one command and one sample per tick out."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from twinmatch_msgs.msg import LoopSample
 __all__ = ["ControllerNode", "main"]
 
 REMEMBER = 60
-"""Ticks for which a missed one is complained of."""
+"""Ticks for which a missed one is reported."""
 
 
 class ControllerNode(TwinmatchNode):
     """Runs the loop on the ROS clock.
 
-    Between ticks the standing command is repeated, because the bridge takes silence for a fault; while
-    there is no usable reading the drive rests, and there are no samples. The last word of the node, however
-    it ends, is one command of that.
+    Between ticks the current command is repeated, because the bridge treats silence as a fault. Without a
+    usable reading the drive is at rest and there are no samples. However the node ends, its last command
+    puts the drive at rest.
     """
 
     NAME = "controller"
@@ -51,32 +51,33 @@ class ControllerNode(TwinmatchNode):
             raise ParameterError(f"{cls.NAME}: {error}") from error
 
     def read_parameters(self) -> None:
-        """Make profile and loop.
+        """Create profile and loop.
 
         Raises:
-            TwinmatchError: the profile cannot be run, or the gains no controller has.
+            TwinmatchError: the profile cannot be run, or the gains cannot be used.
         """
         values = self.values
         self._plant: type[Plant] = find_plant(values["plant"])
         self._profile: Profile | None = profile_from(values)
         self._begun = 0.0
-        """When the profile began, s since sample 0."""
+        """Start of the profile, s since sample 0."""
         self._gains = pid_gains(values)
         self._loop = Loop(self._plant, self._gains, max_age=values["max_age"])
-        self._asked: float | None = None
-        """Set-point published last, or heard last."""
+        self._set_point: float | None = None
+        """Set-point published or received last."""
         self._waiting_until: float | None = time.monotonic() + values["wait_timeout"]
         self._missed_at = (0, 0)  # count and index
         self._wires: Wires | None = None
 
     def open(self) -> None:
-        """Take readings and begin to tick."""
-        # Loading the compiled step takes a quarter of a second, which the first tick does not have.
+        """Subscribe to readings and start to tick."""
+        # Loading the compiled step takes a quarter of a second: too long for the first tick.
         Pid(self._gains).step(0.0, 0.0)
         self._wires = wires_of(self._plant)(self, self._on_reading)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         if self._profile is None:
-            # A latched reader hears what was asked before it came, but nothing of who does not latch.
+            # A latched reader gets the set-point published before it started, but nothing from publishers
+            # that do not latch.
             quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
             for qos in (LATCHED, RELIABLE):
                 self.create_subscription(
@@ -90,27 +91,27 @@ class ControllerNode(TwinmatchNode):
         self.report_on()
 
     def change(self, values: Values) -> None:
-        """Adopt another profile or a narrower range; other levels begin now, with the first of them."""
+        """Adopt a new profile or a narrower range; new levels start now, with the first of them."""
         self._profile = changed_profile(self.values, values)
         if any(values[name] != self.values[name] for name in ("profile.levels", "profile.holds")):
             self._begun = self._loop.time
-        if self._profile is None and self._asked is not None:
+        if self._profile is None and self._set_point is not None:
             low, high = values["profile.lowest"], values["profile.highest"]
-            self._asked = min(max(self._asked, low), high)
+            self._set_point = min(max(self._set_point, low), high)
 
     def report(self) -> Report:
-        """Ticks, lateness, and why there are no samples."""
+        """Ticks, lateness, and the reason if there are no samples."""
         loop = self._loop
         self.health.set("output", loop.input)
-        self.health.set("set-point", "none" if self._asked is None else f"{self._asked:g}")
+        self.health.set("set-point", "none" if self._set_point is None else f"{self._set_point:g}")
         self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
         self.health.set("missed ticks", loop.missed)
         self.health.set("ticks without sample", loop.idle)
-        self.health.set("readings that cannot be used", loop.refused)
+        self.health.set("unusable readings", loop.refused)
         return super().report()
 
     def close(self) -> bool:
-        """Command the drive to rest, and nothing more."""
+        """Put the drive at rest."""
         if self._wires is not None:
             self._command(self._plant.drive.rest)
             self._wires.publisher.wait_for_all_acked(Duration(seconds=0.2))
@@ -119,7 +120,7 @@ class ControllerNode(TwinmatchNode):
 
     def _on_reading(self, stamped: Any, output: float, disturbances: tuple[float, ...]) -> None:
         now, stamp = self._now(), Time.from_msg(stamped).nanoseconds
-        # A reading stamped in the time to come would never grow old; one without stamp is new.
+        # A reading stamped in the future would never become stale; one without a stamp counts as new.
         self._loop.measure(output, min(stamp, now) if stamp else now, disturbances)
 
     def _on_reference(self, message: Float64) -> None:
@@ -127,10 +128,10 @@ class ControllerNode(TwinmatchNode):
         if not low <= message.data <= high:
             unit = self._plant.output.unit
             text = f"set-point {message.data:g} {unit} refused; the safe range is {low:g} to {high:g} {unit}"
-            self.health.complain("set-point", Level.ERROR, text)
+            self.health.flag("set-point", Level.ERROR, text)
             return
         self.health.withdraw("set-point")
-        self._asked = message.data
+        self._set_point = message.data
 
     def _on_tick(self) -> None:
         if not self._readers_there():
@@ -148,7 +149,7 @@ class ControllerNode(TwinmatchNode):
             self._command(self._plant.drive.rest)
             # Before sample 0 this is how every run begins.
             level = Level.ERROR if self._loop.idle else Level.WARN
-            self.health.complain("idle", level, f"the output is off: {self._loop.trouble}")
+            self.health.flag("idle", level, f"the output is off: {self._loop.trouble}")
         self._watch_missed()
 
     def _on_repeat(self) -> None:
@@ -156,19 +157,19 @@ class ControllerNode(TwinmatchNode):
             self._command(self._loop.input)
 
     def _reference(self, at: float) -> float | None:
-        """The set-point at a time since sample 0; publishes it when it is another."""
+        """The set-point at a time since sample 0 (s); published when it changes."""
         if self._profile is None:
-            return self._asked
+            return self._set_point
         at -= self._begun
         if self.values["exit_at_end"] and self._profile.ended(at):
-            self.get_logger().info("the profile has come to its end")
+            self.get_logger().info("the profile has ended")
             self.exit_code = 0
             return None
-        asked = self._profile.reference(at)
-        if asked != self._asked:
-            self._asked = asked
-            self._references.publish(Float64(data=asked))
-        return asked
+        reference = self._profile.reference(at)
+        if reference != self._set_point:
+            self._set_point = reference
+            self._references.publish(Float64(data=reference))
+        return reference
 
     def _command(self, value: float) -> None:
         if self._wires is not None:
@@ -176,7 +177,7 @@ class ControllerNode(TwinmatchNode):
             self._wires.command(value, index, self.get_clock().now().to_msg())
 
     def _readers_there(self) -> bool:
-        """Whether those who must not miss a sample listen, or were waited for long enough."""
+        """Whether all nodes that must not miss a sample subscribe, or the wait for them is over."""
         if self._waiting_until is None:
             return True
         wanted, found = self.values["wait_for"], count_readers(self, self._samples.topic_name)
@@ -184,11 +185,13 @@ class ControllerNode(TwinmatchNode):
         if (found < wanted or missing) and time.monotonic() < self._waiting_until:
             return False
         if found < wanted or missing:
-            text = f"only {found} of {wanted} readers of {self._samples.topic_name} came"
+            text = (
+                f"{self._samples.topic_name} has only {found} of {wanted} subscribers; started without them"
+            )
             if missing:
-                text = f"{', '.join(missing)} did not come to read {self._samples.topic_name}"
+                text = f"{', '.join(missing)} did not subscribe to {self._samples.topic_name} in time"
             self.get_logger().warning(text)
-            self.health.complain("readers", Level.WARN, text)
+            self.health.flag("readers", Level.WARN, text)
         self._waiting_until = None
         return True
 
@@ -196,8 +199,8 @@ class ControllerNode(TwinmatchNode):
         missed, number = self._loop.missed, round(self._loop.time / self._gains.period)
         if missed != self._missed_at[0]:
             self._missed_at = (missed, number)
-            text = f"ticks were missed, {missed} in all; windows begin anew"
-            self.health.complain("missed", Level.WARN, text)
+            text = f"ticks were missed, {missed} in all; windows start over"
+            self.health.flag("missed", Level.WARN, text)
         elif number - self._missed_at[1] > REMEMBER:
             self.health.withdraw("missed")
 

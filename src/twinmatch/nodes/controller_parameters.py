@@ -1,4 +1,4 @@
-"""The parameters of the controller, and the profile they make."""
+"""The parameters of the controller, and the profile they define."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from twinmatch.plants import Peltier, find_plant, written_name
 
 __all__ = ["changed_profile", "controller_table", "profile_from"]
 
-_WAY = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
-"""Where in the range of sensible set-points the usual profile goes."""
+_LEVELS = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
+"""Levels of the default profile, as fractions of the range of sensible set-points."""
 
 
 def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
     """Name, default, meaning, unit and range of the parameters of a plant's controller.
 
     Raises:
-        PlantError: the plant file names no controller, so there is none to run.
+        PlantError: the plant file defines no controller.
     """
     if plant.loop is None:
         raise PlantError(
@@ -30,9 +30,9 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
         )
     y, (low, high) = plant.output, plant.output.span
     first, last = y.set_points or y.span
-    levels = [first + (last - first) * share for share in _WAY]
+    levels = [first + (last - first) * share for share in _LEVELS]
     return (
-        Parameter("plant", written_name(plant), "Which plant: its name, or the file it is in."),
+        Parameter("plant", written_name(plant), "The plant: its name, or the file that defines it."),
         *loop_parameters(plant),
         Parameter(
             "reference_source",
@@ -47,12 +47,12 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
             "profile.holds", [300.0] * 4, "How long each of them is held.", "s", 0.1, 1e6, changeable=True
         ),
         Parameter(
-            "profile.repeat", True, "Begin again at the end; otherwise the last level stays.", changeable=True
+            "profile.repeat", True, "Repeat the profile; otherwise the last level is held.", changeable=True
         ),
         Parameter(
             "profile.ramp",
             0.0,
-            "Rate at which the set-point moves; 0: at once.",
+            "Rate at which the set-point changes; 0: in steps.",
             f"{y.unit}/s",
             0.0,
             high - low,
@@ -61,7 +61,7 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
         Parameter(
             "profile.lowest",
             max(low, y.safe[0]),
-            "Lowest set-point that is accepted, also from the topic; while the node runs it can only rise.",
+            "Lowest accepted set-point, also from the topic; it can only be raised while the node runs.",
             y.unit,
             low,
             high,
@@ -70,25 +70,25 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
         Parameter(
             "profile.highest",
             min(high, y.safe[1]),
-            "Highest set-point that is accepted; while the node runs it can only fall.",
+            "Highest accepted set-point; it can only be lowered while the node runs.",
             y.unit,
             low,
             high,
             changeable=True,
         ),
-        Parameter("exit_at_end", False, "End when the profile, not repeated, is over."),
+        Parameter("exit_at_end", False, "Exit at the end of a profile that is not repeated."),
         Parameter("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
         Parameter(
             "command_period",
             0.25,
-            "The command is repeated so often; the bridge takes silence for a fault.",
+            "Interval at which the command is repeated; the bridge treats silence as a fault.",
             "s",
             0.01,
             1.0,
         ),
         Parameter("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
         READERS,
-        Parameter("wait_timeout", 10.0, "Longest wait for them, by the wall's clock.", "s", 0.1, 3600.0),
+        Parameter("wait_timeout", 10.0, "Longest wait for them, by the wall clock.", "s", 0.1, 3600.0),
     )
 
 
@@ -96,7 +96,7 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
     """The profile from checked parameter values; None if the set-point comes from the topic.
 
     Raises:
-        ControlError: a profile that cannot be run, an empty range, an end that never comes.
+        ControlError: the profile cannot be run, a range is empty, or `exit_at_end` would never take effect.
     """
     low, high = values["profile.lowest"], values["profile.highest"]
     unit = find_plant(values["plant"]).output.unit
@@ -109,7 +109,7 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
         return None
     if values["exit_at_end"] and values["profile.repeat"]:
         raise ControlError(
-            "controller: exit_at_end waits for ever with profile.repeat; set one of them to false"
+            "controller: with profile.repeat, exit_at_end would never take effect; set one of them to false"
         )
     group = {n.removeprefix("profile."): v for n, v in values.items() if n.startswith("profile.")}
     group["levels"], group["holds"] = tuple(group["levels"]), tuple(group["holds"])
@@ -117,19 +117,19 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
 
 
 def changed_profile(before: Mapping[str, Any], values: Mapping[str, Any]) -> Profile | None:
-    """The profile from values of which some were changed while the controller runs.
+    """The profile from values some of which were changed while the controller runs.
 
-    The range of set-points was given for this rig when the controller was started, so it can only shrink.
+    The range of set-points was chosen for this rig when the controller started, so it can only shrink.
 
     Raises:
-        ControlError: as for `profile_from`; the range would grow.
+        ControlError: as for `profile_from`, or the range would grow.
     """
     for name, outside in (("lowest", float.__lt__), ("highest", float.__gt__)):
         was, wanted = before[f"profile.{name}"], values[f"profile.{name}"]
         if outside(wanted, was):
             msg = (
                 f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
-                f"is beyond {was:g}; restart the controller with it"
+                f"is outside {was:g}; restart the controller with it"
             )
             raise ControlError(msg)
     return profile_from(values)

@@ -1,6 +1,6 @@
-"""Between the objects of the core and the messages, without losing a bit.
+"""Convert between the objects of the core and messages, without losing a bit.
 
-What is recorded of verdicts and matches is described in `twinmatch.record`; here are the messages.
+`twinmatch.record` describes the recorded form of verdicts and matches; this module fills the messages.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ STATE_FIGURES = (
 
 
 def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> messages.TwinState:
-    """Where the twins are, as `TwinState`.
+    """The states of the twins as `TwinState`.
 
     Args:
         state: the twins at one tick.
-        leader: names the candidate whose parameters they have.
+        leader: name of the candidate whose parameters they use.
         states: names of all states of the plant, in the order of its description.
     """
     order = list(states)
@@ -72,7 +72,7 @@ def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> mes
 
 
 def match_message(report: MatchReport, stamp: int) -> messages.Match:
-    """A match as `Match`; `stamp` (ns) is that of the sample that set it off."""
+    """A match as `Match`; `stamp` (ns) is that of the sample that triggered it."""
     return _filled(messages.Match(), report, stamp)
 
 
@@ -82,7 +82,7 @@ def match_from(message: messages.Match) -> MatchReport:
 
 
 def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
-    """A verdict as `ModelScore`; `stamp` (ns) is that of the sample that set it off."""
+    """A verdict as `ModelScore`; `stamp` (ns) is that of the sample that triggered it."""
     return _filled(messages.ModelScore(), verdict, stamp)
 
 
@@ -97,7 +97,7 @@ def candidate_message(candidate: CandidateScore) -> messages.Candidate:
 
 
 def leader_message(score: ForecastScore) -> messages.ForecastScore:
-    """Who foretells best, as `ForecastScore`."""
+    """The leader's score as `ForecastScore`."""
     return fill(messages.ForecastScore(), tree_of(score), _part)
 
 
@@ -115,7 +115,7 @@ def parameters_from(message: messages.Parameters) -> Parameters:
     """The parameters in a `Parameters`.
 
     Raises:
-        PlantError: there are none, or those of another plant, or values no rig has.
+        PlantError: the message has none, they are those of another plant, or values are out of range.
     """
     found = parameters_if_any(message)
     if found is None:
@@ -129,5 +129,5 @@ def parameters_if_any(message: messages.Parameters) -> Parameters | None:
 
 
 def parameters_message(parameters: Parameters | None) -> messages.Parameters:
-    """Parameters as `Parameters`; of None one without names."""
+    """Parameters as `Parameters`; for None a message without names."""
     return fill(messages.Parameters(), parameters_tree(parameters), _part)

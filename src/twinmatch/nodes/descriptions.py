@@ -1,4 +1,4 @@
-"""Between what a plant and its signals are called and the message that says it."""
+"""Convert between a plant's description (names, units, ranges) and its message."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["description_from", "description_message"]
 
 
 def description_message(description: Description, period: float) -> messages.PlantDescription:
-    """A plant as `PlantDescription`; `period` (s) is the sample time it is run with."""
+    """A plant as `PlantDescription`; `period` (s) is the sampling period it is run with."""
     return messages.PlantDescription(
         plant=description.plant,
         title=description.title,

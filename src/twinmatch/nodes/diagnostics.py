@@ -1,6 +1,6 @@
-"""Health of a node as REP 107 diagnostics: what to report, and the message it becomes.
+"""Health of a node as REP 107 diagnostics: the state to report, and the message for it.
 
-A `Health` is told what happens and knows nothing of ROS; `Reporter` publishes it once a second.
+`Health` collects the state and knows nothing of ROS; `Reporter` publishes it once a second.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rclpy.node import Node
 __all__ = ["Health", "Level", "Report", "Reporter", "status_message"]
 
 PERIOD = 1.0
-"""Seconds between two reports (REP 107), by a clock that runs even when simulated time stands."""
+"""Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""
 
 
 class Level(IntEnum):
@@ -30,7 +30,7 @@ class Level(IntEnum):
 
 
 class Report(NamedTuple):
-    """What one part of a node says of itself."""
+    """The status of one part of a node."""
 
     level: Level
     message: str
@@ -38,48 +38,48 @@ class Report(NamedTuple):
 
 
 class Health:
-    """Counters, values and complaints of one part of a node; may be told things from any thread.
+    """Counters, values and problems of one part of a node; thread-safe.
 
-    A complaint stands until it is withdrawn, so that a fault of a tenth of a second is seen by a reader
-    that looks once a second. Without complaints the report is OK.
+    A problem stands until it is withdrawn, so that a fault of a tenth of a second is seen by a reader that
+    looks once a second. Without problems the report is OK.
     """
 
     def __init__(self, idle: str = "working") -> None:
-        """Begin with nothing to report but `idle`, the message while all is well."""
+        """Start without problems; `idle` is the message while there are none."""
         self._idle = idle
         self._values: dict[str, str] = {}
-        self._complaints: dict[str, tuple[Level, str]] = {}
+        self._problems: dict[str, tuple[Level, str]] = {}
         self._lock = threading.Lock()
 
     def set(self, key: str, value: object) -> None:
-        """Show a value."""
+        """Set a value."""
         with self._lock:
             self._values[key] = f"{value:g}" if isinstance(value, float) else str(value)
 
     def count(self, key: str) -> None:
-        """Show one more of something."""
+        """Increment a counter."""
         with self._lock:
             self._values[key] = str(int(self._values.get(key, "0")) + 1)
 
     def say(self, message: str) -> None:
-        """What the report says while there is no complaint."""
+        """Set the message that is reported while there is no problem."""
         with self._lock:
             self._idle = message
 
-    def complain(self, about: str, level: Level, message: str) -> None:
-        """Raise a complaint, or replace the one about the same thing."""
+    def flag(self, key: str, level: Level, message: str) -> None:
+        """Report a problem, in place of an earlier one with this key."""
         with self._lock:
-            self._complaints[about] = (level, message)
+            self._problems[key] = (level, message)
 
-    def withdraw(self, about: str) -> None:
-        """Withdraw the complaint about something, if there is one."""
+    def withdraw(self, key: str) -> None:
+        """Withdraw the problem with this key, if it is flagged."""
         with self._lock:
-            self._complaints.pop(about, None)
+            self._problems.pop(key, None)
 
     def report(self) -> Report:
-        """The worst complaint as level, all of them as message, worst first."""
+        """The level of the worst problem, and the messages of all, worst first."""
         with self._lock:
-            standing = sorted(self._complaints.values(), key=lambda entry: -entry[0])
+            standing = sorted(self._problems.values(), key=lambda entry: -entry[0])
             values = dict(self._values)
             idle = self._idle
         if not standing:
@@ -111,7 +111,7 @@ class Reporter:
         self._timer = node.create_timer(PERIOD, self.publish, clock=steady)
 
     def publish(self) -> None:
-        """Report now, out of turn."""
+        """Report now, outside the regular period."""
         name = self._node.get_fully_qualified_name().lstrip("/")
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()

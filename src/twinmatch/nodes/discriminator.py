@@ -1,7 +1,7 @@
-"""Judges the family of matches: samples and matches in, verdicts out, and at every sample what comes next.
+"""Judges the family of matches: samples and matches in, verdicts out, and a forecast at every sample.
 
-Its topics are `twin/model_score`, `twin/nominal`, `twin/leader`, `twin/forecast` and `twin/match_request`;
-`twin/what_if` answers questions.
+It publishes `twin/model_score`, `twin/nominal`, `twin/leader`, `twin/forecast` and `twin/match_request`, and
+serves `twin/what_if`.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ from twinmatch_msgs.srv import Past
 __all__ = ["SETTLED", "VERDICTS", "DiscriminatorNode", "main"]
 
 PATIENCE = 2.0
-"""Wall seconds after which a match that did not come is asked for again."""
+"""Time after which an unanswered match request is repeated, wall s."""
 LOOK = 0.5
-"""Wall seconds between two looks for one."""
+"""Interval at which the pending request is checked, wall s."""
 SETTLED = "settled"
-"""Key on /diagnostics: newest sample of which everything is said."""
+"""Key on /diagnostics: newest sample up to which everything is judged."""
 VERDICTS = "verdicts"
 """Key on /diagnostics: verdicts so far."""
 MOST_STAMPS = 10_000
-"""Samples whose stamps are kept for the verdicts that are still due."""
+"""Number of samples for which stamps are kept for verdicts still due."""
 
 
 class DiscriminatorNode(SampleNode):
-    """Asks for matches, and publishes every verdict, and the nominal candidate when it is another.
+    """Requests matches, and publishes every verdict, and the nominal candidate when it changes.
 
-    A request is published again every `PATIENCE` seconds until it is answered: the matcher may have been
-    lost, or have come late. The answer depends on the request alone, so that waiting changes no verdict.
+    A request is repeated every `PATIENCE` seconds until it is answered: the matcher may have crashed or
+    started late. The answer depends on the request alone, so waiting changes no verdict.
     """
 
     NAME = "discriminator"
 
     def open(self) -> None:
-        """Judge the samples and matches to come.
+        """Start to judge samples and matches.
 
         Raises:
-            CandidateFileError: the file of candidates to begin with cannot be used.
+            CandidateFileError: the file of initial candidates cannot be used.
         """
         path = self.values["candidates"]
         given = read_candidates(Path(path)) if path else []
@@ -62,11 +62,12 @@ class DiscriminatorNode(SampleNode):
         self._foreteller = Foreteller(self)
         self._stamps: dict[int, int] = {}
         self._nominal: Candidate | None = None
-        self._answers: deque[MatchReport] = deque()  # of matches before this node came, oldest first
-        self._said = self._heard = 0  # verdicts made; those that were heard before this node came
-        self._asking: MatchRequest | None = None
-        self._asked_at = 0.0
-        self._times_asked = 0
+        self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
+        self._made = 0  # verdicts
+        self._published_before = 0  # verdicts published before this node started
+        self._pending: MatchRequest | None = None
+        self._requested_at = 0.0
+        self._tries = 0
         self._scores = self.create_publisher(ModelScore, "twin/model_score", RELIABLE)
         self._nominals = self.create_publisher(Candidate, "twin/nominal", LATCHED)
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
@@ -75,7 +76,7 @@ class DiscriminatorNode(SampleNode):
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def work(self, item: Sample | MatchReport) -> None:
-        """Take one sample or match, publish the verdicts that became due, and ask for the match they need."""
+        """Take one sample or match, publish the verdicts now due, and request the match they need."""
         if isinstance(item, MatchReport):
             step = self._discriminator.push_match(item)
         else:
@@ -83,33 +84,33 @@ class DiscriminatorNode(SampleNode):
             if len(self._stamps) > MOST_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             step = self._discriminator.push_sample(item)
-        self._tell(step)
+        self._publish_step(step)
         while step.request is not None and (known := self._answer(step.request)) is not None:
             step = self._discriminator.push_match(known)
-            self._tell(step)
+            self._publish_step(step)
         if step.request is not None:
-            self._times_asked = 0
-            self._ask(request_message(step.request, self._stamps.get(step.request.sample, 0)))
+            self._tries = 0
+            self._request(request_message(step.request, self._stamps.get(step.request.sample, 0)))
         elif self._discriminator.request is None:
-            self.health.set("waits for a match of", "nothing")
+            self.health.set("waiting for a match of", "nothing")
             self.health.withdraw("match")
         self.health.set(SETTLED, self._discriminator.settled)
 
     def learn(self, said: Past.Response) -> None:
-        """Take what a discriminator before this one has said: it is not said again."""
-        self._heard = said.scores_heard
+        """Take the results of a discriminator before this one, which are not published again."""
+        self._published_before = said.scores_heard
         self._foreteller.heard = said.forecasts_heard
         self._answers += map(match_from, said.match)
 
     def _answer(self, request: twin.MatchRequest) -> MatchReport | None:
-        """The answer to a request of which it is known."""
+        """The known answer to a request, if there is one."""
         while self._answers:
             report = self._answers.popleft()
             if report.answers(request):
                 return report
         return None
 
-    def _tell(self, step: Step) -> None:
+    def _publish_step(self, step: Step) -> None:
         for verdict in step.verdicts:
             self._publish(verdict)
         if step.verdicts:  # a match may have brought a candidate
@@ -118,38 +119,38 @@ class DiscriminatorNode(SampleNode):
     def _followed(self, _: Sample) -> None:
         self._foreteller.publish(self._discriminator)
 
-    def _ask(self, request: MatchRequest) -> None:
-        self._asked_at = time.monotonic()
-        self._times_asked += 1
-        self._asking = request
+    def _request(self, request: MatchRequest) -> None:
+        self._requested_at = time.monotonic()
+        self._tries += 1
+        self._pending = request
         self._requests.publish(request)
         last = request.first + len(request.reference) - 1
-        self.health.set("waits for a match of", f"{request.first} to {last}")
+        self.health.set("waiting for a match of", f"{request.first} to {last}")
 
     def _look(self) -> None:
-        """Ask again for what was not answered."""
-        asking = self._asking
-        if asking is None or time.monotonic() - self._asked_at < PATIENCE:
+        """Repeat a request that was not answered."""
+        pending = self._pending
+        if pending is None or time.monotonic() - self._requested_at < PATIENCE:
             return
-        self._ask(asking)
-        words = f"the match of sample {asking.sample} has not come; asked {self._times_asked} times"
-        self.health.complain("match", Level.WARN, words)
+        self._request(pending)
+        words = f"no answer to the match request of sample {pending.sample}; requested {self._tries} times"
+        self.health.flag("match", Level.WARN, words)
 
     def _on_match(self, message: Match) -> None:
-        asking = self._asking
-        if asking is not None and (message.sample, message.first) == (asking.sample, asking.first):
-            self._asking = None
+        pending = self._pending
+        if pending is not None and (message.sample, message.first) == (pending.sample, pending.first):
+            self._pending = None
         self.put(match_from(message))
 
     def _publish(self, verdict: Verdict) -> None:
         self.health.count(VERDICTS)
         self.health.set("level", verdict.level.value)
         self.health.set("nominal", verdict.nominal or "none")
-        self._said += 1
-        if self._said > self._heard:
+        self._made += 1
+        if self._made > self._published_before:
             message = score_message(verdict, self._stamps.get(verdict.sample, 0))
             self.publish(self._scores, message)
-        if self._said < self._heard:
+        if self._made < self._published_before:
             return
         chosen = next((c for c in verdict.candidates if c.name == verdict.nominal), None)
         if chosen is None:

@@ -1,4 +1,4 @@
-"""A thread that alone speaks to what drives a plant, and whose last word is zero."""
+"""A thread with exclusive access to the hardware that drives a plant; its last command is zero."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ __all__ = ["DriverThread"]
 
 
 class DriverThread(ABC):
-    """Takes one turn after the other until it is closed or fails, and then lets go of the link."""
+    """Takes one turn after another until it is closed or fails, and then releases the link."""
 
     NAME: ClassVar[str]
     CLOSING: ClassVar[float]
-    """Seconds that the end may take, unless another time is asked for."""
+    """Default time in which the thread has to end, s."""
 
     def __init__(self, first_pause: float, longest_pause: float) -> None:
-        """A lost link is looked for again after the first pause, s; each one is twice the one before."""
+        """A lost link is retried after the first pause, s; each pause doubles, up to the longest, s."""
         self.failure: Exception | None = None
-        """What ended the thread before its time."""
+        """The error that ended the thread, if any."""
         self._ending, self._clear_wanted = threading.Event(), threading.Event()
         self._first_pause, self._longest_pause = first_pause, longest_pause
         self._attempts = 0
@@ -30,11 +30,11 @@ class DriverThread(ABC):
         self._thread.start()
 
     def clear(self) -> None:
-        """Let go what the other end has latched by itself, before anything else is sent."""
+        """Clear the fault latched by the hardware, before anything else is sent."""
         self._clear_wanted.set()
 
     def close(self, timeout: float | None = None) -> bool:
-        """Set zero, let go of the port, end the thread; whether it did within the timeout (s; CLOSING)."""
+        """Set zero, release the port, end the thread; whether it ended within the timeout (s; CLOSING)."""
         self._ending.set()
         if self._thread.ident is not None:
             self._thread.join(self.CLOSING if timeout is None else timeout)
@@ -42,14 +42,14 @@ class DriverThread(ABC):
 
     @abstractmethod
     def _turn(self) -> None:
-        """Look at the gate once and do what it says; what is raised ends the thread."""
+        """Apply the gate's decision once; an exception ends the thread."""
 
     @abstractmethod
-    def _let_go(self) -> None:
-        """Set zero, if that can still be done, and close the link."""
+    def _release(self) -> None:
+        """Set zero, if that is still possible, and close the link."""
 
     def _pause(self) -> None:
-        """Wait until a lost link is worth another look."""
+        """Wait before the next attempt to restore a lost link."""
         self._ending.wait(min(self._first_pause * 2.0 ** min(self._attempts, 30), self._longest_pause))
         self._attempts += 1
 
@@ -60,4 +60,4 @@ class DriverThread(ABC):
         except Exception as error:  # handed to the main thread, which ends the process with it
             self.failure = error
         finally:
-            self._let_go()
+            self._release()

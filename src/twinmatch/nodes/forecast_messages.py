@@ -1,4 +1,4 @@
-"""Between forecasts and the messages that carry them."""
+"""Convert between forecasts and their messages."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from twinmatch_msgs import srv as services
 __all__ = ["SHOWN", "answer_message", "forecast_from", "forecast_message", "question_from", "shown_samples"]
 
 SHOWN = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0)
-"""Seconds ahead at which a forecast is published: close together where it is sharp."""
+"""Times ahead at which a forecast is published, s: closely spaced where the forecast is sharp."""
 
 
 def shown_samples(period: float, horizons: tuple[int, ...]) -> tuple[int, ...]:
-    """Samples ahead at which a forecast is published, for a sample time (s): all horizons, some between."""
+    """Samples ahead at which a forecast is published, with a period in s: all horizons, some between."""
     longest = max(horizons)
     between = {round(seconds / period) for seconds in SHOWN}
     return tuple(sorted({*horizons, *(ahead for ahead in between if 1 <= ahead <= longest)}))
@@ -33,8 +33,8 @@ def forecast_message(
     """A forecast as `Forecast`.
 
     Args:
-        forecast: what one candidate says.
-        stamp: of the newest sample it was made from, ns.
+        forecast: the forecast of one candidate.
+        stamp: stamp of the newest sample it was made from, ns.
         samples: how many samples ahead are written, from 1; None: all.
     """
     rows = slice(None) if samples is None else np.array(samples) - 1
@@ -81,10 +81,10 @@ def forecast_from(message: messages.Forecast) -> Forecast:
 
 
 def question_from(request: services.WhatIf.Request) -> Question:
-    """A question from a request; what is left open there is None.
+    """A question from a request; what the request leaves open is None.
 
     Raises:
-        SignalError: it waits for several outputs; a twin runs one loop.
+        SignalError: it names several outputs, but a twin runs one loop.
     """
     return Question(
         times=tuple(request.times),

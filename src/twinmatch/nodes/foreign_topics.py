@@ -1,4 +1,4 @@
-"""Topics of programs that are not ours: found on the graph, and heard as they are sent."""
+"""Topics of foreign programs: found on the graph, and subscribed with the QoS they are offered with."""
 
 from __future__ import annotations
 
@@ -17,49 +17,51 @@ from twinmatch.sampling import Channel, SamplingError, check_path
 __all__ = ["ForeignTopics"]
 
 _OURS: Final = ("/plant/", "/twin/", "/thermal/")
-_NOBODYS: Final = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
-_MANY: Final = 40
-"""Topics that an error lists."""
+_SHARED: Final = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
+_MOST_LISTED: Final = 40
+"""Most topics that an error lists."""
 
-Hear = Callable[[str, Any], None]
-"""Is given the topic's name and the message."""
+Receive = Callable[[str, Any], None]
+"""Called with the topic's name and a message."""
 
 
 class ForeignTopics:
-    """Looks for topics and subscribes as their publishers send."""
+    """Looks for topics and subscribes with a QoS that matches their publishers."""
 
-    def __init__(self, node: Node, channels: Iterable[Channel], types: Mapping[str, str], hear: Hear) -> None:
-        """Begin with none found.
+    def __init__(
+        self, node: Node, channels: Iterable[Channel], types: Mapping[str, str], receive: Receive
+    ) -> None:
+        """Start without any found.
 
         Args:
-            node: whose subscriptions they are.
-            channels: whose topics are wanted.
-            types: those that were given, by topic.
-            hear: is given what comes.
+            node: the node that subscribes.
+            channels: the channels whose topics are wanted.
+            types: the configured message types, by topic.
+            receive: called with each message.
         """
         self._node = node
-        self._hear = hear
+        self._receive = receive
         self._types = {node.resolve_topic_name(topic): kind for topic, kind in types.items()}
         self._names = {c.topic: node.resolve_topic_name(c.topic) for c in channels}
         self._counted: dict[str, int] = {}
         self._readers: dict[str, tuple[Any, Any]] = {}  # profile and subscription
         self.kinds: dict[str, str] = {}
-        """Types of the topics that were found, by the name that was written."""
+        """Types of the topics found, by topic name as configured."""
 
     @property
     def missing(self) -> list[str]:
-        """Topics that nobody has published yet."""
+        """Topics that have had no publisher yet."""
         return [topic for topic in self._names if topic not in self.kinds]
 
     def publishers(self, topic: str) -> int:
-        """How many programs publish a topic now."""
+        """The number of publishers of a topic now."""
         return int(self._node.count_publishers(self._names[topic]))
 
     def look(self) -> None:
-        """Find topics, and hear again those whose publishers changed; to be called a few times a second.
+        """Find topics, and resubscribe where publishers changed; to be called a few times a second.
 
         Raises:
-            TwinmatchError: a topic has several types, or one that is not installed.
+            TwinmatchError: a topic has several types, or a type that is not installed.
         """
         for topic, name in self._names.items():
             count = self.publishers(topic)
@@ -70,25 +72,25 @@ class ForeignTopics:
                 self._counted.pop(topic, None)
 
     def path(self, channel: Channel) -> str:
-        """The path to the number of a channel whose topic was found.
+        """The field path of a channel whose topic was found.
 
         Raises:
-            SamplingError: its messages have no such number; the message says which they have.
+            SamplingError: its messages have no such number; the error lists those that they have.
         """
         try:
             return check_path(self.kinds[channel.topic], channel.path, fields_of)
         except SamplingError as error:
             raise SamplingError(f"{channel.text}: {error}") from None
 
-    def instead(self) -> str:
-        """Which topics of others there are, for who looked for another one."""
+    def alternatives(self) -> str:
+        """The foreign topics that exist, for the error about one that does not."""
         found = [
             f"{name} ({', '.join(kinds)})"
             for name, kinds in sorted(self._node.get_topic_names_and_types())
-            if not name.startswith(_OURS) and name not in _NOBODYS and self._node.count_publishers(name)
+            if not name.startswith(_OURS) and name not in _SHARED and self._node.count_publishers(name)
         ]
-        more = f" and {len(found) - _MANY} more" if len(found) > _MANY else ""
-        return ", ".join(found[:_MANY]) + more or "none, in this domain and from this machine"
+        more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
+        return ", ".join(found[:_MOST_LISTED]) + more or "none, in this domain and from this machine"
 
     def _subscribe(self, topic: str, name: str) -> None:
         endpoints = self._node.get_publishers_info_by_topic(name)
@@ -103,11 +105,11 @@ class ForeignTopics:
             sent = message_class(kind)
         except TwinmatchError as error:
             raise SamplingError(f"{topic}: {error}") from error
-        if reader is not None:  # other publishers came that offer less
+        if reader is not None:  # a new publisher offers a weaker QoS
             self._node.destroy_subscription(reader)
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         reader = self._node.create_subscription(
-            sent, name, partial(self._hear, topic), profile, event_callbacks=quiet
+            sent, name, partial(self._receive, topic), profile, event_callbacks=quiet
         )
         self._readers[topic] = profile, reader
         self.kinds[topic] = kind
@@ -118,7 +120,7 @@ class ForeignTopics:
             return given
         if len(found) > 1:
             msg = (
-                f"{topic} is published as {' and '.join(sorted(found))}; say which is meant: types:="
+                f"{topic} is published as {' and '.join(sorted(found))}; choose one with types:="
                 f"'{topic} {min(found)}'"
             )
             raise SamplingError(msg)

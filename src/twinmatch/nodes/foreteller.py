@@ -1,4 +1,4 @@
-"""What comes next, as topics and a service of the node that holds the candidates."""
+"""Forecasts as topics and a service of the node that holds the candidates."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from twinmatch_msgs.srv import WhatIf
 __all__ = ["QUESTIONS", "Foreteller"]
 
 QUESTIONS = "questions"
-"""Key on /diagnostics: how many were answered on `twin/what_if`."""
+"""Key on /diagnostics: number of answers on `twin/what_if`."""
 
 
 class Foreteller:
-    """Publishes at every sample what the leader foretells, and answers what if.
+    """Publishes the leader's forecast at every sample, and answers what-if questions.
 
-    The thread that judges leaves a snapshot of all candidates behind at every sample; questions are answered
-    from the newest one in the thread of the callbacks, so that they never wait for a judgement.
+    The judging thread leaves a snapshot of all candidates at every sample. Questions are answered from the
+    newest snapshot in the callback thread, so that they never wait for a verdict.
     """
 
     def __init__(self, node: TwinNode) -> None:
-        """Make topics and service of a node."""
+        """Create the topics and the service."""
         self._node, self._health = node, node.health
         self._snapshot = Snapshot()
         self._leader: Outlook | None = None
         self._ahead: tuple[int, ...] = ()
         self._made = 0
         self.heard = 0
-        """Forecasts that were heard before this node came, and are not published again."""
+        """Number of forecasts published before this node started, which are not published again."""
         self._forecasts = node.create_publisher(Forecast, "twin/forecast", RELIABLE)
         self._leaders = node.create_publisher(ForecastScore, "twin/leader", LATCHED)
         node.create_service(WhatIf, "twin/what_if", self._on_question)
 
     def publish(self, discriminator: Discriminator) -> None:
-        """Tell what comes after the newest sample of which everything is said, once there is a candidate."""
+        """Publish the forecast from the newest sample that is fully judged, once there is a candidate."""
         self.look(discriminator)
         name = self._snapshot.leader
         if name is None:
@@ -62,7 +62,7 @@ class Foreteller:
         except PlantError:
             if not outlook.parameters.model.is_elsewhere:
                 raise
-            return  # whoever leads at the next sample can be run
+            return  # at the next sample another candidate leads, which can be run
         self._node.publish(self._forecasts, forecast_message(forecast, sample.stamp, self._ahead))
         self._health.set("leader", name)
         self._health.set("forecast from sample", sample.index)

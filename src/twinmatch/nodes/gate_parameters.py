@@ -1,4 +1,4 @@
-"""The parameters of what guards an output, and the limits they make."""
+"""The parameters of the output guard, and the limits they define."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _C = ClockLimits()
 
 
 def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Parameter, ...]:
-    """Name, default, meaning, unit and range of the limits of a plant whose drive counts in `unit`.
+    """Name, default, meaning, unit and range of the limits of a plant whose drive has the unit `unit`.
 
-    `stale` says what the default of the temperature's timeout is made for.
+    `stale` is appended to the description of the temperature's timeout and explains its default.
     """
     runaway = usual.runaway
     low, high = usual.commands
@@ -34,7 +34,7 @@ def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Param
         Parameter(
             "temperature_timeout",
             usual.temperature_timeout,
-            f"Zero when the newest temperature is older{stale}.",
+            f"Zero when the newest temperature is older than this{stale}.",
             "s",
             0.1,
             60.0,
@@ -42,17 +42,17 @@ def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Param
         Parameter(
             "clock_timeout",
             _C.patience,
-            "Zero when /clock stands still so long, by the wall clock.",
+            "Zero when /clock stands still for this long, by the wall clock.",
             "s",
             0.1,
             10.0,
         ),
-        Parameter("highest", usual.highest, "Over-temperature.", "°C", -50.0, 150.0),
-        Parameter("lowest", usual.lowest, "Under-temperature.", "°C", -50.0, 150.0),
+        Parameter("highest", usual.highest, "Over-temperature limit.", "°C", -50.0, 150.0),
+        Parameter("lowest", usual.lowest, "Under-temperature limit.", "°C", -50.0, 150.0),
         Parameter(
             "runaway.hysteresis",
             runaway.hysteresis,
-            "Error of the loop that is always tolerated.",
+            "Control error that is always tolerated.",
             "°C",
             0.1,
             100.0,
@@ -60,7 +60,7 @@ def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Param
         Parameter(
             "runaway.patience",
             runaway.patience,
-            "Error beyond it, summed over time without progress.",
+            "Integral of the error beyond it, without progress, that is a fault.",
             "°C·s",
             1.0,
             1e5,
@@ -68,7 +68,7 @@ def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Param
         Parameter(
             "runaway.gain",
             runaway.gain,
-            "Movement towards the set-point that is progress.",
+            "Movement towards the set-point that counts as progress.",
             "°C",
             0.01,
             100.0,
@@ -85,7 +85,7 @@ def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Param
         Parameter(
             "runaway.full_drive",
             runaway.full_drive,
-            f"{unit} from which the drive counts as full.",
+            "Magnitude from which the drive counts as full.",
             unit,
             most / 255.0,
             most,
@@ -94,10 +94,10 @@ def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Param
 
 
 def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
-    """The guard's limits from checked parameter values; what is no parameter stays as usual.
+    """The guard's limits from checked parameter values; the other limits are those of `usual`.
 
     Raises:
-        SafetyError: values that do not go together.
+        SafetyError: values contradict each other.
     """
     runaway = {n.removeprefix("runaway."): v for n, v in values.items() if n.startswith("runaway.")}
     return replace(

@@ -1,4 +1,4 @@
-"""What nodes have in common that stand between commands and something that heats."""
+"""Base of the nodes between commands and a heater: gate, fault services, runaway watch."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from twinmatch_msgs.msg import LoopSample
 __all__ = ["KEPT", "GatedNode", "fault_text"]
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
-"""For samples and for what was applied."""
+"""For samples and for the applied command."""
 UNWATCHED = 5.0
-"""Seconds without `plant/sample` after which the runaway watch is reported blind."""
+"""Time without `plant/sample` after which a warning says that runaway is not monitored, s."""
 
 
 class GatedNode(TwinmatchNode):
-    """Lets commands through while command, temperature, board and clock are sound.
+    """Passes commands on while command, temperature, board and clock are sound.
 
-    The callbacks only tell the gate; one thread of the subclass speaks to the board. A fault latches until
-    `plant/clear_fault` is called, which `~/clear_fault` is as well; `plant/stop` makes one.
+    The callbacks only feed the gate; one thread of the subclass talks to the board. A fault latches until
+    `plant/clear_fault` or `~/clear_fault` is called; `plant/stop` and `~/stop` latch one.
     """
 
     BOARD: str
-    """What is driven, in words."""
+    """Name of the hardware in messages."""
 
     def make_gate(self, limits: GuardLimits, clock: ClockLimits) -> None:
-        """Make the gate."""
+        """Create the gate."""
         self.gate = OutputGate(self._read_clocks, limits, clock)
-        self._told_fault: Fault | None = None
+        self._reported_fault: Fault | None = None
         self._sampled_at = 0.0
 
     def guard(self, commands: Any) -> None:
@@ -52,40 +52,40 @@ class GatedNode(TwinmatchNode):
     @property
     @abstractmethod
     def board_there(self) -> bool:
-        """Whether what is driven answers."""
+        """Whether the hardware answers."""
 
     @abstractmethod
     def clear_board(self) -> None:
-        """Let go of its own latch."""
+        """Clear the fault latched by the hardware."""
 
     def report(self) -> Report:
         """Fault, gate, clock, runaway watch."""
         self.note_fault()
         health, armed = self.health, self.gate.armed
         health.set("armed", armed)
-        health.say("commands pass" if armed else "waiting for a fresh command and temperature")
+        health.say("passing commands" if armed else "waiting for a fresh command and temperature")
         if self.gate.clock_stopped:
-            health.complain("clock", Level.WARN, "the clock stands still; nothing is driven")
+            health.flag("clock", Level.WARN, "the clock stands still; nothing is driven")
         else:
             health.withdraw("clock")
         if armed and time.monotonic() - self._sampled_at > UNWATCHED:
-            health.complain("watch", Level.WARN, "no plant/sample comes; nobody watches for a runaway")
+            health.flag("watch", Level.WARN, "no messages on plant/sample; runaway is not monitored")
         else:
             health.withdraw("watch")
         if self.count_publishers(self._commands.topic_name) > 1:
-            health.complain("senders", Level.WARN, "two nodes send commands; end one of them")
+            health.flag("senders", Level.WARN, "more than one node publishes commands; stop the others")
         else:
             health.withdraw("senders")
         return super().report()
 
     def note_fault(self) -> None:
-        """Bring a fault into the log, once, and into the health report."""
-        fault, told = self.gate.fault, self._told_fault
-        self._told_fault = fault
+        """Put a fault into the health report, and once into the log."""
+        fault, reported = self.gate.fault, self._reported_fault
+        self._reported_fault = fault
         if fault is None:
             self.health.withdraw("fault")
-        elif fault is not told:
-            self.health.complain("fault", Level.ERROR, fault_text(fault))
+        elif fault is not reported:
+            self.health.flag("fault", Level.ERROR, fault_text(fault))
             self.health.count("faults")
             self.get_logger().error(f"output is zero: {fault_text(fault)}")
 
@@ -97,7 +97,7 @@ class GatedNode(TwinmatchNode):
         try:
             sample = sample_from(message)
         except SignalError as error:
-            self.health.complain("sample", Level.ERROR, f"plant/sample: {error}")
+            self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
             return
         self._sampled_at = time.monotonic()
         self.health.withdraw("sample")
@@ -108,24 +108,24 @@ class GatedNode(TwinmatchNode):
         if fault is None:
             response.success, response.message = True, "there is no fault"
         elif not self.board_there:
-            response.message = (
-                f"{fault_text(fault)}; and the {self.BOARD} is not connected, which comes first"
-            )
+            response.message = f"{fault_text(fault)}; not cleared: the {self.BOARD} is not connected"
         else:
             self.clear_board()
             self.gate.clear()
             self.note_fault()
             response.success = True
-            response.message = f"cleared {fault_text(fault)}; a new command and temperature will pass"
+            response.message = (
+                f"cleared {fault_text(fault)}; commands pass again after a new command and temperature"
+            )
         return response
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.gate.trip(FaultKind.STOPPED, "stopped as asked; clear_fault lets it go on")
+        self.gate.trip(FaultKind.STOPPED, "stopped on request; call clear_fault to continue")
         self.note_fault()
         response.success, response.message = True, fault_text(self.gate.fault)
         return response
 
 
 def fault_text(fault: Fault | None) -> str:
-    """A fault as messages have it; empty if there is none."""
+    """A fault as text in messages; empty if there is none."""
     return "" if fault is None else f"{fault.kind.value}: {fault.message}"

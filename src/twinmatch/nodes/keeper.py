@@ -1,6 +1,6 @@
-"""Keeps what is heard of a run, and gives it to a node that comes back or was held up: `plant/past`.
+"""Keeps the messages of a run, and serves them on `plant/past` to a node that restarts or fell behind.
 
-It lives in the process that makes the samples: while there are samples, there is somebody who knows them all.
+It runs in the process that publishes the samples, so that it is there whenever there are samples.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ __all__ = ["PAST", "Keeper"]
 PAST = "plant/past"
 """Name of the service."""
 MOST_SAMPLES = 2000
-"""In one answer: some milliseconds of work."""
+"""Most samples in one answer: some milliseconds of work."""
 MOST_MESSAGES = 20
-"""Matches and verdicts in one answer, each."""
+"""Most matches, and most verdicts, in one answer."""
 
 LINGER = 2.0
-"""Wall seconds after a question in which another may come: whoever asks is not left alone."""
+"""Time after a request during which the process stays up for the next one, wall s."""
 
 _EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Keeper(TwinmatchNode):
-    """Hears samples and what a twin says of them, from the session's first sample on."""
+    """Records samples and the twin's messages about them, from the session's first sample on."""
 
     NAME = KEEPER
     KEPT: ClassVar = {"twin/match": Match, "twin/model_score": ModelScore}
@@ -46,15 +46,15 @@ class Keeper(TwinmatchNode):
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
-        """None: what is given to its process is meant for the node beside it."""
+        """No parameters: those given to its process are for the other nodes in it."""
         return (), {name: value for name, value in given.items() if name.startswith(BUILT_IN)}
 
     def open(self) -> None:
-        """Listen and offer the service."""
+        """Subscribe and offer the service."""
         self._shelf = Shelf()
         self._texts = {name: Texts() for name in self.KEPT}
         self._counts = dict.fromkeys(self.COUNTED, 0)
-        self._asked_at = -LINGER
+        self._requested_at = -LINGER
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, _EVERYTHING)
         for name, kind in (self.KEPT | self.COUNTED).items():
             self.create_subscription(kind, name, partial(self._on_said, name), _EVERYTHING, raw=True)
@@ -63,14 +63,14 @@ class Keeper(TwinmatchNode):
         self.report_on()
 
     def report(self) -> Report:
-        """How much there is."""
+        """The numbers of samples and messages kept."""
         self.health.set("samples", len(self._shelf))
         for name, texts in self._texts.items():
             self.health.set(name, len(texts))
         return super().report()
 
     def close(self) -> bool:
-        """Let go of the files."""
+        """Release the files."""
         if hasattr(self, "_shelf"):
             self._shelf.close()
             for texts in self._texts.values():
@@ -81,14 +81,14 @@ class Keeper(TwinmatchNode):
         try:
             sample = sample_from(message)
         except SignalError as error:
-            self.health.complain("sample", Level.ERROR, f"plant/sample: {error}")
+            self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
             return
         if sample.index < self._shelf.end or len(sample.disturbances) != self._shelf.disturbances:
-            self._begin(len(sample.disturbances))
+            self._start_over(len(sample.disturbances))
         self._shelf.push(sample)
 
-    def _begin(self, disturbances: int) -> None:
-        """Another session begins: what was said about the one before is none of its past."""
+    def _start_over(self, disturbances: int) -> None:
+        """Forget everything, because a new session starts."""
         self.close()
         self._shelf = Shelf(disturbances)
         self._texts = {name: Texts() for name in self.KEPT}
@@ -102,11 +102,11 @@ class Keeper(TwinmatchNode):
 
     @property
     def busy(self) -> bool:
-        """Whether somebody is catching up."""
-        return time.monotonic() - self._asked_at < LINGER
+        """Whether a node is catching up."""
+        return time.monotonic() - self._requested_at < LINGER
 
     def _on_question(self, request: Past.Request, answer: Past.Response) -> Past.Response:
-        self._asked_at = time.monotonic()
+        self._requested_at = time.monotonic()
         rows = self._shelf.rows(request.first, request.count, MOST_SAMPLES)
         answer.heard = self._shelf.end
         for name in ("index", "stamp", "reference", "output", "input"):

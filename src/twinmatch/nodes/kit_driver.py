@@ -1,8 +1,7 @@
-"""The one thread that speaks to a Temperature Control Lab.
+"""The one thread that talks to a Temperature Control Lab.
 
-Several times a second it sets what the gate lets through, and zero if it lets nothing through, and passes on
-what the kit reads. Whatever ends the thread, its last word is zero; and where it has none, the process that
-holds the port says it.
+Several times a second it sets the command that the gate passes, or zero, and forwards the kit's readings.
+However the thread ends, its last command is zero; if it cannot send it, the process that holds the port does.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from twinmatch.safety import FaultKind
 __all__ = ["KitDriver", "KitPace"]
 
 _LONGEST = 0.3
-"""Wall time after which the kit is asked in any case, s: well within the deadline of who holds its port."""
+"""Longest wall time between two commands, s: well within the deadline of the process that holds the port."""
 
 Tell = Callable[[KitReading | None, int], None]
 
@@ -32,17 +31,17 @@ class KitPace:
     """Pace of the thread."""
 
     repeat: float = 0.25
-    """The kit is asked and told again after so many seconds of the plant's clock."""
+    """Interval between two commands, s of the plant's clock."""
     poll: float = 0.025
-    """Longest sleep between two looks at that clock, s of the wall's."""
+    """Longest sleep between two readings of that clock, wall s."""
     first_pause: float = 0.1
-    """Wait before a lost kit is looked for again, s; doubled each time …"""
+    """Pause before the first attempt to reconnect, s; doubled after each attempt."""
     longest_pause: float = 2.0
-    """… up to this."""
+    """Longest such pause, s."""
 
 
 class KitDriver(DriverThread):
-    """Lets the kit at the end of a link do what the gate lets through, and nothing else."""
+    """Sends to the kit what the gate passes, and nothing else."""
 
     NAME = "kit driver"
     CLOSING = 5.0
@@ -57,9 +56,9 @@ class KitDriver(DriverThread):
         other: float = 0.0,
         pace: KitPace | None = None,
     ) -> None:
-        """`tell` is given each reading (None: nobody knows) and the sample whose command was set.
+        """`tell` is called with each reading (None: unknown) and the sample whose command was set.
 
-        `other` is what the second heater does while commands pass, %.
+        `other` is the power of the second heater while commands pass, %.
         """
         self._other, self._pace = other, pace or KitPace()
         super().__init__(self._pace.first_pause, self._pace.longest_pause)
@@ -71,7 +70,7 @@ class KitDriver(DriverThread):
 
     @property
     def connected(self) -> bool:
-        """Whether the kit answered last time."""
+        """Whether the kit answered the last command."""
         return self._link.is_open and self._sent is not None
 
     def _turn(self) -> None:
@@ -81,7 +80,7 @@ class KitDriver(DriverThread):
             self._serve()
         except KitAbsentError as error:
             if not self._known:
-                raise  # nobody waits for a kit that was never there
+                raise  # a kit that was never there is not waited for
             self._lost(error)
         except KitSilentError as error:
             self._gate.trip(FaultKind.BOARD, str(error))
@@ -102,7 +101,7 @@ class KitDriver(DriverThread):
             self._clear_wanted.clear()
         decision = self._gate.decide()
         wanted = (decision.input, self._other) if decision.armed else (0.0, 0.0)
-        # By the wall's clock too: a plant slowed down, or whose clock stands, must not look like our end.
+        # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
         due = decision.time - self._sent_at >= self._pace.repeat
         if due or wanted != self._sent or time.monotonic() - self._said_at >= _LONGEST:
             self._set(wanted, decision)
@@ -118,13 +117,13 @@ class KitDriver(DriverThread):
             self._gate.trip(FaultKind.LINK, str(error))
         self._sent = None
         self._health.count(type(error).__name__)
-        self._health.complain("link", Level.ERROR, str(error))
+        self._health.flag("link", Level.ERROR, str(error))
         self._link.close()
         self._tell(None, 0)
         self._pause()
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         if self._link.is_open:
-            with contextlib.suppress(Exception):  # the port has to be given back whatever happens
+            with contextlib.suppress(Exception):  # the port must be released whatever happens
                 self._tell(self._link.drive(0.0, 0.0), 0)
         self._link.close()

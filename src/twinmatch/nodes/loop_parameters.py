@@ -1,4 +1,4 @@
-"""The parameters of the running loop: sample time and PID. Controller and twin have to agree on them."""
+"""The parameters of the running loop: sampling period and PID. Controller and twin must agree on them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from twinmatch.nodes.parameters import Parameter
 __all__ = ["UNKNOWN", "closing_of", "loop_parameters", "pid_gains", "unit_of"]
 
 UNKNOWN: Final = "unknown"
-"""What `loop` says of a twin that is driven by the recorded input."""
+"""Value of `loop` for a twin that is driven by the recorded input."""
 
 _MOST = 1e4
-"""A gain beyond this is a mistake of the unit."""
+"""Largest gain; a larger one means a wrong unit."""
 
 
 def unit_of(drive: Drive) -> str:
@@ -23,15 +23,15 @@ def unit_of(drive: Drive) -> str:
 
 
 def closing_of(values: Mapping[str, Any]) -> Closing:
-    """What parameter `loop` says among given values; without it the plant file decides."""
+    """The loop that parameter `loop` selects; without it, that of the plant file."""
     return None if values.get("loop", Filed.LOOP.value) == UNKNOWN else FILED
 
 
 def loop_parameters(plant: type[Plant], closing: Closing = FILED) -> tuple[Parameter, ...]:
-    """The sample time, and the gains of the plant's controller if that is known."""
+    """The sampling period, and the gains of the plant's controller if it is known."""
     usual = plant.loop.period if plant.loop else 1.0
     has = gains_for(plant, usual, closing)
-    period = Parameter("period", usual, "Sample time of the loop.", "s", 0.01, 60.0)
+    period = Parameter("period", usual, "Sampling period of the loop.", "s", 0.01, 60.0)
     if has is None:
         return (period,)
     u, y = unit_of(plant.drive), plant.output.unit
@@ -48,22 +48,26 @@ def loop_parameters(plant: type[Plant], closing: Closing = FILED) -> tuple[Param
             for name, text, unit in gains
         ),
         Parameter("pid.back_calculation", has.back_calculation, "Anti-windup gain.", "1/s", 0.0, 1e3),
-        Parameter("pid.low", has.low, "Least output.", u, low, high),
-        Parameter("pid.high", has.high, "Greatest output.", u, low, high),
-        Parameter("pid.on_measurement", has.on_measurement, "Whether steps of the set-point do not kick D."),
+        Parameter("pid.low", has.low, "Lower output limit.", u, low, high),
+        Parameter("pid.high", has.high, "Upper output limit.", u, low, high),
+        Parameter(
+            "pid.on_measurement",
+            has.on_measurement,
+            "Derivative of the measurement instead of the error: no kick at set-point steps.",
+        ),
     )
 
 
 def pid_gains(values: Mapping[str, Any]) -> PidGains:
-    """The controller from checked parameter values, among which there are gains.
+    """The controller from checked parameter values that include the gains.
 
     Raises:
-        PlantError: values no controller has.
+        PlantError: the gains cannot be used.
     """
     gains = {n.removeprefix("pid."): v for n, v in values.items() if n.startswith("pid.")}
     return PidGains(period=values["period"], **gains)
 
 
 def _span(default: float) -> tuple[float, float]:
-    """A gain of the wrong sign would drive the plant away from its set-point."""
+    """The range of a gain, without the wrong sign, which would drive the plant away from its set-point."""
     return (0.0, _MOST) if default >= 0 else (-_MOST, 0.0)

@@ -1,4 +1,4 @@
-"""Fits the rig's parameters to the windows it is asked about: `twin/match_request` in, `twin/match` out."""
+"""Fits the rig's parameters to requested windows: `twin/match_request` in, `twin/match` out."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ __all__ = ["MatcherNode", "main"]
 
 
 class MatcherNode(TwinNode):
-    """Answers every request; one that comes again while it is worked on is answered once."""
+    """Answers every request; one that is repeated while in progress is answered once."""
 
     NAME = "matcher"
 
     def open(self) -> None:
         """Wait for requests."""
         self._publisher = self.create_publisher(Match, "twin/match", RELIABLE)
-        self._at_work: set[tuple[int, int]] = set()
+        self._in_progress: set[tuple[int, int]] = set()
         self._lock = threading.Lock()
         self.health.say("waiting for requests")
         super().open()
         self.create_subscription(MatchRequest, "twin/match_request", self._on_request, EVERYTHING)
 
     def work(self, item: MatchRequest) -> None:
-        """Make the match and publish it."""
+        """Compute the match and publish it."""
         try:
             report = answer(request_from(item), self.settings)
         finally:
             with self._lock:
-                self._at_work.discard((item.sample, item.first))
+                self._in_progress.discard((item.sample, item.first))
         self.health.count("matches")
         self.health.set("last match", f"{report.match.status.value} at sample {report.sample}")
         self.publish(self._publisher, match_message(report, nanoseconds(item.header.stamp)))
@@ -44,9 +44,9 @@ class MatcherNode(TwinNode):
         self.health.say("working")
         name = (message.sample, message.first)
         with self._lock:
-            if name in self._at_work:
+            if name in self._in_progress:
                 return
-            self._at_work.add(name)
+            self._in_progress.add(name)
         self.put(message)
 
 

@@ -1,4 +1,4 @@
-"""Message types that are known by name at run time: their classes and their fields."""
+"""Message types given by name at run time: their classes and fields."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ def message_class(kind: str) -> Any:
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
-        msg = (
-            f"the type {kind} is not installed here; source the workspace that has {package}, and start again"
-        )
+        msg = f"the type {kind} is not installed here; source the workspace with {package}, and restart"
         raise MessageTypeError(msg) from None
 
 
@@ -45,7 +43,7 @@ def fields_of(kind: str) -> Mapping[str, Field]:
 
 
 def _field(text: str) -> Field:
-    """From what ROS says of a field: `double`, `sequence<std_msgs/Header, 3>`, `float[9]`."""
+    """From ROS's notation of a field type: `double`, `sequence<std_msgs/Header, 3>`, `float[9]`."""
     match = _KIND.match(text)
     base = match["base"] if match else text
     if "/" in base:

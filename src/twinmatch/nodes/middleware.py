@@ -1,8 +1,8 @@
-"""Looks at RMW_IMPLEMENTATION before ROS does, which ends the process while it is being imported.
+"""Check RMW_IMPLEMENTATION before ROS does, because ROS ends the process during the import.
 
-The library behind `rclpy` compares the variable with what it finds as soon as it is loaded, writes a line
-about its own source and exits with code 102: no `except` of ours would ever run. So the look is taken when
-somebody is about to import `rclpy`; what needs no ROS, such as reading parameters, is left alone.
+When loaded, the library behind `rclpy` compares the variable with the installed middlewares; if it does not
+match, it prints a line about its own source and exits with code 102, so that no `except` of ours ever runs.
+The check is therefore made when `rclpy` is about to be imported. Code that needs no ROS is not affected.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _LOADER = "rmw_implementation"
 
 
 def problem(environment: Mapping[str, str] = os.environ, own: str = sys.prefix) -> str:
-    """What is wrong with the middleware that is named, as a line; empty: nothing, as far as one can see.
+    """An error line if the selected middleware is not installed; empty if no problem is found.
 
     Args:
         environment: the variables of the process.
-        own: where ROS 2 is if it comes from wheels.
+        own: prefix of a ROS 2 that was installed from wheels.
     """
     named = environment.get(VARIABLE, "")
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
@@ -38,13 +38,13 @@ def problem(environment: Mapping[str, str] = os.environ, own: str = sys.prefix) 
         return ""
     there = ", ".join(sorted(found))
     return (
-        f"network: {VARIABLE} is {named[:80]!r}, which is not installed; there is {there}. "
-        "Install it, or unset the variable"
+        f"network: {VARIABLE} is {named[:80]!r}, which is not installed (installed: {there}); "
+        "install it, or unset the variable"
     )
 
 
 class BeforeRos(MetaPathFinder):
-    """Finds no module; ends the program in one line where importing `rclpy` would end it in another."""
+    """An import hook that finds no module, but exits with a clear error line before `rclpy` would exit."""
 
     def find_spec(
         self,
@@ -52,7 +52,7 @@ class BeforeRos(MetaPathFinder):
         path: Sequence[str] | None = None,  # noqa: ARG002 - the import system gives it
         target: ModuleType | None = None,  # noqa: ARG002
     ) -> None:
-        """Take the look when ROS is asked for."""
+        """Check when `rclpy` is imported."""
         if name != "rclpy":
             return
         if line := problem():

@@ -1,12 +1,12 @@
-"""Where the nodes talk: on this machine only, unless somebody writes that they may talk further.
+"""Restrict the nodes to this machine, unless the network is explicitly opened.
 
-ROS 2 by default sends its discovery to the whole network and listens on every interface, and the wheels
-have no DDS security. So every node binds to the loopback interface, and one that could not is stopped:
-the profile is looked for before ROS starts, and the sockets are looked at after it has started.
-`TWINMATCH_NETWORK=open` in the environment leaves the network to the usual ROS 2 variables instead.
+By default ROS 2 sends discovery to the whole network and listens on every interface, and the wheels have no
+DDS security. So every node binds to the loopback interface, and stops if it cannot: the profile is checked
+before ROS starts, and the sockets after it has started. `TWINMATCH_NETWORK=open` in the environment leaves
+the network to the usual ROS 2 variables instead.
 
-Programs of other people need nothing of this to read our topics, but without it they listen on the network
-themselves. `python -m twinmatch.nodes.network` prints what a shell has to set for them.
+Other programs need none of this to read our topics, but without it they listen on the network themselves.
+`python -m twinmatch.nodes.network` prints the variables to set for them in a shell.
 """
 
 from __future__ import annotations
@@ -34,17 +34,16 @@ __all__ = [
 ]
 
 VARIABLE = "TWINMATCH_NETWORK"
-"""Environment variable that holds the value of a `Network`."""
+"""Environment variable whose value is that of a `Network`."""
 
 PROFILES = {
     "FASTRTPS_DEFAULT_PROFILES_FILE": Path(__file__).with_name("fastdds2_loopback.xml"),
     "FASTDDS_DEFAULT_PROFILES_FILE": Path(__file__).with_name("fastdds3_loopback.xml"),
 }
-"""Settings that bind Fast DDS to 127.0.0.1, by the variable that names them: the first is for version 2
-(Jazzy), the second for version 3 (Kilted and later), which still reads the other's variable and cannot parse
-its file."""
+"""Profiles that bind Fast DDS to 127.0.0.1, by environment variable: the first is for version 2 (Jazzy), the
+second for version 3 (Kilted and later), which also reads the first variable but cannot parse its file."""
 VERSIONS = {"FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps", "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds"}
-"""Folder in `share/` that the version of each variable has."""
+"""Folder in `share/` of the Fast DDS version that belongs to each variable."""
 
 DOMAIN = "ROS_DOMAIN_ID"
 LAST_DOMAIN = 232
@@ -54,29 +53,29 @@ FAST_DDS = ("", "rmw_fastrtps_cpp")
 
 
 class NetworkError(TwinmatchError):
-    """The nodes would be reachable from elsewhere, or cannot be told how to talk."""
+    """The nodes would be reachable from other machines, or the network cannot be configured."""
 
 
 class Network(Enum):
-    """How far the nodes talk."""
+    """Which machines the nodes communicate with."""
 
     LOOPBACK = "loopback"
-    """With nodes on this machine."""
+    """This machine only."""
     OPEN = "open"
-    """As the ROS 2 variables of the environment say, which by default is with the whole network."""
+    """As set by the ROS 2 variables of the environment; by default, the whole network."""
 
 
 def prepare(
     environment: MutableMapping[str, str] = os.environ, profiles: Mapping[str, Path] = PROFILES
 ) -> Network:
-    """Set the variables ROS 2 reads when it starts; call it before `rclpy.init`.
+    """Set the variables that ROS 2 reads when it starts; call it before `rclpy.init`.
 
-    Besides the network this tells ROS 2 where its files are when it comes from wheels, and where it may
-    write its logs when there is no home.
+    Besides the network, this sets where ROS 2 finds its files when installed from wheels, and where it
+    writes its logs when there is no home folder.
 
     Raises:
         NetworkError: `TWINMATCH_NETWORK` is neither `loopback` nor `open`, the profile is missing, the
-            middleware is not Fast DDS and so would not read it, or there is no such domain.
+            middleware is not Fast DDS and so would not read the profile, or the domain is invalid.
     """
     _find_wheels(environment)
     _find_log_folder(environment)
@@ -88,14 +87,14 @@ def prepare(
         msg = f"network: {VARIABLE} is {value!r}; use 'loopback' (the default) or 'open'"
         raise NetworkError(msg) from None
     if network is Network.OPEN:
-        warning = f"NETWORK OPEN: {VARIABLE}=open, other machines may read and command these nodes"
+        warning = f"NETWORK OPEN: {VARIABLE}=open, other machines can read and command these nodes"
         print(f"twinmatch: {warning}", file=sys.stderr, flush=True)
         return network
     middleware = environment.get("RMW_IMPLEMENTATION", "")
     if middleware not in FAST_DDS:
         msg = (
-            f"network: RMW_IMPLEMENTATION is {middleware}, which cannot be bound to this machine by us; "
-            f"unset it, or write {VARIABLE}=open and restrict it yourself"
+            f"network: RMW_IMPLEMENTATION is {middleware}, which twinmatch cannot restrict to this machine; "
+            f"unset it, or set {VARIABLE}=open and restrict it yourself"
         )
         raise NetworkError(msg)
     for name in PROFILES:
@@ -103,12 +102,12 @@ def prepare(
     for name, profile in _installed(profiles, environment).items():
         if not profile.is_file():
             msg = (
-                f"network: {profile} is missing, the nodes would talk to the whole network; "
+                f"network: {profile} is missing, without which the nodes would be open to the whole network; "
                 "reinstall twinmatch"
             )
             raise NetworkError(msg)
         environment[name] = str(profile)
-    # Any narrower range makes rmw_fastrtps replace the transports of the profile by its own.
+    # With any narrower range, rmw_fastrtps replaces the transports of the profile with its own.
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     for name in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"):
         environment.pop(name, None)
@@ -116,7 +115,7 @@ def prepare(
 
 
 def shell_lines(environment: Mapping[str, str] = os.environ) -> list[str]:
-    """What a shell has to run so that the programs it starts talk as our nodes do.
+    """Shell commands after which the programs of that shell communicate as our nodes do.
 
     Raises:
         NetworkError: as `prepare`.
@@ -131,20 +130,20 @@ def shell_lines(environment: Mapping[str, str] = os.environ) -> list[str]:
 
 
 def check_sockets() -> None:
-    """Look at the sockets of this process; call it after the nodes were made.
+    """Check the sockets of this process; call it after the nodes were created.
 
-    A profile that Fast DDS cannot read is one line in its log and a node on the network. Its two versions do
-    not read each other's.
+    If Fast DDS cannot parse its profile, it only logs a line and opens the node to the network. Its versions
+    2 and 3 cannot parse each other's profiles.
 
     Raises:
-        NetworkError: a UDP socket is bound to an address that other machines reach.
+        NetworkError: a UDP socket is bound to an address that other machines can reach.
     """
     elsewhere = [socket for socket in sockets_elsewhere() if socket.startswith("udp")]
     if elsewhere:
-        told = " and ".join(path.name for path in PROFILES.values())
+        profiles = " and ".join(path.name for path in PROFILES.values())
         msg = (
-            f"network: bound to {', '.join(elsewhere)} in spite of {told}; stopped. "
-            f"Reinstall twinmatch, or write {VARIABLE}=open if other machines may talk to these nodes"
+            f"network: bound to {', '.join(elsewhere)} in spite of {profiles}; stopped. Reinstall "
+            f"twinmatch, or set {VARIABLE}=open if other machines may communicate with these nodes"
         )
         raise NetworkError(msg)
 
@@ -152,8 +151,8 @@ def check_sockets() -> None:
 def sockets_elsewhere(process: int | str = "self") -> list[str]:
     """Sockets of a process that other machines could reach, such as `udp 0.0.0.0:7400`.
 
-    UDP sockets that are bound and TCP sockets that listen, on neither a loopback address nor a multicast
-    group (those hear only the interfaces on which they joined). Empty where there is no /proc.
+    These are bound UDP sockets and listening TCP sockets, except on a loopback address or a multicast group
+    (which receives only from the interfaces it joined on). Empty where there is no /proc.
     """
     inodes = set(_socket_inodes(process))
     return [
@@ -165,15 +164,15 @@ def sockets_elsewhere(process: int | str = "self") -> list[str]:
 
 
 def _check_domain(value: str) -> None:
-    """DDS reckons its ports from the domain, and from 233 on there are none."""
-    # A domain of "" is the domain 0, as ROS reads it.
+    """Refuse a domain for which DDS, which computes its ports from it, has none: those from 233 on."""
+    # ROS reads "" as domain 0.
     if value and not (value.isascii() and value.isdigit() and int(value[:9]) <= LAST_DOMAIN):
         msg = f"network: {DOMAIN} is {value[:40]!r}; it must be a whole number from 0 to {LAST_DOMAIN}"
         raise NetworkError(msg)
 
 
 def _installed(profiles: Mapping[str, Path], environment: Mapping[str, str]) -> Mapping[str, Path]:
-    """Those for the version of Fast DDS that is there; all of them where none is found."""
+    """The profiles for the installed version of Fast DDS; all of them if none is found."""
     prefixes = [
         Path(prefix) for prefix in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix
     ]
@@ -186,13 +185,13 @@ def _installed(profiles: Mapping[str, Path], environment: Mapping[str, str]) -> 
 
 
 def _find_wheels(environment: MutableMapping[str, str]) -> None:
-    """A sourced ROS 2 says where its files are; its wheels do not."""
+    """Set AMENT_PREFIX_PATH for a ROS 2 from wheels; a sourced ROS 2 sets it itself."""
     if "AMENT_PREFIX_PATH" not in environment and (Path(sys.prefix) / "share" / "rclpy").is_dir():
         environment["AMENT_PREFIX_PATH"] = sys.prefix
 
 
 def _find_log_folder(environment: MutableMapping[str, str]) -> None:
-    """Without a place for its logs ROS 2 does not start."""
+    """Set a folder for logs where there is no writable home: ROS 2 does not start without one."""
     if "ROS_LOG_DIR" in environment or "ROS_HOME" in environment:
         return
     home = environment.get("HOME", "")
@@ -230,7 +229,7 @@ def _bound(
 
 
 def _address(digits: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """From the kernel's digits: words of four bytes, each in the byte order of the machine."""
+    """Parse the kernel's hexadecimal digits: four-byte words, each in the machine's byte order."""
     raw = bytes.fromhex(digits)
     if sys.byteorder == "little":
         raw = b"".join(raw[i : i + 4][::-1] for i in range(0, len(raw), 4))

@@ -1,4 +1,4 @@
-"""What all nodes of this package are: a table of parameters, diagnostics, a way to end."""
+"""Base class of all nodes of this package: table of parameters, diagnostics, orderly end."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
 __all__ = ["KEEPER", "READERS", "TwinmatchNode", "count_readers", "declare", "missing_readers"]
 
 KEEPER = "keeper"
-"""Name of the node that keeps what is heard of a run."""
+"""Name of the node that keeps the messages of a run."""
 
 READERS = Parameter(
-    "readers", "", "Nodes to wait for that must have every plant/sample, by name, with spaces."
+    "readers", "", "Nodes that must receive every plant/sample and are waited for; names with spaces between."
 )
 
 
 class TwinmatchNode(Node):
-    """A node whose parameters are checked and whose health is on /diagnostics.
+    """A node with checked parameters that reports its health on /diagnostics.
 
-    A subclass names itself and its parameters. What it makes in `open` it ends in `close`, which is called
-    even when `open` failed half-way.
+    A subclass defines its name and parameters. What it creates in `open` it releases in `close`, which is
+    called even when `open` failed half-way.
     """
 
     NAME: ClassVar[str]
@@ -35,22 +35,22 @@ class TwinmatchNode(Node):
     FIXED: ClassVar[str] = "it is read once, when the node starts"
     """Why a parameter that is not changeable cannot be set while the node runs."""
     CLOSING: ClassVar[int] = 0
-    """Seconds that `close` may take beyond what every end may take."""
+    """Time that `close` may take in addition to the runner's `TEARDOWN`, s."""
 
     def __init__(self) -> None:
         """Read the parameters into `self.values`.
 
         Raises:
-            ParameterError: one does not exist, has another type or is out of its range.
-            TwinmatchError: some do not go together.
+            ParameterError: a parameter does not exist, has the wrong type or is out of range.
+            TwinmatchError: parameters contradict each other.
         """
         try:
             super().__init__(self.NAME, automatically_declare_parameters_from_overrides=True)
-        except ValueError as error:  # ROS 2 gives an empty list and null no type
+        except ValueError as error:  # an empty list or null has no type in ROS 2
             msg = f"{self.NAME}: a parameter is empty ([] or null); leave it out or give it a value"
             raise ParameterError(msg) from error
         self.exit_code: int | None = None
-        """Set by a node that has come to its end: the process ends with it."""
+        """Set by a node that has finished: the process then exits with this code."""
         self.health = Health()
         self._reporter: Reporter | None = None
         try:
@@ -62,62 +62,62 @@ class TwinmatchNode(Node):
         self.add_on_set_parameters_callback(self._on_set)
 
     def report_on(self, **tasks: Callable[[], Report]) -> None:
-        """Publish the node's health on /diagnostics from now on, and these parts beside it."""
+        """Start to publish the node's health on /diagnostics, together with these further tasks."""
         self._reporter = Reporter(self, {"health": self.report, **tasks})
 
     def report(self) -> Report:
-        """The node's health; a subclass brings it up to date first."""
+        """The node's health; a subclass updates it first."""
         return self.health.report()
 
     def report_now(self) -> None:
-        """Report out of turn, such as before the end."""
+        """Report outside the regular period, such as before the end."""
         if self._reporter is not None:
             self._reporter.publish()
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
-        """The node's parameters, which may depend on what was given, and of that what is to be checked.
+        """The node's parameters, which may depend on the given values, and the given values to check.
 
         Raises:
-            ParameterError: what was given does not go together.
+            ParameterError: the given values contradict each other.
         """
         return cls.PARAMETERS, given
 
     def read_parameters(self) -> None:
-        """Make of `self.values` what the node needs; an error here means that there will be no node."""
+        """Derive what the node needs from `self.values`; after an error here there is no node."""
 
     def change(self, values: Values) -> None:
         """Adopt values of changeable parameters that were set while the node runs.
 
         Raises:
-            TwinmatchError: they do not go together; then everything stays as it was.
+            TwinmatchError: they contradict each other; then nothing changes.
         """
 
     def open(self) -> None:
-        """Make publishers, subscriptions and threads."""
+        """Create publishers, subscriptions and threads."""
 
     @property
     def failure(self) -> Exception | None:
-        """A defect that ended a thread of this node."""
+        """The error that ended a thread of this node, if any."""
         return None
 
     @property
     def busy(self) -> bool:
-        """Whether its process should go on for a moment, although a node of it has come to its end."""
+        """Whether the process should stay up for a moment although a node in it has finished."""
         return False
 
     def close(self) -> bool:
-        """End the node's threads; whether they all did."""
+        """End the node's threads; returns whether all of them ended."""
         return True
 
     def _on_set(self, parameters: Sequence[Any]) -> SetParametersResult:
-        """Answer `ros2 param set`: check by the table, then let the node adopt the values."""
+        """Handle `ros2 param set`: check against the table, then let the node adopt the values."""
         given = {parameter.name: parameter.value for parameter in parameters}
         table = {parameter.name: parameter for parameter in self.table_for(self.values)[0]}
         values = dict(self.values)
         try:
             for name, value in given.items():
-                if name not in table:  # one of those that every ROS 2 node has
+                if name not in table:  # a parameter that every ROS 2 node has
                     continue
                 if not table[name].changeable:
                     msg = f"{self.NAME}: {name} cannot change now: {self.FIXED}; restart the node with it"
@@ -132,14 +132,14 @@ class TwinmatchNode(Node):
 
 
 def count_readers(node: Node, topic: str) -> int:
-    """How many read a topic; the keeper beside whoever publishes it is always there and does not count."""
+    """The number of subscribers of a topic, without the keeper, which runs in the publisher's process."""
     return sum(info.node_name != KEEPER for info in node.get_subscriptions_info_by_topic(topic))
 
 
 def missing_readers(node: Node, topic: str, wanted: str) -> list[str]:
-    """Those of the wanted nodes (names with spaces between) that do not read the topic yet.
+    """The wanted nodes (names with spaces between) that do not subscribe to the topic yet.
 
-    Readers are known by name: programs of other people may read along and come and go.
+    Subscribers are matched by name: foreign programs may subscribe too, and come and go.
     """
     names = set(wanted.split())
     found = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)} if names else set()
@@ -149,10 +149,10 @@ def missing_readers(node: Node, topic: str, wanted: str) -> list[str]:
 def declare(
     node: Node, table_for: Callable[[Mapping[str, Any]], tuple[Sequence[Parameter], Mapping[str, Any]]]
 ) -> Values:
-    """Declare a node's parameters and return their values; the table is asked with the values given.
+    """Declare a node's parameters and return their values; `table_for` gets the values given.
 
-    The node must have been made with `automatically_declare_parameters_from_overrides=True`: that is how
-    the names somebody gave become known, of which those in the table are declared again as it says.
+    The node must have been created with `automatically_declare_parameters_from_overrides=True`, which makes
+    all given names known; those in the table are then declared again with type, range and description.
 
     Raises:
         ParameterError: as for `check`.
@@ -170,7 +170,7 @@ def declare(
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """What `ros2 param describe` shows."""
+    """The description that `ros2 param describe` shows."""
     limits = parameter.limits
     text = f"{parameter.description} ({limits})" if limits else parameter.description
     constraint = "" if parameter.changeable else "read once, when the node starts"

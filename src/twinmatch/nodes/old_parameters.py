@@ -1,4 +1,4 @@
-"""Parameters of the twin's nodes as earlier versions knew them."""
+"""Parameters of the twin's nodes in earlier versions."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
     "camera.resolution": ("sensor.resolution",),
     "pid.limit": ("pid.low", "pid.high"),
 }
-_MONITOR: Final = "only the health monitor tells a fault"
-_BANDS: Final = "limits.doubtful says how far beyond its bands a twin is doubtful"
+_MONITOR: Final = "only the health monitor reports faults"
+_BANDS: Final = "limits.doubtful sets how far beyond its bands a twin is doubtful"
 GONE: Final = {
     "limits.fault_y": _MONITOR,
     "limits.fault_u": _MONITOR,
     "limits.doubtful_y": _BANDS,
     "limits.doubtful_u": _BANDS,
-    "health.drift": "health.change says what a change has to explain to be told",
+    "health.drift": "health.change sets the evidence needed to report a change",
 }
-"""What was told otherwise once, and what tells it now."""
+"""Removed parameters, and their replacements."""
 _START: Final = "start."
 
 
 def refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
-    """Complain of names that are no longer used.
+    """Refuse names that are no longer used.
 
     Raises:
-        ParameterError: there is one.
+        ParameterError: a given name is no longer used.
     """
     for name, now in RENAMED.items():
         if name in given:
@@ -49,10 +49,10 @@ def refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
 
 
 def without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[str, Any]:
-    """The given values without zeros for what the structure does not have: so parts were left out once.
+    """The given values without zeros for what the structure lacks: earlier versions left parts out so.
 
     Raises:
-        ParameterError: another value for a parameter of the plant that this structure does not have.
+        ParameterError: a parameter that this structure lacks has a value other than zero.
     """
     kept = dict(given)
     for name, value in given.items():
@@ -64,7 +64,7 @@ def without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[s
             having = [s for s in plant.structures if of in plant.model(s).declared]
             msg = (
                 f"{place}: parameter {name} is {value}, but structure {model.structure_name!r} has no {of}; "
-                f"name one that has: {', '.join(having) or 'none'}"
+                f"choose a structure that has: {', '.join(having) or 'none'}"
             )
             raise ParameterError(msg)
         del kept[name]
@@ -72,7 +72,7 @@ def without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[s
 
 
 def translated(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Recorded values under the names they have now."""
+    """Recorded values under their current names."""
     kept = {name: value for name, value in given.items() if name not in {*RENAMED, *GONE}}
     for old, names in RENAMED.items():
         if old in given:

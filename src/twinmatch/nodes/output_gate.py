@@ -1,7 +1,7 @@
-"""The output guard between threads: inputs come from the node's callbacks, decisions are asked by another.
+"""A thread-safe output guard: the node's callbacks provide inputs, the driver's thread asks for decisions.
 
-Every time in here is made by a `SafetyClock`; the clocks under it are read through one function, so that
-tests need no clock and no ROS.
+All times here are from a `SafetyClock`. It reads its clocks through one function, so that tests need neither
+clocks nor ROS.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Times(NamedTuple):
     stamps: int
     """The clock of the messages' stamps."""
     plant: int
-    """The clock that deadlines are in: the simulated one if there is one, else the monotonic one."""
+    """The clock for deadlines: the simulated one if there is one, else the monotonic one."""
     wall: int
     """A monotonic clock of this machine."""
 
@@ -32,11 +32,11 @@ class Decision(NamedTuple):
     input: float
     """Command u, in the drive's unit."""
     armed: bool
-    """Whether commands pass, and the deadline of what drives may be fed."""
+    """Whether commands pass and the driver's deadline may be kept alive."""
     sample: int
     """Sample at which the command was computed."""
     time: float
-    """When this was decided, s of the safety clock."""
+    """Time of the decision, s of the safety clock."""
 
 
 class OutputGate:
@@ -48,7 +48,7 @@ class OutputGate:
         limits: GuardLimits | None = None,
         clock_limits: ClockLimits | None = None,
     ) -> None:
-        """Begin waiting, with the output at zero."""
+        """Start with the output at zero, waiting for inputs."""
         self._read_clocks = read_clocks
         self._guard = OutputGuard(limits)
         self._safety_clock = SafetyClock(clock_limits)
@@ -57,13 +57,13 @@ class OutputGate:
 
     @property
     def fault(self) -> Fault | None:
-        """What latched, if anything did."""
+        """The latched fault, if any."""
         with self._news:
             return self._guard.fault
 
     @property
     def armed(self) -> bool:
-        """Whether commands passed when last asked."""
+        """Whether commands passed at the last decision."""
         with self._news:
             return self._guard.armed
 
@@ -101,7 +101,7 @@ class OutputGate:
             self._news.notify_all()
 
     def clear(self) -> Fault | None:
-        """Forget the fault and give it back; the output waits for new inputs."""
+        """Clear the fault and return it; the output waits for new inputs."""
         with self._news:
             fault = self._guard.fault
             self._guard.clear()
@@ -114,7 +114,7 @@ class OutputGate:
             clock = self._safety_clock
             if clock.stopped:
                 if self._guard.armed:
-                    message = f"the clock stands still for {clock.standing:.1f} s; is the simulated plant up?"
+                    message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
                     self._guard.trip(FaultKind.CLOCK, message, now)
                 return Decision(0.0, False, self._index, now)
             value = self._guard.output(now)

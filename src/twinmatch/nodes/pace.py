@@ -6,45 +6,45 @@ __all__ = ["Pace"]
 
 
 class Pace:
-    """Maps the time of the recording onto the time of the listener; all times in seconds.
+    """Maps recorded time onto the player's time; all times in seconds.
 
-    It is told the time and reads no clock, so it can be tested without waiting.
+    The time is passed in and no clock is read, so it can be tested without waiting.
     """
 
     def __init__(self, rate: float, start: float) -> None:
-        """`rate` recorded seconds pass per second (0: as fast as can be), `start` is the first of them."""
+        """`rate` is recorded seconds per second (0: as fast as possible), `start` the first recorded time."""
         self._rate = rate
         self._recorded = start  # recorded time reached at `_since`
         self._since: float | None = None  # the listener's time then; None while paused
 
     @property
     def paused(self) -> bool:
-        """Whether the recording stands still; it does until the first `resume`."""
+        """Whether playback is paused; it is until the first `resume`."""
         return self._since is None
 
     def resume(self, now: float) -> None:
-        """Go on from where the recording stands."""
+        """Continue from the current position."""
         if self._since is None:
             self._since = now
 
     def pause(self, now: float) -> None:
-        """Stand still."""
+        """Pause at the current position."""
         self._recorded = self.position(now)
         self._since = None
 
     @property
     def rate(self) -> float:
-        """Recorded seconds per second; 0: as fast as can be."""
+        """Recorded seconds per second; 0: as fast as possible."""
         return self._rate
 
     def change(self, rate: float, now: float) -> None:
-        """Go on at another rate from where the recording stands."""
+        """Continue at another rate from the current position."""
         self._recorded = self.position(now)
         self._since = None if self._since is None else now
         self._rate = rate
 
     def reach(self, recorded: float, now: float) -> None:
-        """Take note that a message of this recorded time was played; at rate 0 this is the only progress."""
+        """Note that a message of this recorded time was played; at rate 0 this is the only progress."""
         if self._rate == 0:
             self._recorded = max(self._recorded, recorded)
             self._since = None if self._since is None else now

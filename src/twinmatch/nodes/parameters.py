@@ -1,9 +1,9 @@
 """Parameters declared from one table per node, and checked where they are read.
 
-ROS 2 ignores a parameter nobody declared, so a misspelt one in a file does nothing, silently. Here it is
-an error with the name that was probably meant, as is a value out of its range: one line and exit code 2.
-All parameters are read once, at the start, and but for those a node says may be changed they stay as they
-are while it runs. Nothing here needs ROS, so that an offline replay reads the same files.
+ROS 2 silently ignores an undeclared parameter, and with it a misspelt one in a file. Here it is an error that
+suggests the probable name, and so is a value out of range: one line and exit code 2. All parameters are read
+once, at the start; except for those that a node marks as changeable, they stay fixed while it runs. Nothing
+here needs ROS, so that an offline replay reads the same files.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ __all__ = ["BUILT_IN", "Parameter", "ParameterError", "Value", "Values", "check"
 Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]
 
-KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list"}
+KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text", list: "a list"}
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides./clock.")
-"""Parameters that every ROS 2 node has; rclpy lets the clock's subscription be overridden by itself."""
+"""Parameters that every ROS 2 node has; rclpy itself declares the QoS overrides of /clock."""
 QOS = "qos_overrides."
 
 
@@ -43,9 +43,9 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()
-    """The texts that are allowed; empty: any."""
+    """The allowed texts; empty: any."""
     changeable: bool = False
-    """Whether it may be set while the node runs; the node then says what it makes of that."""
+    """Whether it may be set while the node runs; the node's callback then handles it."""
 
     @property
     def limits(self) -> str:
@@ -61,10 +61,10 @@ class Parameter:
         return ", ".join(part for part in (self.unit, span) if part)
 
     def accept(self, value: Any, node: str) -> Value:
-        """The value in this parameter's type.
+        """The value, converted to this parameter's type.
 
         Raises:
-            ParameterError: another type, or out of the range.
+            ParameterError: the value has another type or is out of range.
         """
         kind = type(self.default)
         if kind is float and type(value) is int:
@@ -76,7 +76,7 @@ class Parameter:
             raise ParameterError(msg)
         items = value if isinstance(value, list) else [value]
         if not all(self._allowed(item) for item in items):
-            msg = f"{node}: parameter {self.name} is {shown(value)}; allowed is {self.limits}"
+            msg = f"{node}: parameter {self.name} is {shown(value)}; allowed: {self.limits}"
             raise ParameterError(msg)
         return value
 
@@ -105,13 +105,15 @@ def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Va
     for name in given:
         if name.startswith(QOS) and not name.startswith(BUILT_IN):
             msg = (
-                f"{node}: {name[:80]} is not taken: reliability and depth of a topic are part of what is "
-                "promised for it (docs/subscribing.md); leave it out"
+                f"{node}: {name[:80]} cannot be set: reliability and depth of a topic are guaranteed "
+                "(docs/subscribing.md); leave it out"
             )
             raise ParameterError(msg)
         if name not in known and not name.startswith(BUILT_IN):
             near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"it has: {', '.join(sorted(known)) or 'none'}"
+            hint = (
+                f"did you mean {near[0]}?" if near else f"choose from: {', '.join(sorted(known)) or 'none'}"
+            )
             msg = f"{node}: there is no parameter {name[:80]}; {hint}"
             raise ParameterError(msg)
     return {
@@ -121,7 +123,7 @@ def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Va
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Parameters of a file by their whole names: `pid: {low: 0}` is `pid.low`."""
+    """Parameters of a file by their full names: `pid: {low: 0}` is `pid.low`."""
     flat: dict[str, Any] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):

@@ -18,36 +18,36 @@ from twinmatch.nodes.runner import run
 __all__ = ["CLOCK", "PlantClock", "main"]
 
 CLOCK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""As ROS 2 subscribes to /clock: only the newest counts."""
+"""The QoS with which ROS 2 subscribes to /clock: only the newest message counts."""
 
 
 class PlantClock(TwinmatchNode):
-    """Follows the rig's stream of plant time; when that stands still, so does /clock, and it says so."""
+    """Publishes the rig's stream of plant time; when that stops, so does /clock, and an error is reported."""
 
     NAME = "plant_clock"
     PARAMETERS: ClassVar = (
-        Parameter("address", "", "HOST:PORT of the clock, as the virtual rig prints it; has to be given."),
-        Parameter("patience", 1.0, "Wall time after which a clock that stands is an error.", "s", 0.1, 60.0),
+        Parameter("address", "", "HOST:PORT of the clock, as the virtual rig prints it; required."),
+        Parameter("patience", 1.0, "Wall time after which a stopped clock is an error.", "s", 0.1, 60.0),
     )
 
     def read_parameters(self) -> None:
-        """Understand the address.
+        """Parse the address.
 
         Raises:
-            ClockError: it is none.
+            ClockError: it is not an address.
         """
         self._stillness = Stillness(self.values["patience"])
         self._client = ClockClient(parse_address(self.values["address"]), self._on_time)
 
     def open(self) -> None:
-        """Begin to follow the rig."""
+        """Start to follow the rig."""
         self._publisher = self.create_publisher(Clock, "/clock", CLOCK)
         self._client.start()
         self.report_on()
 
     @property
     def failure(self) -> Exception | None:
-        """The defect that ended the thread which follows the rig."""
+        """The error that ended the thread that follows the rig, if any."""
         return self._client.failure
 
     def report(self) -> Report:
@@ -55,8 +55,8 @@ class PlantClock(TwinmatchNode):
         still = self._stillness.seconds()
         if still:
             why = f" ({self._client.error})" if self._client.error else ""
-            message = f"plant time stands still since {still:.0f} s{why}"
-            self.health.complain("still", Level.ERROR, message)
+            message = f"plant time has stood still for {still:.0f} s{why}"
+            self.health.flag("still", Level.ERROR, message)
         else:
             self.health.withdraw("still")
         self.health.set("set back", self._stillness.set_backs)

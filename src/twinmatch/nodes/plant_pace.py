@@ -1,8 +1,8 @@
-"""Tells the virtual rig how far this process has come, so that plant time does not run away from it.
+"""Reports the progress of this process to the virtual rig, so that plant time does not run ahead of it.
 
-Many times faster than the wall clock, a tenth of a second that a busy machine takes is seconds on the
-plant. This node belongs into the process of the controller: it hears /clock through the same executor,
-so what came before is done when it says so.
+When plant time runs many times faster than the wall clock, a delay of a tenth of a second on a busy machine
+is seconds on the plant. This node runs in the controller's process: it receives /clock through the same
+executor, so when it acknowledges a time, everything before it has been processed.
 """
 
 from __future__ import annotations
@@ -25,17 +25,15 @@ class PlantPace(TwinmatchNode):
     """Answers every /clock with a line to the rig; without an address it does nothing."""
 
     NAME = "plant_pace"
-    PARAMETERS: ClassVar = (
-        Parameter("address", "", "HOST:PORT of the virtual rig's clock; empty: there is none."),
-    )
+    PARAMETERS: ClassVar = (Parameter("address", "", "HOST:PORT of the virtual rig's clock; empty: none."),)
 
     _client: ClockClient | None = None
 
     def open(self) -> None:
-        """Connect and listen.
+        """Connect and subscribe.
 
         Raises:
-            ClockError: the address is none.
+            ClockError: the address is invalid.
         """
         if not self.values["address"]:
             return
@@ -45,11 +43,11 @@ class PlantPace(TwinmatchNode):
 
     @property
     def failure(self) -> Exception | None:
-        """A defect that ended the client's thread."""
+        """The error that ended the client's thread, if any."""
         return None if self._client is None else self._client.failure
 
     def close(self) -> bool:
-        """Let go of the clock."""
+        """Close the connection."""
         return self._client is None or self._client.close()
 
     def _on_clock(self, message: Any) -> None:

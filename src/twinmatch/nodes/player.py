@@ -1,6 +1,6 @@
-"""Plays a session: the plant's topics as they were recorded, byte for byte, and the clock they lived by.
+"""Plays a session: the plant's topics as they were recorded, byte for byte, and their clock.
 
-`~/pause` (std_srvs/SetBool) stands still and goes on; the parameter `rate` may be set at any time.
+`~/pause` (std_srvs/SetBool) pauses and continues; the parameter `rate` may be set at any time.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from twinmatch.sessions import Message, Qos, Topic, read_session
 __all__ = ["Player", "PlayerError", "main"]
 
 DEPTH = 1000
-"""Messages kept for readers that have not taken them yet, per topic."""
+"""Messages queued for slow readers, per topic."""
 BATCH = DEPTH // 4
-"""Messages after which a player without pace waits until its readers have them all."""
+"""At rate 0, messages after which the player waits until its readers have received all of them."""
 TICK = 0.1
 """Longest wait before the clock is published again, s."""
 SAMPLE = "plant/sample"
-MADE_ANEW = ("plant/description",)
-"""Of the plant's topics those that a twin publishes."""
+FROM_TWIN = ("plant/description",)
+"""Plant topics that a twin publishes, and the player therefore does not."""
 
 
 class PlayerError(TwinmatchError):
@@ -47,15 +47,15 @@ class PlayerError(TwinmatchError):
 class Player(TwinmatchNode):
     """Publishes the plant topics of a session and /clock, then ends.
 
-    The topics are relative: what was recorded in the namespace of one rig plays in that of another.
-    What a twin had published is not played; a twin that listens makes it anew.
+    Topic names are relative: a recording from the namespace of one rig can be played in that of another.
+    The recorded topics of a twin are not played; a running twin publishes its own.
     """
 
     NAME = "player"
     PARAMETERS: ClassVar = (
-        Parameter("session", "", "Folder or .mcap file of the session; has to be given."),
+        Parameter("session", "", "Folder or .mcap file of the session; required."),
         Parameter("topic", "", "Topic of the samples, if the session has several rigs."),
-        Parameter("topics", ["plant/", "thermal/"], "How the names of the played topics begin."),
+        Parameter("topics", ["plant/", "thermal/"], "Prefixes of the topics to play."),
         Parameter(
             "rate",
             1.0,
@@ -65,12 +65,12 @@ class Player(TwinmatchNode):
             1000.0,
             changeable=True,
         ),
-        Parameter("paused", False, "Begin paused; the service ~/pause goes on."),
+        Parameter("paused", False, "Start paused; the service ~/pause continues."),
         Parameter("clock", True, "Publish /clock."),
         Parameter("wait_for", 1, "Readers of plant/sample to wait for before the first message.", "", 0, 100),
         READERS,
         Parameter(
-            "wait_timeout", 10.0, "Longest wait for them and for the last to be taken.", "s", 0.1, 3600.0
+            "wait_timeout", 10.0, "Longest wait for them, and for delivery at the end.", "s", 0.1, 3600.0
         ),
     )
 
@@ -89,10 +89,10 @@ class Player(TwinmatchNode):
         """Read the session and start to wait for readers.
 
         Raises:
-            TwinmatchError: the session cannot be read, or it has messages of types that are not installed.
+            TwinmatchError: the session cannot be read, or has message types that are not installed.
         """
         if not self.values["session"]:
-            raise PlayerError("player: no session; give --ros-args -p session:=path/to/session")
+            raise PlayerError("player: the session is missing; give --ros-args -p session:=path/to/session")
         self._session = read_session(Path(self.values["session"]), self.values["topic"] or None)
         self._prefix = self._session.topic.removesuffix(SAMPLE)
         self._publishers_of = {
@@ -101,10 +101,11 @@ class Player(TwinmatchNode):
             )
             for topic in self._session.topics
             if self._relative(topic.name).startswith(tuple(self.values["topics"]))
-            and self._relative(topic.name) not in MADE_ANEW
+            and self._relative(topic.name) not in FROM_TWIN
         }
         if self._session.topic not in self._publishers_of:
-            msg = f"player: topics {self.values['topics']} leave out {self._relative(self._session.topic)}"
+            missing = self._relative(self._session.topic)
+            msg = f"player: topics {self.values['topics']} leave out {missing}; add it"
             raise PlayerError(msg)
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self.values["clock"] else None
         self._pace = Pace(self.values["rate"], self._session.start / 1e9)
@@ -117,11 +118,11 @@ class Player(TwinmatchNode):
 
     @property
     def failure(self) -> Exception | None:
-        """What ended the playing before its time."""
+        """The error that ended playback early, if any."""
         return self._failure
 
     def report(self) -> Report:
-        """Where the recording stands."""
+        """Position and rate of playback."""
         self.health.set("messages", self._played)
         self.health.set("ended", self._over)
         with self._change:
@@ -177,10 +178,10 @@ class Player(TwinmatchNode):
             if self._ending:
                 return False
             if time.monotonic() > deadline:
-                self._complain_of(self._missing(publisher), publisher.topic_name)
+                self._refuse_missing(self._missing(publisher), publisher.topic_name)
                 found = count_readers(self, publisher.topic_name)
                 msg = (
-                    f"player: {found} of {wanted} readers of {publisher.topic_name} came within "
+                    f"player: {publisher.topic_name} has {found} of {wanted} subscribers after "
                     f"{timeout:g} s; start them first, or lower wait_for"
                 )
                 raise PlayerError(msg)
@@ -191,20 +192,20 @@ class Player(TwinmatchNode):
     def _missing(self, publisher: Any) -> list[str]:
         return missing_readers(self, publisher.topic_name, self.values["readers"])
 
-    def _complain_of(self, missing: list[str], topic: str) -> None:
+    def _refuse_missing(self, missing: list[str], topic: str) -> None:
         if missing:
             timeout = self.values["wait_timeout"]
-            msg = f"player: {', '.join(missing)} did not come to read {topic} within {timeout:g} s"
+            msg = f"player: {', '.join(missing)} did not subscribe to {topic} within {timeout:g} s"
             raise PlayerError(msg)
 
     def _play(self) -> bool:
-        """Publish everything; whether the end was reached."""
+        """Publish everything; returns whether the end was reached."""
         for message in self._session.messages(self._publishers_of):
             if not self._wait_until_due(message.log_time):
                 return False
             self._publish_clock(message.log_time)
             self._publish(message)
-            if self._pace.rate == 0 and self._played % BATCH == 0 and not self._wait_for_taking():
+            if self._pace.rate == 0 and self._played % BATCH == 0 and not self._wait_for_delivery():
                 return False
         return True
 
@@ -231,11 +232,11 @@ class Player(TwinmatchNode):
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=Time(nanoseconds=at).to_msg()))
 
-    def _wait_for_taking(self, deadline: float | None = None) -> bool:
-        """Wait until the readers have what was published; whether they have.
+    def _wait_for_delivery(self, deadline: float | None = None) -> bool:
+        """Wait until the readers have received what was published; returns whether they have.
 
-        A reader of ours keeps all it was sent and is not sent more than it has room for, so this holds a
-        player back to the pace of the slowest of them.
+        Our readers keep every message and apply back-pressure when their queue is full, so this limits the
+        player to the pace of the slowest.
         """
         publishers = list(self._publishers_of.values())
         if deadline is not None and self._clock_publisher is not None:
@@ -249,17 +250,17 @@ class Player(TwinmatchNode):
         return True
 
     def _finish(self) -> None:
-        if self._wait_for_taking(time.monotonic() + self.values["wait_timeout"]):
-            self.health.say(f"ended: all {self._played} messages were taken")
+        if self._wait_for_delivery(time.monotonic() + self.values["wait_timeout"]):
+            self.health.say(f"ended: all {self._played} messages were delivered")
         else:
-            self.health.complain("end", Level.WARN, "ended: some readers did not take the last messages")
+            self.health.flag("end", Level.WARN, "ended: the last messages did not reach all readers")
         self._over = True
         self.report_now()
         self.exit_code = 0
 
 
 def qos_profile(qos: Qos) -> QoSProfile:
-    """The recorded quality of service; with more room, so that a reader may be slow for a while."""
+    """The recorded quality of service, with a deeper queue, so that a reader may be slow for a while."""
     transient = qos.durability == "transient_local"
     reliable = qos.reliability == "reliable"
     return QoSProfile(
@@ -280,7 +281,9 @@ def message_class(topic: Topic) -> Any:
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
-        msg = f"player: {topic.name} has the type {topic.type}, which is not installed here"
+        msg = (
+            f"player: {topic.name} has the type {topic.type}, which is not installed here; install {package}"
+        )
         raise PlayerError(msg) from None
 
 

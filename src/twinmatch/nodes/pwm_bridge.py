@@ -1,4 +1,4 @@
-"""Carries commands to the PWM board, and zero whenever in doubt."""
+"""Sends commands to the PWM board, and zero whenever in doubt."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ __all__ = ["PwmBridge", "main"]
 
 NAN = float("nan")
 SIMULATED_POLL = 0.004
-"""Longest sleep of the driver when the plant's clock may run many times as fast as the wall's, s."""
+"""Longest sleep of the driver when the plant's clock may run many times faster than the wall clock, s."""
 
 
 class PwmBridge(GatedNode):
-    """Lets commands through while command, temperature, board and clock are sound."""
+    """Passes commands on while command, temperature, board and clock are sound."""
 
     NAME = "pwm_bridge"
     BOARD = "PWM board"
@@ -34,10 +34,10 @@ class PwmBridge(GatedNode):
     CLOSING: ClassVar = 3
 
     def read_parameters(self) -> None:
-        """Make of them the link's settings and the guard's limits.
+        """Derive the link's settings and the guard's limits.
 
         Raises:
-            TwinmatchError: some do not go together.
+            TwinmatchError: parameters contradict each other.
         """
         values = self.values
         self._link = PwmLink(values["port"], LinkSettings(values["timeout"], values["retries"]))
@@ -45,7 +45,7 @@ class PwmBridge(GatedNode):
         self._pwm_driver: PwmDriver | None = None
 
     def open(self) -> None:
-        """Listen, and begin to look for the board."""
+        """Subscribe, and start to search for the board."""
         self.create_subscription(
             Temperature, "plant/temperature", self._on_temperature, qos_profile_sensor_data
         )
@@ -65,7 +65,7 @@ class PwmBridge(GatedNode):
 
     @property
     def failure(self) -> Exception | None:
-        """What ended the driver's thread."""
+        """The error that ended the driver's thread, if any."""
         return None if self._pwm_driver is None else self._pwm_driver.failure
 
     @property
@@ -74,16 +74,16 @@ class PwmBridge(GatedNode):
         return self._pwm_driver is not None and self._pwm_driver.connected
 
     def clear_board(self) -> None:
-        """Let go of the board's own latch."""
+        """Clear the fault latched by the board."""
         if self._pwm_driver is not None:
             self._pwm_driver.clear()
 
     def close(self) -> bool:
-        """Set zero and let go of the board."""
+        """Set zero and release the board."""
         return self._pwm_driver is None or self._pwm_driver.close()
 
     def report(self) -> Report:
-        """The gate, and how often the board began anew."""
+        """The gate, and the number of board restarts."""
         self.health.set("board restarts", self._link.restarts)
         return super().report()
 
@@ -94,7 +94,7 @@ class PwmBridge(GatedNode):
         self.gate.temperature(message.temperature, nanoseconds(message.header.stamp))
 
     def _tell(self, applied: Applied | None, index: int) -> None:
-        """Publish what the board does; called in the driver's thread."""
+        """Publish the command that the board applies; called in the driver's thread."""
         self.note_fault()
         message = PwmApplied(sequence=index, pwm=NAN, current=NAN, fault=fault_text(self.gate.fault))
         message.header.stamp = self.get_clock().now().to_msg()

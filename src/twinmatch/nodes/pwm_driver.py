@@ -1,8 +1,8 @@
-"""The one thread that speaks to the PWM board.
+"""The one thread that talks to the PWM board.
 
-It asks the gate what may pass, several times a second, and sends that again and again, which feeds the
-board's deadline. When the gate closes, it sends zero once and then only asks: after its deadline the board
-lets go of the plate by itself. Whatever ends the thread, its last words are zero.
+Several times a second it sends the command that the gate passes, which keeps the board's watchdog satisfied.
+When the gate closes, it sends zero once and then only queries: after its deadline the board switches the
+output off by itself. However the thread ends, its last command is zero.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["DriverSettings", "PwmDriver"]
 Tell = Callable[[Applied | None, int], None]
 
 IDLE = 0.25
-"""Seconds of the wall clock between two questions to a board that is not driven."""
+"""Interval between two queries to a board that is not driven, wall s."""
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,17 @@ class DriverSettings:
     """Pace of the thread."""
 
     repeat: float = 0.1
-    """A set-point is sent again after so many seconds of the plant's clock."""
+    """Interval at which a command is repeated, s of the plant's clock."""
     poll: float = 0.025
-    """Longest sleep between two looks at that clock, s of the wall's."""
+    """Longest sleep between two readings of that clock, wall s."""
     first_pause: float = 0.1
-    """Wait before a lost port is tried again, s; doubled each time …"""
+    """Pause before the first attempt to reopen a lost port, s; doubled after each attempt."""
     longest_pause: float = 2.0
-    """… up to this."""
+    """Longest such pause, s."""
 
 
 class PwmDriver(DriverThread):
-    """Lets the board at the end of a link do what the gate lets through, and nothing else."""
+    """Sends to the board what the gate passes, and nothing else."""
 
     NAME = "pwm driver"
     CLOSING = 3.0
@@ -63,17 +63,17 @@ class PwmDriver(DriverThread):
         health: Health,
         settings: DriverSettings | None = None,
     ) -> None:
-        """`tell` is given each report of the board (None: nobody knows) and the sample it answers."""
+        """`tell` is called with each report of the board (None: unknown) and the sample it belongs to."""
         self._settings = settings or DriverSettings()
         super().__init__(self._settings.first_pause, self._settings.longest_pause)
         self.connected = False
-        """Whether the board answered last time."""
+        """Whether the board answered the last request."""
         self._link = link
         self._gate = gate
         self._tell = tell
         self._health = health
         self._known = False  # whether the board has been cleared before
-        self._driving = False  # whether the last set-point was one that passed the gate
+        self._driving = False  # whether the last command had passed the gate
         self._sent = 0.0
         self._sent_at = 0.0
         self._asked_at = 0.0
@@ -84,7 +84,7 @@ class PwmDriver(DriverThread):
                 self._connect()
             self._serve()
         except PwmVersionError:
-            raise  # waiting does not mend it
+            raise  # waiting does not help
         except PwmLatchedError as error:
             self._driving = False
             kind = FaultKind.DRIVER if error.flags & Flags.DRIVER else FaultKind.BOARD
@@ -101,12 +101,12 @@ class PwmDriver(DriverThread):
         flags = self._link.query().flags
         if flags & Flags.DRIVER:
             self._gate.trip(
-                FaultKind.DRIVER, "the board had tripped because the motor driver reported a fault"
+                FaultKind.DRIVER, "the board has tripped because the motor driver reported a fault"
             )
         elif not self._known:
             self._link.clear()
         elif flags & Flags.RESET:
-            self._gate.trip(FaultKind.BOARD, "the PWM board restarted; find out why")
+            self._gate.trip(FaultKind.BOARD, "the PWM board restarted; find the cause")
         self._known = self.connected = True
         self._attempts = 0
         self._health.count("connections")
@@ -119,9 +119,10 @@ class PwmDriver(DriverThread):
         longest = link.timeout * (link.retries + 1) + self._settings.repeat
         if longest >= deadline:
             message = (
-                f"an answer may take {longest:g} s, the board waits {deadline:g} s; lower timeout or repeat"
+                f"an answer may take {longest:g} s, but the board's deadline is {deadline:g} s; "
+                "lower timeout, retries or repeat"
             )
-            self._health.complain("pace", Level.WARN, message)
+            self._health.flag("pace", Level.WARN, message)
 
     def _serve(self) -> None:
         if self._clear_wanted.is_set():
@@ -146,7 +147,7 @@ class PwmDriver(DriverThread):
     def _drive(self, decision: Decision) -> None:
         if not self._driving:
             self._wake()
-            decision = self._gate.decide()  # waking takes time, in which anything may have happened
+            decision = self._gate.decide()  # clearing takes time, in which the gate may have closed
             if not decision.armed:
                 return
         self._driving = True
@@ -155,15 +156,16 @@ class PwmDriver(DriverThread):
         self._tell(applied, decision.sample)
         if applied.pwm != round(decision.input):
             message = (
-                f"the board applies {applied.pwm} where {round(decision.input)} was sent; is it ours alone?"
+                f"the board applies {applied.pwm}, but {round(decision.input)} was sent; is another program "
+                "using it?"
             )
             self._gate.trip(FaultKind.BOARD, message)
 
     def _wake(self) -> None:
-        """Clear a board that tripped because nothing was sent, which was on purpose; nothing else.
+        """Clear a board that tripped on its deadline, which was intended; nothing else.
 
         Raises:
-            PwmLatchedError: it tripped for another reason.
+            PwmLatchedError: the board tripped for another reason.
         """
         flags = self._link.query().flags
         if flags & (Flags.DRIVER | Flags.RESET):
@@ -176,14 +178,14 @@ class PwmDriver(DriverThread):
             self._gate.trip(FaultKind.LINK, str(error))
         self._driving = self.connected = False
         self._health.count(type(error).__name__)
-        self._health.complain("link", Level.ERROR, str(error))
+        self._health.flag("link", Level.ERROR, str(error))
         self._link.close()
         self._tell(None, 0)
         self._pause()
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         self.connected = False
         if self._link.is_open:
-            with contextlib.suppress(Exception):  # the port has to be given back whatever happens
+            with contextlib.suppress(Exception):  # the port must be released whatever happens
                 self._tell(self._link.command(0.0), 0)
         self._link.close()

@@ -1,4 +1,4 @@
-"""Records every topic of its namespace into a session, as the bytes that were sent."""
+"""Records every topic of its namespace into a session, byte for byte."""
 
 from __future__ import annotations
 
@@ -30,44 +30,42 @@ from twinmatch.sessions.installed import schema_of
 __all__ = ["RecorderNode", "main"]
 
 LOOK = 0.2
-"""Seconds between two looks for new topics."""
+"""Interval between two searches for new topics, s."""
 FLUSH = 0.4
-"""Seconds between two times at which everything is brought to the disk."""
+"""Interval at which everything is flushed to disk, s."""
 LEAVE = 3.0
-"""Seconds the end may take, of the runner's `TEARDOWN`."""
+"""Time to finish the session at the end, s; part of the runner's `TEARDOWN`."""
 MOST_WAITING = 64_000_000
-"""Bytes that wait for the disk before messages are dropped."""
+"""Bytes queued for the disk above which messages are dropped."""
 
 Job = Callable[[], None]
 
 
 class RecorderNode(TwinmatchNode):
-    """Subscribes to what it finds and leaves the writing to one thread.
+    """Subscribes to the topics it finds and leaves writing to one thread.
 
-    What was recorded is brought to the disk every 0.4 s, so a killed recorder loses less than half a
-    second; `twinmatch repair` makes its session whole. A recorder that meets a full disk ends the process.
+    The recording is flushed to disk every 0.4 s, so a killed recorder loses less than half a second;
+    `twinmatch repair` repairs its session. On a full disk the recorder ends the process.
     """
 
     NAME = "recorder"
     PARAMETERS: ClassVar = (
-        Parameter("folder", "sessions", "Folder for the sessions; made if it is not there."),
+        Parameter("folder", "sessions", "Folder for the sessions; created if missing."),
         Parameter("name", "", "Name of the session; empty: rig_ and the date and time of the start."),
-        Parameter("also", ["/diagnostics"], "Topics outside the namespace to record; /rosout is another."),
-        Parameter(
-            "leave_out", ["parameter_events"], "How relative names of topics begin that are not recorded."
-        ),
-        Parameter("min_free_mb", 200.0, "Room that stays on the disk: recording stops.", "MB", 0.0, 1e9),
-        Parameter("split_mb", 0.0, "Size at which another file begins; 0: never.", "MB", 0.0, 1e6),
-        Parameter("split_s", 0.0, "Time after which another file begins; 0: never.", "s", 0.0, 1e7),
+        Parameter("also", ["/diagnostics"], "Topics to record outside the namespace, such as /rosout."),
+        Parameter("leave_out", ["parameter_events"], "Prefixes of relative topic names not to record."),
+        Parameter("min_free_mb", 200.0, "Free disk space below which recording stops.", "MB", 0.0, 1e9),
+        Parameter("split_mb", 0.0, "Size at which a new file is started; 0: never.", "MB", 0.0, 1e6),
+        Parameter("split_s", 0.0, "Time after which a new file is started; 0: never.", "s", 0.0, 1e7),
     )
 
     worker: Worker[Job] | None = None
 
     def open(self) -> None:
-        """Begin the session and look for topics.
+        """Start the session and the search for topics.
 
         Raises:
-            SessionError: the folder exists or cannot be made, or the disk has too little room.
+            SessionError: the folder exists or cannot be created, or the disk has too little free space.
         """
         values = self.values
         name = values["name"] or time.strftime("rig_%Y-%m-%d_%H-%M-%S")
@@ -93,11 +91,11 @@ class RecorderNode(TwinmatchNode):
 
     @property
     def failure(self) -> Exception | None:
-        """Why the recording stopped, or the defect that ended the worker."""
+        """The error that stopped the recording or ended the worker, if any."""
         return self._stopped or (None if self.worker is None else self.worker.failure)
 
     def report(self) -> Report:
-        """Messages, room, what waits."""
+        """Messages, topics and bytes waiting."""
         if self.worker is not None:
             self.worker.watch()
         self.health.set("session", self._recording.folder)
@@ -107,7 +105,7 @@ class RecorderNode(TwinmatchNode):
         return super().report()
 
     def close(self) -> bool:
-        """Write what waits and finish the session."""
+        """Write what is queued and finish the session."""
         if self.worker is None:
             return True
         self.report_now()
@@ -115,11 +113,14 @@ class RecorderNode(TwinmatchNode):
             self._past.finish()
             self.worker.put(self._leave)
             if not self._left.wait(LEAVE) and self.failure is None:
-                print("recorder: ended before everything was written; run twinmatch repair", file=sys.stderr)
+                print(
+                    "recorder: ended before everything was written; run twinmatch repair on the session",
+                    file=sys.stderr,
+                )
         return self.worker.close(0.5)
 
     def _do(self, job: Job) -> None:
-        """One job of the worker; after the disk refused there is nothing more to do."""
+        """Run one job in the worker; skipped after a disk error."""
         if self._stopped is not None:
             return
         try:
@@ -134,7 +135,7 @@ class RecorderNode(TwinmatchNode):
 
     def _on_look(self) -> None:
         if self.get_clock().now().nanoseconds == 0:
-            return  # the clock of this run has not begun
+            return  # the clock of this run has not started
         namespace = self.get_namespace()
         for name, kinds in self.get_topic_names_and_types():
             if wanted(name, namespace, self.values["also"], self.values["leave_out"]):
@@ -144,7 +145,7 @@ class RecorderNode(TwinmatchNode):
     def _subscribe(self, name: str, kinds: list[str]) -> None:
         publishers = self.count_publishers(name)
         if name in self._unknown or publishers == self._counted.get(name, 0):
-            return  # asking for what they offer is a hundred times as much work
+            return  # querying their QoS is a hundred times as expensive
         endpoints = self.get_publishers_info_by_topic(name)
         if not endpoints:
             return
@@ -154,7 +155,7 @@ class RecorderNode(TwinmatchNode):
         if known is not None:
             if reader_profile(qos) == reader_profile(known.qos):
                 return
-            self.destroy_subscription(reader)  # another publisher came that offers less
+            self.destroy_subscription(reader)  # a new publisher offers a weaker QoS
             topic = known
         else:
             kind = endpoints[0].topic_type
@@ -167,7 +168,7 @@ class RecorderNode(TwinmatchNode):
             self._put(partial(self._recording.add_topic, topic))
         if len(kinds) > 1:
             text = f"{name} is published as {' and '.join(kinds)}; only {topic.type} is recorded"
-            self.health.complain(name, Level.WARN, text)
+            self.health.flag(name, Level.WARN, text)
         package, _, short = topic.type.split("/")
         reader = self.create_subscription(
             getattr(importlib.import_module(f"{package}.msg"), short),
@@ -183,7 +184,7 @@ class RecorderNode(TwinmatchNode):
 
     def _refuse(self, name: str, why: str) -> None:
         self._unknown.add(name)
-        self.health.complain(name, Level.ERROR, f"{name} is not recorded: {why}")
+        self.health.flag(name, Level.ERROR, f"{name} is not recorded: {why}")
 
     def _on_message(self, name: str, data: bytes) -> None:
         self._arrivals[name].push(time.monotonic())
@@ -194,15 +195,15 @@ class RecorderNode(TwinmatchNode):
     def _keep(self, name: str, data: bytes, now: int) -> None:
         if self._taken - self._written > MOST_WAITING:
             self._dropped += 1
-            text = f"{self._dropped} messages were dropped: the disk does not keep up"
-            self.health.complain("dropped", Level.ERROR, text)
+            text = f"{self._dropped} messages were dropped: the disk is too slow"
+            self.health.flag("dropped", Level.ERROR, text)
             return
         self._taken += len(data)
         self._put(partial(self._write, name, data, now))
 
     def _on_lost(self, name: str, event: Any) -> None:
         self._arrivals[name].lost += event.total_count_change
-        self.health.complain("lost", Level.WARN, f"messages of {name} were lost on their way")
+        self.health.flag("lost", Level.WARN, f"the middleware lost messages of {name}")
 
     def _on_record(self, name: str, values: Mapping[str, str]) -> None:
         self._put(partial(self._recording.add_record, name, values))
@@ -216,7 +217,7 @@ class RecorderNode(TwinmatchNode):
             self.worker.put(job)
 
     def _report_topics(self) -> Report:
-        """Rate of each topic, and those that fell silent."""
+        """Rate of each topic, and the topics that went silent."""
         now = time.monotonic()
         arrivals = dict(self._arrivals)
         silent = [name for name, found in arrivals.items() if found.silent(now)]

@@ -1,4 +1,4 @@
-"""How often the messages of a topic come, and when they stopped."""
+"""Rate of a topic's messages, and detection of silence."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 __all__ = ["Arrivals"]
 
 RHYTHM = 10
-"""Messages after which a topic is expected to go on as it did."""
+"""Messages after which a topic is expected to keep its rate."""
 SHORTEST = 3.0
-"""Silence below this is none, s."""
+"""Shortest silence, s."""
 PATIENCE = 10
-"""Usual intervals that make a silence."""
+"""Silence in mean intervals between messages."""
 
 
 @dataclass
 class Arrivals:
-    """Of one topic; times are seconds of one clock that does not step."""
+    """Arrivals of one topic; times in seconds of a clock that does not jump."""
 
     count: int = 0
     """Messages so far."""
@@ -28,7 +28,7 @@ class Arrivals:
     """Messages that the middleware lost."""
 
     def push(self, now: float) -> None:
-        """Take note of a message."""
+        """Count a message."""
         if self.count == 0:
             self.first = now
         self.count += 1
@@ -36,17 +36,17 @@ class Arrivals:
 
     @property
     def rate(self) -> float:
-        """Messages per second while they came, 1/s; 0 before the second."""
+        """Mean rate from the first to the newest message, 1/s; 0 before the second."""
         span = self.last - self.first
         return (self.count - 1) / span if span > 0 else 0.0
 
     def silent(self, now: float) -> bool:
-        """Whether a topic that had a rhythm has lost it."""
+        """Whether a topic with a known rate has gone silent."""
         if self.count < RHYTHM or self.rate == 0:
             return False
         return now - self.last > max(SHORTEST, PATIENCE / self.rate)
 
     def text(self) -> str:
-        """Rate and count as a person reads them."""
+        """Rate and count as text."""
         lost = f", {self.lost} lost" if self.lost else ""
         return f"{self.rate:.1f} Hz, {self.count} messages{lost}"

@@ -1,4 +1,4 @@
-"""The order in which a recorder writes what it has fetched: a session cut off anywhere must still verify."""
+"""The order in which a recorder writes fetched messages: a session cut off anywhere still verifies."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ class Fetched(NamedTuple):
     """A serialised message from the keeper."""
 
     sample: int
-    """Index of the sample that it is, or that it is about."""
+    """Index of the sample itself, or of the sample that the message is about."""
     data: bytes
     stamp: int
-    """ns."""
+    """ns"""
 
 
 class InOrder:
-    """Samples and the messages about them, each message written right behind its sample.
+    """Writes samples and the messages about them, each message directly after its sample.
 
-    The keeper gives 2000 samples in an answer but only some messages. A sample is held back until all
-    messages about it are here: a recorder that is killed in between then leaves a session without a hole.
+    An answer of the keeper holds 2000 samples but only a few messages. A sample is held back until all
+    messages about it have arrived, so that a recorder killed in between leaves a session without a gap.
     """
 
     def __init__(self, write: Callable[[str, Fetched], None], sample: str, kinds: Iterable[str]) -> None:
@@ -32,13 +32,13 @@ class InOrder:
         self._write, self._topic = write, sample
         self._samples: deque[Fetched] = deque()
         self._about: dict[str, deque[Fetched]] = {name: deque() for name in kinds}
-        self._known = dict.fromkeys(self._about, -math.inf)  # all messages about samples before this are here
+        self._known = dict.fromkeys(self._about, -math.inf)  # all messages about earlier samples have arrived
         self.counts = dict.fromkeys(self._about, 0)
         """Messages fetched so far, by topic."""
 
     @property
     def waiting(self) -> int:
-        """Samples that are held back."""
+        """Number of samples held back."""
         return len(self._samples)
 
     def add_samples(self, samples: Iterable[Fetched]) -> None:
@@ -55,11 +55,11 @@ class InOrder:
             self._known[name] = math.inf
 
     def write(self) -> None:
-        """Write the samples about which everything is here, and what is said about them."""
+        """Write the samples whose messages have all arrived, and those messages."""
         self._write_before(min(self._known.values(), default=math.inf))
 
     def finish(self) -> None:
-        """Write all that is left."""
+        """Write everything that is left."""
         self._write_before(math.inf)
         for name, messages in self._about.items():
             while messages:

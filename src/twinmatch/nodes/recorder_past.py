@@ -1,7 +1,8 @@
-"""The beginning of a session for a recorder that came late: what was said before it came, from the keeper.
+"""The start of a session for a recorder that started late: earlier messages, from the keeper.
 
-A recorder that was shot goes on in another folder. Begun in the middle, that folder could not be judged; so
-it begins with the samples, matches and verdicts so far. What comes meanwhile on these topics is held back.
+A recorder that was killed continues in another folder. A session that starts in the middle could not be
+judged, so the folder starts with the samples, matches and verdicts so far. New messages on these topics are
+held back until those are written.
 """
 
 from __future__ import annotations
@@ -27,17 +28,17 @@ __all__ = ["RecorderPast"]
 
 SAMPLE, MATCH, SCORE = "plant/sample", "twin/match", "twin/model_score"
 LOOK = 0.1
-"""Wall seconds between two looks whether to ask."""
+"""Interval at which the next request is considered, wall s."""
 PATIENCE = 10.0
-"""Wall seconds without anything new after which the session begins where the recorder came."""
+"""Time without progress after which the session starts where the recorder started, wall s."""
 MOST_WAITING = 4000
-"""Samples that may be held back before no more are asked for."""
+"""Fetched samples waiting to be written above which no more are requested."""
 
 Write = Callable[[str, bytes, int], None]
 
 
 class _Held(NamedTuple):
-    """A message that waits for those before it."""
+    """A message held back until earlier ones are written."""
 
     name: str
     data: bytes
@@ -45,15 +46,15 @@ class _Held(NamedTuple):
 
 
 class RecorderPast:
-    """Holds the topics back until everything before is written, if there is something before."""
+    """Holds the topics back until all earlier messages, if any, are written."""
 
     def __init__(self, node: Node, write: Write, known: Callable[[str], bool]) -> None:
-        """Prepare to ask.
+        """Prepare the requests.
 
         Args:
             node: the recorder.
             write: writes a serialised message of a topic with its time, ns.
-            known: whether a topic is being recorded.
+            known: returns whether a topic is being recorded.
         """
         self._write, self._known = write, known
         self._names = {short: node.resolve_topic_name(short) for short in (SAMPLE, MATCH, SCORE)}
@@ -62,14 +63,14 @@ class RecorderPast:
         self._until: int | None = None  # index of the first sample that came live
         self._next = 0
         self._order = InOrder(self._write_fetched, SAMPLE, (MATCH, SCORE))
-        self._said: set[bytes] = set()
-        self._asked: Any = None
-        self._asked_at = 0.0
+        self._from_keeper: set[bytes] = set()
+        self._pending: Any = None
+        self._requested_at = 0.0
         self._since = 0.0
         self._timer = node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def take(self, name: str, data: bytes, now: int) -> bool:
-        """Whether a message may be written at once; otherwise it is, later."""
+        """Whether a message may be written at once; otherwise it is held back and written later."""
         if self._held is None or name not in self._names.values():
             return True
         if not self._held:
@@ -78,38 +79,38 @@ class RecorderPast:
         if name == self._names[SAMPLE] and self._until is None:
             self._until, self._since = decode_sample(bytes(data)).index, time.monotonic()
             if self._until == 0:
-                self._begin()
+                self._release()
         return False
 
     def finish(self) -> None:
-        """Write what is held: nothing more will come."""
+        """Write what is held back, at the end of the recording."""
         if self._held is not None:
-            self._begin()
+            self._release()
 
     def _look(self) -> None:
         if self._held is None or self._until is None:
             return
         if time.monotonic() - self._since > PATIENCE:
-            self._begin()
-        elif self._asked is not None and time.monotonic() - self._asked_at > ANSWER:
-            self._asked = None  # it may be lost
+            self._release()
+        elif self._pending is not None and time.monotonic() - self._requested_at > ANSWER:
+            self._pending = None  # the answer may be lost
         elif (
-            self._asked is None
+            self._pending is None
             and self._client.service_is_ready()
             and all(map(self._known, self._names.values()))
         ):
             count = 0 if self._order.waiting > MOST_WAITING else self._until - self._next
             matches, scores = self._order.counts[MATCH], self._order.counts[SCORE]
-            question = Past.Request(first=self._next, count=count, matches=matches, scores=scores)
-            self._asked_at = time.monotonic()
-            self._asked = self._client.call_async(question)
-            self._asked.add_done_callback(partial(self._on_answer, count))
+            request = Past.Request(first=self._next, count=count, matches=matches, scores=scores)
+            self._requested_at = time.monotonic()
+            self._pending = self._client.call_async(request)
+            self._pending.add_done_callback(partial(self._on_answer, count))
 
-    def _on_answer(self, asked: int, future: Any) -> None:
-        """Take an answer to a question for `asked` samples."""
-        if future is not self._asked or self._held is None or self._until is None:
+    def _on_answer(self, requested: int, future: Any) -> None:
+        """Take the answer to a request for `requested` samples."""
+        if future is not self._pending or self._held is None or self._until is None:
             return
-        self._asked = None
+        self._pending = None
         answer = future.result()
         if answer is None:
             return
@@ -122,32 +123,34 @@ class RecorderPast:
             (SCORE, answer.score, answer.scores_heard),
         ):
             fetched = [_fetched(message) for message in messages]
-            self._said.update(message.data for message in fetched)
+            self._from_keeper.update(message.data for message in fetched)
             self._order.add_messages(name, fetched, heard)
         self._order.write()
-        news = bool(samples or answer.match or answer.score)
-        if news:
+        progress = bool(samples or answer.match or answer.score)
+        if progress:
             self._since = time.monotonic()
         counts = self._order.counts
-        said = counts[MATCH] >= answer.matches_heard and counts[SCORE] >= answer.scores_heard
-        if said and (self._next >= self._until or (asked > 0 and not samples and answer.heard > self._until)):
-            self._begin()
-        elif news:
+        all_fetched = counts[MATCH] >= answer.matches_heard and counts[SCORE] >= answer.scores_heard
+        if all_fetched and (
+            self._next >= self._until or (requested > 0 and not samples and answer.heard > self._until)
+        ):
+            self._release()
+        elif progress:
             self._look()
 
     def _write_fetched(self, name: str, message: Fetched) -> None:
         self._write(self._names[name], message.data, message.stamp)
 
-    def _begin(self) -> None:
-        """Write what was held, but for what the keeper had heard too, and hold nothing from now on."""
+    def _release(self) -> None:
+        """Write what was held back, except what was fetched too, and hold nothing back from now on."""
         self._order.finish()
         held, self._held = self._held or [], None
         self._timer.cancel()
         for name, data, now in held:
             kind = {self._names[MATCH]: Match, self._names[SCORE]: ModelScore}.get(name)
-            if kind is None or serialize_message(deserialize_message(data, kind)) not in self._said:
+            if kind is None or serialize_message(deserialize_message(data, kind)) not in self._from_keeper:
                 self._write(name, data, now)
-        self._said.clear()
+        self._from_keeper.clear()
 
 
 def _fetched(message: Match | ModelScore) -> Fetched:

@@ -1,4 +1,4 @@
-"""Asks the nodes of a rig for their parameters, so that a session says with what it was made."""
+"""Asks the nodes of a rig for their parameters, so that a session documents them."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ Tell = Callable[[str, Mapping[str, str]], None]
 
 
 class Settings:
-    """Asks every node until it has answered, and again when it went away and came back.
+    """Asks every node until it has answered, and again after a restart of the node.
 
-    A node that was killed is known for some seconds more. If another of its name has come by then, only the
-    missing answer shows it.
+    A killed node stays known for some seconds. If another node of its name starts meanwhile, only the missing
+    answer shows it.
     """
 
     def __init__(self, node: Node, tell: Tell) -> None:
-        """`tell` is given the name and the values of each record, in the thread of the executor."""
+        """`tell` is called with the name and the values of each record, in the executor's thread."""
         self._node = node
         self._tell = tell
         self._own = node.get_fully_qualified_name()
@@ -43,7 +43,7 @@ class Settings:
         self._answered: set[str] = set()  # since the last look
 
     def look(self) -> None:
-        """Ask the nodes that are new; call it now and then."""
+        """Ask new nodes; call it periodically."""
         found = {
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
@@ -101,4 +101,4 @@ def _read(path: str) -> str:
     try:
         return read_text(Path(path))
     except DocumentError:
-        return ""  # what is not known is not vouched for
+        return ""  # unknown: then the session records no candidates

@@ -1,4 +1,4 @@
-"""Which topics a recorder takes, and how it has to subscribe to hear all of them."""
+"""The topics a recorder takes, and the QoS with which it receives all their messages."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from twinmatch.sessions import Qos
 __all__ = ["offered", "reader_profile", "wanted"]
 
 ELSEWHERE = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
-"""Topics that belong to no rig: only recorded when they are asked for."""
+"""Topics that belong to no rig: recorded only on request."""
 
 DEPTH = 1000
-"""Messages that wait for the recorder in the middleware, per topic. It never holds a writer back."""
+"""Queue of the recorder in the middleware, messages per topic; it never applies back-pressure."""
 
 
 def wanted(name: str, namespace: str, also: Collection[str] = (), leave_out: Sequence[str] = ()) -> bool:
@@ -23,9 +23,9 @@ def wanted(name: str, namespace: str, also: Collection[str] = (), leave_out: Seq
 
     Args:
         name: full name.
-        namespace: of the rig, `/` for the root.
-        also: full names of topics outside.
-        leave_out: how names relative to the namespace begin that are not wanted.
+        namespace: namespace of the rig, `/` for the root.
+        also: full names of topics to record outside the namespace.
+        leave_out: prefixes of names relative to the namespace that are not recorded.
     """
     if name in also:
         return True
@@ -36,12 +36,12 @@ def wanted(name: str, namespace: str, also: Collection[str] = (), leave_out: Seq
 
 
 def offered(endpoints: Sequence[Any]) -> Qos:
-    """What all publishers of a topic (`TopicEndpointInfo`) offer together."""
+    """The QoS that all publishers of a topic (`TopicEndpointInfo`) offer."""
     profiles = [endpoint.qos_profile for endpoint in endpoints]
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
     depth = max((p.depth for p in profiles), default=0)
-    usual = 1 if latched else Qos().depth  # discovery does not always tell the depth
+    usual = 1 if latched else Qos().depth  # discovery does not always report the depth
     return Qos(
         "reliable" if reliable else "best_effort",
         "transient_local" if latched else "volatile",
@@ -50,7 +50,7 @@ def offered(endpoints: Sequence[Any]) -> Qos:
 
 
 def reader_profile(qos: Qos) -> QoSProfile:
-    """The profile with which a recorder hears everything that is offered so."""
+    """The profile with which a recorder receives everything that is offered with this QoS."""
     reliable, latched = qos.reliability == "reliable", qos.durability == "transient_local"
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,

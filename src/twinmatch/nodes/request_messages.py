@@ -1,4 +1,4 @@
-"""Between what the matcher is asked and the message that asks it."""
+"""Convert between match requests and their messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["request_from", "request_message"]
 
 
 def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
-    """A request as `MatchRequest`; `stamp` (ns) is that of the sample that set it off."""
+    """A request as `MatchRequest`; `stamp` (ns) is that of the sample that triggered it."""
     window = request.window
     message = messages.MatchRequest(
         sample=request.sample,
@@ -36,11 +36,11 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
     """A request from `MatchRequest`.
 
     Raises:
-        TwinmatchError: what it holds is no window, or parameters no rig has.
+        TwinmatchError: its window or its parameters cannot be used.
     """
     samples, disturbances = len(message.reference), len(message.disturbances)
     if not samples or disturbances % samples:
-        msg = f"request: {disturbances} disturbances came with {samples} samples; each needs as many"
+        msg = f"match request: {disturbances} disturbance values do not divide evenly among {samples} samples"
         raise SignalError(msg)
     window = Window(
         reference=np.array(message.reference),

@@ -1,6 +1,6 @@
 """Bridges, controller and keeper in one process, as the launch scripts start them.
 
-If one of them fails all end, and the board's own deadline switches the output off.
+If one of them fails, all end, and the board's own deadline switches the output off.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Starts nodes, keeps them going, ends them.
+"""Start nodes, run them, end them.
 
-Three things about rclpy made this what it is. The events executor does the work of the others for a
-fifth of the processor time, but its own `spin` never returns, so it is driven step by step; where rclpy lacks
-it, the single-threaded executor does the same work. With rclpy's signal handlers a SIGTERM is lost now and
-then, so the handlers are ours and only set a flag. And closing Fast DDS can live-lock while it holds the
-interpreter's lock, so no thread of ours could end it; an alarm of the kernel does.
+Three properties of rclpy determine this design. The events executor needs a fifth of the processor time of
+the others, but its own `spin` never returns, so it is driven step by step; where rclpy lacks it, the
+single-threaded executor is used. With rclpy's signal handlers a SIGTERM is occasionally lost, so the handlers
+are ours and only set a flag. And closing Fast DDS can live-lock while holding the interpreter's lock, so that
+no thread of ours could end it; a kernel alarm does.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ except ImportError:  # Jazzy before rclpy 7.1.4, or a release that moves what is
 __all__ = ["EXIT_DEFECT", "TEARDOWN", "RunnerError", "run"]
 
 EXIT_DEFECT = 1
-"""Exit code after an error that is ours; its traceback is printed."""
+"""Exit code after a defect of the program; its traceback is printed."""
 
 TEARDOWN = 5
-"""Seconds the end may take before the kernel ends the process (exit by SIGALRM)."""
+"""Time the end may take before the kernel ends the process (exit by SIGALRM), s."""
 
 STEP = 0.1
-"""Longest wait of the executor between two looks at the flag, s."""
+"""Longest wait of the executor between two checks of the flag, s."""
 
 
 class RunnerError(TwinmatchError):
-    """The command line of a node cannot be understood."""
+    """The command line of a node cannot be used."""
 
 
 def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = None) -> int:
-    """Run nodes in this process until one has come to its end or a signal asks for it.
+    """Run nodes in this process until one of them finishes or a signal arrives.
 
-    SIGINT and SIGTERM are ignored from then on: a second one, while Python goes down, would make a clean
+    SIGINT and SIGTERM are ignored from then on: a second one, while Python shuts down, would make a clean
     end look like a crash.
 
     Args:
@@ -65,7 +65,7 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         arguments: the command line with the program's name, `sys.argv` if not given.
 
     Returns:
-        The exit code: 0 after a signal, that of the node that ended, `EXIT_USER_ERROR` after a
+        The exit code: 0 after a signal, that of the node that finished, `EXIT_USER_ERROR` after a
         `TwinmatchError` (its one line is on stderr), `EXIT_DEFECT` after any other error.
     """
     arguments = list(sys.argv if arguments is None else arguments)
@@ -93,7 +93,7 @@ class _Process:
 
     def __init__(self) -> None:
         self.nodes: list[TwinmatchNode] = []
-        self.executor: Any = None  # made once ROS has started
+        self.executor: Any = None  # created once ROS has started
         self.stop_requested = False
         _on_signals(self._request_stop)
 
@@ -102,7 +102,7 @@ class _Process:
 
     def start(self, kinds: Sequence[type[TwinmatchNode]], arguments: list[str], extra: list[str]) -> None:
         if extra:
-            msg = f"{_program(arguments)}: unknown argument {extra[0]}; --help says what there is"
+            msg = f"{_program(arguments)}: unknown argument {extra[0]}; see --help"
             raise RunnerError(msg)
         reach = network.prepare()
         with _clear_errors(arguments):
@@ -128,7 +128,7 @@ class _Process:
         return 0
 
     def end(self, code: int) -> None:
-        """Close what was opened; on return nothing of ROS is left in the process."""
+        """Close everything; on return nothing of ROS is left in the process."""
         _on_signals(signal.SIG_IGN)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(TEARDOWN + max((node.CLOSING for node in self.nodes), default=0))
@@ -142,8 +142,8 @@ class _Process:
             node.destroy_node()
         self.nodes.clear()
         rclpy.try_shutdown()
-        gc.collect()  # what still refers to a node holds shared memory
-        if not all(ended):  # a thread deep in a computation would be torn down with the interpreter
+        gc.collect()  # remaining references to a node would hold shared memory
+        if not all(ended):  # a thread still computing would be torn down with the interpreter
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(code)
@@ -156,13 +156,13 @@ def _on_signals(handler: Any) -> None:
 
 
 def _extra(arguments: list[str]) -> list[str]:
-    """The arguments that are not for ROS."""
+    """The arguments that ROS does not take."""
     with _clear_errors(arguments):
         return list(remove_ros_args(arguments)[1:])
 
 
 def _check_files(arguments: list[str]) -> None:
-    """Read the parameter files before ROS does, which waits for pipes and hardly says what is wrong."""
+    """Read the parameter files before ROS does, which blocks on pipes and gives poor error messages."""
     for option, path in pairwise(arguments):
         if option == "--params-file":
             try:
@@ -174,7 +174,7 @@ def _check_files(arguments: list[str]) -> None:
 
 @contextmanager
 def _clear_errors(arguments: list[str]) -> Iterator[None]:
-    """Errors of rcl in its arguments, without the places in its sources."""
+    """Turn rcl's argument errors into `RunnerError`, without positions in rcl's sources."""
     try:
         yield
     except Exception as error:  # rclpy gives these errors no public names

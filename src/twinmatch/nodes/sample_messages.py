@@ -1,7 +1,7 @@
-"""Between samples and the messages that carry them, without losing a bit.
+"""Convert between samples and their messages, without losing a bit.
 
-In a message every signal is an array, so that a plant with two inputs needs no other message. A twin runs one
-loop: a message with another number of references, outputs or inputs is refused.
+In a message every signal is an array, so that a plant with two inputs needs no other message type. A twin
+runs one loop: a message without exactly one reference, one output and one input is refused.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def sample_from(message: messages.LoopSample) -> Sample:
     """A sample from `LoopSample`.
 
     Raises:
-        SignalError: it is not of one loop, with one reference, one output and one input.
+        SignalError: it does not have exactly one reference, one output and one input.
     """
     lengths = [len(message.reference), len(message.output), len(message.input)]
     if lengths != [1, 1, 1]:
@@ -53,14 +53,16 @@ def sample_from(message: messages.LoopSample) -> Sample:
 
 
 def one_of(message: Any, name: str) -> float:
-    """The single value of an array of a message about one loop.
+    """The single value of an array in a message about one loop.
 
     Raises:
-        SignalError: there are more, or none.
+        SignalError: there is not exactly one value.
     """
     values = getattr(message, name)
     if len(values) != 1:
-        msg = f"{name} of sample {message.index} has {len(values)} values; one loop has one"
+        msg = (
+            f"{name} of sample {message.index} has {len(values)} values; a twin runs one loop, with one value"
+        )
         raise SignalError(msg)
     return float(values[0])
 

@@ -1,4 +1,4 @@
-"""Samples a loop that other programs run: their topics in, `plant/sample` out. It commands nothing."""
+"""Samples a loop that foreign programs run: their topics in, `plant/sample` out. It commands nothing."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from twinmatch_msgs.msg import LoopSample
 __all__ = ["SamplerNode", "main"]
 
 SEARCH: Final = 0.2
-"""Seconds between two looks for topics."""
+"""Interval between two searches for topics, s."""
 LOOKS: Final = 20
-"""Looks for complete samples in a period."""
+"""Checks for complete samples per sampling period."""
 LOOK: Final = (0.002, 0.05)
-"""Shortest and longest time between two of them, s."""
+"""Shortest and longest interval between two checks, s."""
 REMEMBER: Final = 60
-"""Ticks for which a missed one is complained of."""
+"""Ticks for which a missed one is reported."""
 
 
 class SamplerNode(TwinmatchNode):
-    """Hears the topics that are mapped and publishes a sample for each tick of the loop.
+    """Subscribes to the mapped topics and publishes a sample for each tick of the loop.
 
-    A topic that nobody publishes, a field that is not there and a unit that does not fit end it with one
-    line, as long as it has not begun; later, a rig that is silent is waited for.
+    At the start, a topic without publisher, a missing field or an incompatible unit ends the node with one
+    error line. Once sampling has started, the node waits for a rig that falls silent.
     """
 
     NAME = "sampler"
@@ -57,14 +57,14 @@ class SamplerNode(TwinmatchNode):
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
-        """The parameters for the plant that is named."""
+        """The parameters for the selected plant."""
         return understood(cls.NAME, given), given
 
     def read_parameters(self) -> None:
-        """Make wires and rules.
+        """Create the sampler and its wires.
 
         Raises:
-            TwinmatchError: some parameters do not go together.
+            TwinmatchError: parameters contradict each other.
         """
         values = self.values
         self._plant = find_plant(values["plant"])
@@ -72,7 +72,7 @@ class SamplerNode(TwinmatchNode):
         self._types = types_of(self.NAME, values["types"])
         if values["paced_by"] not in (*self._wires, TIMER):
             pacer = values["paced_by"]
-            msg = f"{self.NAME}: paced_by is {pacer}, and there is no map.{pacer}; give it, or another pacer"
+            msg = f"{self.NAME}: paced_by is {pacer}, but map.{pacer} is missing; add it, or change paced_by"
             raise SamplingError(msg)
         self._sampler = Sampler(
             limits_of(values, self._wires),
@@ -83,7 +83,7 @@ class SamplerNode(TwinmatchNode):
         )
 
     def open(self) -> None:
-        """Look for the topics."""
+        """Start to search for the topics."""
         self._publisher = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         channels = [channel for wire in self._wires.values() for channel in wire.channels]
         self._topics = ForeignTopics(self, channels, self._types, self._on_message)
@@ -94,7 +94,7 @@ class SamplerNode(TwinmatchNode):
         self._missed_at = (0, 0)
         self._index = -1
         self._first: int | None = None
-        """What the sampler calls the first sample that was published, which is sample 0."""
+        """The sampler's index of the first published sample, which is published as sample 0."""
         self._waiting = True
         period = self.values["period"]
         self.create_timer(SEARCH, self._on_search, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -106,11 +106,11 @@ class SamplerNode(TwinmatchNode):
 
     @property
     def failure(self) -> Exception | None:
-        """What was asked for and is not there."""
+        """The error in the map or the graph that prevents sampling, if any."""
         return self._failure
 
     def report(self) -> Report:
-        """What comes of each signal, and why there are no samples."""
+        """Each signal's value and counts, and the reason if there are no samples."""
         sampler, now = self._sampler, time.monotonic()
         level = Level.ERROR if self._index >= 0 or self._late(now) else Level.WARN
         for name, wire in self._wires.items():
@@ -118,12 +118,12 @@ class SamplerNode(TwinmatchNode):
             newest = sampler.newest(name)
             self.health.set(name, "none yet" if newest is None else f"{newest:g}")
             self.health.set(
-                f"{name}: missing, late, beyond, no number",
+                f"{name}: missing, late, out of range, not a number",
                 f"{counts.missing}, {counts.late}, {counts.beyond}, {sampler.refused(name)}",
             )
             trouble = self._silence(name, wire, now) or sampler.troubles.get(name, "")
-            self._tell(name, level, self._explained(name, wire, trouble))
-        self._tell("pace", level, sampler.troubles.get("pace", ""))
+            self._flag(name, level, self._explained(name, wire, trouble))
+        self._flag("pace", level, sampler.troubles.get("pace", ""))
         self.health.set("missed ticks", sampler.grid.missed)
         self.health.set("ticks without sample", sampler.idle)
         self.health.set("tick late by", f"{sampler.grid.jitter / 1e6:.1f} ms")
@@ -145,19 +145,19 @@ class SamplerNode(TwinmatchNode):
         if missing and self._late(time.monotonic()):
             waited = self.values["wait_timeout"]
             msg = (
-                f"{self.NAME}: nobody publishes {' or '.join(missing)}, for {waited:g} s now; there are "
-                f"{self._topics.instead()}"
+                f"{self.NAME}: no publisher on {' or '.join(missing)} for {waited:g} s; topics with a "
+                f"publisher: {self._topics.alternatives()}"
             )
             self._failure = SamplingError(msg)
 
     def _on_message(self, topic: str, message: Any) -> None:
-        """Take the numbers of a message, for each signal that has some of it."""
+        """Take the values of a message, for each signal mapped to it."""
         now = self._now()
         header = getattr(message, "header", None)
         stamp = nanoseconds(header.stamp) if header is not None else 0
         step = round(self.values["period"] * 1e9)
-        self._tell("stamps", Level.WARN, _ahead(topic, stamp - now) if stamp > now + step else "")
-        # A reading stamped in the time to come would never grow old; one without stamp is new.
+        self._flag("stamps", Level.WARN, _ahead(topic, stamp - now) if stamp > now + step else "")
+        # A reading stamped in the future would never become stale; one without a stamp counts as new.
         at = min(stamp, now) if stamp else now
         for name, wire in self._ready.items():
             fresh = self._fresh[name]
@@ -184,60 +184,63 @@ class SamplerNode(TwinmatchNode):
         missed, index = self._sampler.grid.missed, self._index
         if missed != self._missed_at[0]:
             self._missed_at = (missed, index)
-            text = f"the loop paused: ticks were missed, {missed} in all; windows begin anew"
-            self.health.complain("missed", Level.WARN, text)
+            text = f"the loop paused: ticks were missed, {missed} in all; windows start over"
+            self.health.flag("missed", Level.WARN, text)
         elif index - self._missed_at[1] > REMEMBER:
             self.health.withdraw("missed")
 
     def _readers_there(self) -> bool:
-        """Whether those who must not miss a sample listen, or were waited for long enough."""
+        """Whether all nodes that must not miss a sample subscribe, or the wait for them is over."""
         if self._waiting:
             missing = missing_readers(self, self._publisher.topic_name, self.values["readers"])
             over = time.monotonic() > self._begun + self.values["readers_timeout"]
             if missing and over:
-                text = f"{', '.join(missing)} did not come to read {self._publisher.topic_name}"
-                self.health.complain("readers", Level.WARN, text)
+                text = f"{', '.join(missing)} did not subscribe to {self._publisher.topic_name} in time"
+                self.health.flag("readers", Level.WARN, text)
             self._waiting = bool(missing) and not over
         return not self._waiting
 
     def _silence(self, name: str, wire: Wire, now: float) -> str:
-        """What to say of a signal of which nothing comes; empty if something does, or nothing has to."""
+        """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
         topics = " and ".join(dict.fromkeys(channel.topic for channel in wire.channels))
         gone = [c.topic for c in wire.channels if not self._topics.publishers(c.topic)]
         limit, heard = self.values[f"max_age.{name}"], self._heard.get(name)
         if heard is None:
-            return f"nobody publishes {gone[0]}" if gone else f"nothing came of {topics} yet"
+            return f"no publisher on {gone[0]}" if gone else f"no message on {topics} yet"
         if limit and now - heard > limit:
-            why = f"; nobody publishes {gone[0]} any more" if gone else ""
-            return f"nothing of {topics} for {now - heard:.1f} s{why}"
+            why = f"; {gone[0]} no longer has a publisher" if gone else ""
+            return f"no message on {topics} for {now - heard:.1f} s{why}"
         return ""
 
     def _explained(self, name: str, wire: Wire, trouble: str) -> str:
-        """A trouble and what may be done about it."""
+        """A problem and what to do about it."""
         text = wire.channels[0].text
-        if "beyond" in trouble:
+        if "outside" in trouble:
             unit = signals_of(self._plant)[name].unit
-            return f"{trouble} {unit}: no samples; if {text} is in another unit, write '; unit=' behind it"
+            return (
+                f"{trouble} {unit}: no samples; if {text} has another unit, append '; unit=' to its map entry"
+            )
         if "s old" in trouble:
-            return f"{trouble}: no samples; the stamps of {text} are behind this machine's clock"
+            return f"{trouble}: no samples; the stamps of {text} lag behind this machine's clock"
         return f"{name}: {trouble}; no samples" if trouble else ""
 
     def _late(self, now: float) -> bool:
         waited = self.values["wait_timeout"]
         return bool(waited) and now > self._begun + waited
 
-    def _tell(self, about: str, level: Level, text: str) -> None:
+    def _flag(self, key: str, level: Level, text: str) -> None:
         if text:
-            self.health.complain(about, level, text)
+            self.health.flag(key, level, text)
         else:
-            self.health.withdraw(about)
+            self.health.withdraw(key)
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
 
 def _ahead(topic: str, nanos: int) -> str:
-    return f"the stamps of {topic} are {nanos / 1e9:.1f} s ahead of this machine's clock; its own is taken"
+    ahead = f"{nanos / 1e9:.1f} s"
+    return f"the stamps of {topic} are {ahead} ahead of this machine's clock; the time of arrival is used"
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""The sampler's parameters, which follow the plant: a map entry and an age limit for each of its signals."""
+"""The sampler's parameters, which depend on the plant: a map entry and an age limit for each signal."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from twinmatch.sessions.column_map import parse_source
 __all__ = ["Signal", "limits_of", "sampler_table", "signals_of", "types_of", "understood", "wires_of"]
 
 _PERIODS: Final = 3.0
-"""Age of a reading or a command, in periods, from which it is not used, where nothing else is said."""
+"""Default age from which a reading or a command is stale, in periods."""
 _SLOWLY: Final = 60.0
 """The same for disturbances, which change slowly."""
 _SLACK: Final = 1e-9
-"""Part of a limit by which digits of a conversion may pass it."""
+"""Relative tolerance of a limit, for rounding in unit conversions."""
 
 
 class Signal(NamedTuple):
-    """What a plant says of one of its signals."""
+    """Description, unit and range of one of a plant's signals."""
 
     text: str
     unit: str
@@ -44,21 +44,21 @@ def signals_of(plant: type[Plant]) -> dict[str, Signal]:
 
 
 def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Parameter, ...]:
-    """The parameters for a plant and a sample time, s."""
+    """The parameters for a plant and a sampling period, s."""
     usual = plant.loop.period if plant.loop else 1.0
     signals = signals_of(plant)
     ages = {REFERENCE: 0.0, OUTPUT: _PERIODS, INPUT: _PERIODS}
     step = period or usual
     return (
-        Parameter("plant", written_name(plant), "Whose signals they are: name of a plant, or its file."),
-        Parameter("period", usual, "Sample time of the loop that runs.", "s", 0.01, 60.0),
+        Parameter("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
+        Parameter("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
         Parameter(
             "paced_by",
             INPUT,
-            "What makes the ticks: messages of a signal, one a period, or a timer of our own.",
+            "What paces the ticks: a signal with one message per period, or the sampler's own timer.",
             choices=(*signals, TIMER),
         ),
-        Parameter("settle", 0.1, "Wait behind such a message for those sent with it.", "periods", 0.0, 0.45),
+        Parameter("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
         *(
             Parameter(
                 f"map.{name}",
@@ -71,24 +71,26 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
             Parameter(
                 f"max_age.{name}",
                 round(ages.get(name, _SLOWLY) * step, 9),
-                f"Age from which a value of the {name} is not used; 0: any age will do.",
+                f"Age from which a value of the {name} is stale; 0: never.",
                 "s",
                 0.0,
                 1e6,
             )
             for name in signals
         ),
-        Parameter("types", "", "Types of topics with several, with commas: /cmd std_msgs/msg/Float64, …"),
         Parameter(
-            "wait_timeout", 10.0, "Longest wait for topics that nobody publishes; 0: for ever.", "s", 0.0, 1e6
+            "types", "", "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
+        ),
+        Parameter(
+            "wait_timeout", 10.0, "Longest wait for topics without publisher; 0: for ever.", "s", 0.0, 1e6
         ),
         READERS,
-        Parameter("readers_timeout", 30.0, "Longest wait for them.", "s", 0.1, 3600.0),
+        Parameter("readers_timeout", 30.0, "Longest wait for those nodes.", "s", 0.1, 3600.0),
     )
 
 
 def understood(place: str, given: Mapping[str, Any]) -> tuple[Parameter, ...]:
-    """The table for the plant that is named among given values.
+    """The table for the plant selected by the given values.
 
     Raises:
         ParameterError: there is no such plant.
@@ -103,10 +105,10 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[Parameter, ...]:
 
 
 def wires_of(place: str, values: Mapping[str, Any]) -> dict[str, Wire]:
-    """Where the mapped signals come from, by name in the plant's order.
+    """The wires of the mapped signals, by name in the plant's order.
 
     Raises:
-        TwinmatchError: an entry is no map, or output or input has none.
+        TwinmatchError: a map entry cannot be parsed, or that of output or input is missing.
     """
     found = {}
     for name in signals_of(find_plant(values["plant"])):
@@ -116,13 +118,13 @@ def wires_of(place: str, values: Mapping[str, Any]) -> dict[str, Wire]:
             found[name] = Wire.of(name, source.columns, source.unit, source.scale, source.offset)
     for name in (OUTPUT, INPUT):
         if name not in found:
-            msg = f"{place}: there is no map.{name}; give its topic and field, such as /topic:data"
+            msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data"
             raise ParameterError(msg)
     return found
 
 
 def limits_of(values: Mapping[str, Any], mapped: Mapping[str, Wire]) -> dict[str, Limits]:
-    """What is asked of each mapped signal."""
+    """The limits of each mapped signal."""
     known = signals_of(find_plant(values["plant"]))
 
     def limits(name: str) -> Limits:
@@ -134,10 +136,10 @@ def limits_of(values: Mapping[str, Any], mapped: Mapping[str, Wire]) -> dict[str
 
 
 def types_of(place: str, text: str) -> dict[str, str]:
-    """The types that were given, by topic.
+    """The configured types, by topic.
 
     Raises:
-        SamplingError: it is no list of topics and types.
+        SamplingError: the text is not a list of topics and types.
     """
     found = {}
     for entry in filter(str.strip, text.split(",")):
@@ -154,4 +156,4 @@ def _in(unit: str) -> str:
 
 
 def _may_be(name: str) -> str:
-    return "; empty: there is none" if name not in (OUTPUT, INPUT) else ""
+    return "; empty: none" if name not in (OUTPUT, INPUT) else ""

@@ -1,4 +1,4 @@
-"""What the twin's nodes have in common: the stream of samples, its health, the worker behind it."""
+"""Base classes of the twin's nodes: the stream of samples, its health, the worker behind it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twinmatch_msgs.srv import Past
 __all__ = ["EVERYTHING", "LATCHED", "RELIABLE", "SampleNode", "SampleWatch", "TwinNode", "nanoseconds"]
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-"""For readers that must not miss one: what they have not taken yet holds the writer back."""
+"""For readers that must not miss a message: a full queue applies back-pressure to the writer."""
 
 RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
 """For writers of samples, requests, matches and scores."""
@@ -38,14 +38,14 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""For a value that stands until the next: who comes late is given it too."""
+"""For a value that holds until the next one: a late-joining subscriber gets it too."""
 
 
 class SampleWatch:
-    """Follows the samples' indices and arrival, and complains of gaps and silence."""
+    """Checks the samples' indices and arrival, and reports gaps and silence."""
 
     def __init__(self, health: Health, period: float, patience: int = 5, remember: int = 60) -> None:
-        """Complain of silence after `patience` periods (s), and of a gap for `remember` samples."""
+        """Report silence after `patience` periods (s each), and a gap for `remember` samples."""
         self._health = health
         self._silence = patience * period
         self._remember = remember
@@ -55,14 +55,14 @@ class SampleWatch:
         health.say("waiting for samples")
 
     def push(self, index: int, now: float) -> None:
-        """Take note of a sample that arrived at `now` (s)."""
+        """Check a sample that arrived at `now` (s)."""
         if self._last is None:
             self._health.say("working")
         elif index != self._last + 1:
             between = f"samples {self._last + 1} to {index - 1} are missing"
             message = between if index > self._last else f"sample {index} came after sample {self._last}"
             self._health.count("gaps")
-            self._health.complain("gap", Level.ERROR, f"{message}; windows begin anew")
+            self._health.flag("gap", Level.ERROR, f"{message}; windows start over")
             self._since_gap = 0
         self._since_gap += 1
         if self._since_gap > self._remember:
@@ -71,30 +71,30 @@ class SampleWatch:
         self._health.set("sample", index)
 
     def look(self, now: float) -> None:
-        """Complain if no sample came for too long; withdraw that once they come."""
+        """Report silence if no sample has arrived for too long; withdraw it once they arrive again."""
         silent = now - self._arrived
         if self._last is not None and silent > self._silence:
-            self._health.complain("silence", Level.WARN, f"no sample for {silent:.0f} s")
+            self._health.flag("silence", Level.WARN, f"no sample for {silent:.0f} s")
         else:
             self._health.withdraw("silence")
 
 
 class TwinNode(TwinmatchNode):
-    """A node of the twin: its settings, and a worker for what takes time."""
+    """A node of the twin: its settings, and a worker for long computations."""
 
     FIXED = "a replay must give the recorded verdicts"
     worker: Worker[Any] | None = None
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
-        """The parameters of the plant and structure that are named."""
+        """The parameters of the selected plant and structure."""
         return understood(cls.NAME, given)
 
     def read_parameters(self) -> None:
-        """Make the settings of the twin.
+        """Create the settings of the twin.
 
         Raises:
-            TwinmatchError: some parameters do not go together.
+            TwinmatchError: parameters contradict each other.
         """
         self.settings: TwinSettings = settings_from(self.values)
 
@@ -110,12 +110,12 @@ class TwinNode(TwinmatchNode):
         """Work on one item; called in the worker's thread."""
 
     def put(self, item: Any) -> None:
-        """Leave an item to the worker."""
+        """Queue an item for the worker."""
         if self.worker is not None:
             self.worker.put(item)
 
     def publish(self, publisher: Publisher, message: Any) -> None:
-        """Publish from the worker's thread; after a standstill, once the readers are back."""
+        """Publish from the worker's thread; after a suspension, once the readers are connected again."""
         self._standstill.wait()
         publisher.publish(message)
 
@@ -127,7 +127,7 @@ class TwinNode(TwinmatchNode):
 
     @property
     def failure(self) -> Exception | None:
-        """The defect that ended the worker."""
+        """The error that ended the worker, if any."""
         return None if self.worker is None else self.worker.failure
 
     def close(self) -> bool:
@@ -138,14 +138,14 @@ class TwinNode(TwinmatchNode):
 
 
 class SampleNode(TwinNode):
-    """A node that takes every sample and works on it in its worker.
+    """A node that processes every sample in its worker.
 
-    One that comes late, comes back or was stopped is given what it missed: it comes to where it would be if
-    it had been there all the time. `learn` tells it what a node of its kind has said before.
+    After a late start, a restart or a pause it fetches what it missed, and reaches the same state as if it
+    had run all the time. `learn` receives the results that the node's predecessor published.
     """
 
     def read_parameters(self) -> None:
-        """Make the settings, and watch the samples by them."""
+        """Create the settings, and the check of the samples."""
         super().read_parameters()
         self._watch = SampleWatch(self.health, self.settings.period)
 
@@ -157,7 +157,7 @@ class SampleNode(TwinNode):
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
 
     def learn(self, said: Past.Response) -> None:
-        """Take what was heard of this session before this node came; called before its first sample."""
+        """Take the results published before this node started; called before its first sample."""
 
     def report(self) -> Report:
         """Queue, gaps, silence."""
@@ -172,7 +172,7 @@ class SampleNode(TwinNode):
             sample: Sample = sample_from(message)
         except SignalError as error:
             self.health.count("refused")
-            self.health.complain("sample", Level.ERROR, f"plant/sample: {error}")
+            self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
             return
         self.health.withdraw("sample")
         self._stream.push(sample)
@@ -185,5 +185,5 @@ class SampleNode(TwinNode):
 
 
 def nanoseconds(stamp: Any) -> int:
-    """A stamp of ROS as nanoseconds."""
+    """A ROS time stamp in nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -1,8 +1,8 @@
-"""Samples in the order of their indices, however they arrive: live, or fetched because they were missed.
+"""Samples in the order of their indices, whether they arrive live or are fetched later.
 
-A node that comes back has missed all, one that was stopped some. It asks the keeper for what lies between
-the sample it knows and the one that has come, and holds back what comes meanwhile. Only what the keeper has
-not got either is a gap: then the rig itself made none.
+A restarted node has missed all samples, a paused one some. It asks the keeper for those between its last
+sample and the newest one, and holds back what arrives meanwhile. Only samples that the keeper does not have
+either are a gap: the rig itself published none.
 """
 
 from __future__ import annotations
@@ -17,63 +17,63 @@ __all__ = ["Missing", "Stream"]
 
 
 class Missing(NamedTuple):
-    """Samples that are asked for."""
+    """Range of samples to fetch."""
 
     first: int
     last: int
 
 
 class Stream:
-    """Gives samples on in their order, and says which are missing."""
+    """Passes samples on in order, and reports which are missing."""
 
     def __init__(self, give: Callable[[Sample], None]) -> None:
-        """Give every sample on to `give`."""
+        """Pass every sample on to `give`."""
         self.missing: Missing | None = None
-        """What is to be fetched now; what comes live is held back until then."""
+        """The samples to fetch now; live samples are held back until then."""
         self._give = give
-        self._end = 0  # index of the newest that was given on, plus one
+        self._end = 0  # index of the newest sample passed on, plus one
         self._held: deque[Sample] = deque()
 
     @property
     def begun(self) -> bool:
-        """Whether a sample was given on."""
+        """Whether a sample was passed on."""
         return self._end > 0
 
     def push(self, sample: Sample) -> None:
-        """Take a sample that came live."""
+        """Take a live sample."""
         if self.missing is not None:
             self._held.append(sample)
         elif sample.index > self._end:
             self.missing = Missing(self._end, sample.index - 1)
             self._held.append(sample)
         else:
-            self._on(sample)
+            self._pass_on(sample)
 
     def fetched(self, samples: Sequence[Sample], heard: int) -> bool:
-        """Take an answer: samples of those missing, and the end of what the keeper has heard.
+        """Take an answer: some of the missing samples, and the end of what the keeper has received.
 
-        Returns whether it brought anything on; otherwise there is no use in asking again at once.
+        Returns whether this made progress; if not, it is no use asking again at once.
         """
         missing = self.missing
         if missing is None:
             return False
         for sample in samples:
-            self._on(sample)
+            self._pass_on(sample)
         if self._end > missing.last or (not samples and heard > missing.last):
-            self.go_on()
+            self.skip()
             return True
         self.missing = Missing(self._end, missing.last)
         return bool(samples)
 
-    def go_on(self) -> None:
-        """Do without what is still missing, and give on what was held back."""
+    def skip(self) -> None:
+        """Skip what is still missing, and pass on what was held back."""
         self.missing = None
         held, self._held = self._held, deque()
         if held:
-            self._on(held.popleft())  # with a gap before it, if so it is
+            self._pass_on(held.popleft())  # possibly with a gap before it
         for sample in held:
             self.push(sample)
 
-    def _on(self, sample: Sample) -> None:
+    def _pass_on(self, sample: Sample) -> None:
         self._end = sample.index + 1
         self._give(sample)

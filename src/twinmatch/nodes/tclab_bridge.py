@@ -21,24 +21,24 @@ __all__ = ["LIMITS", "TCLabBridge", "main"]
 
 NAN = float("nan")
 SIMULATED_POLL = 0.004
-"""Longest sleep of the driver when the plant's clock may run many times as fast as the wall's, s."""
+"""Longest sleep of the driver when the plant's clock may run many times faster than the wall clock, s."""
 
 LIMITS = GuardLimits(
     commands=(0.0, 100.0),
-    highest=85.0,  # ten degrees above the highest set-point; the kit itself stands 100 °C
+    highest=85.0,  # 10 °C above the highest set-point; the kit itself tolerates 100 °C
     lowest=-10.0,
     thing="heater",
     sensor="kit",
-    # A full heater gains 8 °C in 30 s at first, and 2 °C where it can hardly go higher.
+    # A heater at full power gains 8 °C in 30 s at first, and 2 °C near its highest temperature.
     runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
 )
-"""When the heaters of a kit have to go off."""
+"""Limits beyond which the kit's heaters are switched off."""
 
 
 class TCLabBridge(GatedNode):
-    """Carries commands to heater 1 while command, temperature, kit and clock are sound.
+    """Passes commands to heater 1 while command, temperature, kit and clock are sound.
 
-    Heater 2 does what its parameter says while commands pass, and is the plant's disturbance.
+    Heater 2 has the constant power of its parameter while commands pass; it is the plant's disturbance.
     """
 
     NAME = "tclab_bridge"
@@ -47,12 +47,12 @@ class TCLabBridge(GatedNode):
         Parameter(
             "port", "", "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
         ),
-        Parameter("second", 0.0, "What heater 2 does while heater 1 is driven.", "%", 0.0, 100.0),
-        Parameter("repeat", 0.25, "The kit is told and asked again after this time.", "s", 0.05, 0.5),
+        Parameter("second", 0.0, "Power of heater 2 while heater 1 is driven.", "%", 0.0, 100.0),
+        Parameter("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
         Parameter(
             "deadline",
             1.0,
-            "Zero after this time without a word from this node, by the wall clock.",
+            "Zero after this time without a command from this node, by the wall clock.",
             "s",
             0.6,
             5.0,
@@ -63,10 +63,10 @@ class TCLabBridge(GatedNode):
     CLOSING: ClassVar = 6
 
     def read_parameters(self) -> None:
-        """Make of them the link and the guard's limits.
+        """Create the link and the gate.
 
         Raises:
-            TwinmatchError: some do not go together, or the package `tclab` is missing.
+            TwinmatchError: parameters contradict each other, or the package `tclab` is missing.
         """
         values = self.values
         self._link = KitLink(values["port"], values["deadline"])
@@ -74,7 +74,7 @@ class TCLabBridge(GatedNode):
         self._kit_driver: KitDriver | None = None
 
     def open(self) -> None:
-        """Listen, and connect to the kit."""
+        """Subscribe, and connect to the kit."""
         self.guard(
             self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
         )
@@ -90,7 +90,7 @@ class TCLabBridge(GatedNode):
 
     @property
     def failure(self) -> Exception | None:
-        """What ended the driver's thread."""
+        """The error that ended the driver's thread, if any."""
         return None if self._kit_driver is None else self._kit_driver.failure
 
     @property
@@ -99,19 +99,19 @@ class TCLabBridge(GatedNode):
         return self._kit_driver is not None and self._kit_driver.connected
 
     def clear_board(self) -> None:
-        """Let the kit be driven again after a silence."""
+        """Allow the kit to be driven again after it fell silent."""
         if self._kit_driver is not None:
             self._kit_driver.clear()
 
     def close(self) -> bool:
-        """Set zero and let go of the kit."""
+        """Set zero and release the kit."""
         return self._kit_driver is None or self._kit_driver.close()
 
     def _on_command(self, message: PlantCommand) -> None:
         self.gate.command(message.input, message.index, nanoseconds(message.header.stamp))
 
     def _tell(self, reading: KitReading | None, index: int) -> None:
-        """Publish what the kit says; called in the driver's thread."""
+        """Publish the kit's readings; called in the driver's thread."""
         stamp = self.get_clock().now()
         applied = PlantApplied(sequence=index, input=NAN)
         applied.header.stamp, applied.header.frame_id = stamp.to_msg(), self.values["frame_id"]
@@ -120,9 +120,9 @@ class TCLabBridge(GatedNode):
         else:
             first, second, power, other = reading
             self.gate.temperature(first, stamp.nanoseconds)
-            said = PlantReading(output=first, disturbances=[other])
-            said.header = applied.header
-            self._readings.publish(said)
+            message = PlantReading(output=first, disturbances=[other])
+            message.header = applied.header
+            self._readings.publish(message)
             applied.input = power
             self.health.set("applied", power)
             self.health.set("T1", f"{first:.2f} °C")

@@ -1,6 +1,6 @@
 """Kit and controller of a Temperature Control Lab in one process, as the launch scripts start them.
 
-If one of them fails all end, and the process that holds the kit's port switches the heaters off.
+If one of them fails, all end, and the process that holds the kit's port switches the heaters off.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Thermal frames as the images other ROS programs read."""
+"""Thermal frames as ROS images."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_COUNT, _FULL_COUNT = 0, 65535
 
 
 def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
-    """The image in hundredths of a kelvin, whatever the camera's resolution; 0 and 65535 stay: no value."""
+    """The image in hundredths of a kelvin at any camera resolution; 0 and 65535 still mean no value."""
     counts = exposure.image
     if exposure.resolution == CENTIKELVIN:
         return counts
@@ -32,15 +32,15 @@ def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
 
 
 def raw_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
-    """mono16 in centikelvin; `header` fills the message's header."""
+    """The image as mono16 in centikelvin; `header` fills the message's header."""
     return _image("mono16", centikelvin(exposure).astype("<u2"), header)
 
 
 def celsius_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
-    """32FC1 in °C, NaN where there is no value: everywhere while the shutter is closed.
+    """The image as 32FC1 in °C; NaN means no value, which is everywhere while the shutter is closed.
 
     Raises:
-        RegionError: the camera's counts are no temperatures.
+        RegionError: the camera's counts are not temperatures.
     """
     degrees = celsius(exposure)
     if exposure.frozen:

@@ -1,8 +1,8 @@
-"""The parameters of the twin's nodes, one table for all three, and the settings they make.
+"""The parameters of the twin's nodes, one table for all three, and the settings they define.
 
-Matcher, discriminator and twin simulator must agree on these, so they share the table, and an offline
-replay reads the same file. What the plant declares is described by the plant: which start values there are,
-their units and ranges follow from the parameters `plant` and `structure`.
+Matcher, discriminator and twin simulator must agree on these, so they share the table, and an offline replay
+reads the same file. The start values, with their units and ranges, are those of the selected `plant` and
+`structure`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
 def twin_table(
     plant: type[Plant] = Peltier, structure: str | None = None, closing: Closing = FILED
 ) -> tuple[Parameter, ...]:
-    """Name, default, meaning, unit and range of everything in `TwinSettings`, and two that single nodes need.
+    """Name, default, meaning, unit and range of everything in `TwinSettings`, and of what single nodes need.
 
     Raises:
         PlantError: the plant has no such structure, or its equations cannot be used.
@@ -50,7 +50,7 @@ def twin_table(
         Parameter(
             "loop",
             Filed.LOOP.value if closing is FILED else UNKNOWN,
-            "Whether the twin is closed into the plant file's loop; unknown: it is driven by the input.",
+            "Whether the twin runs in the loop of the plant file; unknown: the recorded input drives it.",
             choices=(Filed.LOOP.value, UNKNOWN),
         ),
         *loop_parameters(plant, closing),
@@ -61,20 +61,20 @@ def twin_table(
         Parameter(
             "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
         ),
-        Parameter("candidates", "", "File of candidates to begin with, for the discriminator; empty: none."),
+        Parameter("candidates", "", "File of initial candidates, for the discriminator; empty: none."),
         Parameter(
             "allow_fmu",
             "",
-            "File that makes FMUs structures of the plant, and lets them run; empty: none.",
+            "File that adds FMUs as structures of the plant and permits running them; empty: none.",
         ),
     )
 
 
 def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Parameter, ...], dict[str, Any]]:
-    """The table for the plant and the structure that are named among given values, and what it is to check.
+    """The table for the plant and structure selected by the given values, and the values to check against it.
 
     Raises:
-        ParameterError: there is no such plant or structure, or it does not have what is given.
+        ParameterError: there is no such plant or structure, or it lacks a given parameter.
     """
     refuse_renamed(place, given)
     try:
@@ -101,9 +101,9 @@ def twin_values(place: str, given: Mapping[str, Any]) -> Values:
 
 
 def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
-    """All parameters of a node as a session has them; names of earlier versions are understood. A file
-    that a session names as its plant is not run, nor are the FMUs of one that it names: the plant and its
-    structures have to be known already.
+    """All parameters of a node as recorded in a session; names of earlier versions are accepted.
+
+    A plant file or FMUs that a session names are not run: the plant and its structures must be known already.
 
     Raises:
         ParameterError: as `twin_values`.
@@ -122,7 +122,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     """Settings from checked parameter values.
 
     Raises:
-        TwinmatchError: values that do not go together.
+        TwinmatchError: values contradict each other.
     """
 
     def group(prefix: str) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
 
 
 def values_of(settings: TwinSettings) -> Values:
-    """The parameter values that make these settings: `settings_from` the other way round."""
+    """The parameter values that give these settings: the inverse of `settings_from`."""
     model = settings.start.model
     values: Values = {
         "plant": written_name(model.plant),
@@ -174,17 +174,15 @@ def values_of(settings: TwinSettings) -> Values:
 def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -> TwinSettings:
     """Settings from the sections of a ROS parameter file that concern the twin's nodes.
 
-    Without a file, the defaults. Sections of other nodes are passed over.
+    Without a file, the defaults. Sections of other nodes are ignored.
 
     Args:
         path: the file, if there is one.
-        plant: the plant that is to be judged, by the name that recordings give it; empty: that of the
-            file, or the Peltier rig.
-        driven: whether what is to be judged has no set-points; the loop is then unknown, unless the file says
-            otherwise.
+        plant: name of the plant to judge, as in recordings; empty: that of the file, or the Peltier rig.
+        driven: whether the data have no set-points; the loop is then unknown, unless the file says otherwise.
 
     Raises:
-        ParameterError: the file is not there, is no parameter file, has a parameter that does not exist or is
+        ParameterError: the file is missing or not a parameter file, has a parameter that does not exist or is
             out of range, or is for another plant.
     """
     wanted = {"plant": written_name(plant_named(plant))} if plant else {}
@@ -216,13 +214,13 @@ def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -
         msg = f"{path}: {error}"
         raise ParameterError(msg) from error
     if plant and settings.plant is not plant_named(plant):
-        msg = f"{path}: is for plant {settings.plant.name}, and what is to be judged is of plant {plant}"
+        msg = f"{path}: is for plant {settings.plant.name}, but the data are of plant {plant}"
         raise ParameterError(msg)
     return settings
 
 
 def at_period(settings: TwinSettings, period: float, config: Path | None) -> TwinSettings:
-    """The settings for a session's sample time (s); a file that says another one is a mistake.
+    """The settings for a session's sampling period (s), which must agree with the file's.
 
     Raises:
         TwinError: `config`, the file the settings are from, has another period.
@@ -230,14 +228,14 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     if abs(period - settings.period) <= 0.01 * settings.period:
         return settings
     if config is not None:
-        msg = f"{config}: the period is {settings.period:g} s, but the samples come every {period:g} s"
+        msg = f"{config}: the period is {settings.period:g} s, but that of the samples is {period:g} s"
         raise TwinError(msg)
     gains = settings.gains
     return replace(settings, period=period, gains=gains and replace(gains, period=period))
 
 
 def _plant(model: Model) -> tuple[Parameter, ...]:
-    """Which plant it is, what is unknown of it, and where a search begins."""
+    """The plant, its structure, its free parameters and their start values."""
     plant, structure = model.plant, model.structure
     starts = tuple(
         Parameter(
@@ -252,11 +250,11 @@ def _plant(model: Model) -> tuple[Parameter, ...]:
     )
     y, u = plant.output, plant.drive
     return (
-        Parameter("plant", written_name(plant), "Which plant: its name, or the file it is in."),
+        Parameter("plant", written_name(plant), "The plant: its name, or the file that defines it."),
         Parameter(
             "structure",
             model.structure_name,
-            "Parts it is taken to have; they decide which start values there are.",
+            "Structure of the model: the parts it has, and with them its start values.",
             choices=tuple(plant.structures),
         ),
         Parameter(
@@ -275,9 +273,9 @@ def _schedule(has: TwinSettings) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(f"schedule.{name}", getattr(has.schedule, name), text, unit, low, high)
         for name, text, unit, low, high in (
-            ("stride", "Samples between two looks while nothing moves.", "samples", 4, 10000),
+            ("stride", "Samples between two checks while nothing changes.", "samples", 4, 10000),
             (*step, 1e-6, 1e6),
-            ("min_span", "A shorter regime joins the next one.", "samples", 10, 10000),
+            ("min_span", "A shorter regime is merged with the next one.", "samples", 10, 10000),
             ("span", "A regime is judged this long after its step.", "samples", 20, 10000),
             ("lead", "Samples kept before the previous regime's step.", "samples", 1, 1000),
             ("capacity", "Longest window.", "samples", 40, 100000),
@@ -290,10 +288,14 @@ def _sensor(has: TwinSettings) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
         for name, text, unit in (
-            ("noise", "Noise of the sensor the twin is seen through (1 σ).", unit),
-            ("resolution", "Step of its readings; 0: none.", unit),
-            ("pause_period", "Time between two pauses in which it stands still; 0: it never does.", "s"),
-            ("pause_duration", "How long a pause lasts.", "s"),
+            ("noise", "Noise of the simulated sensor of the twin (1 σ).", unit),
+            ("resolution", "Resolution of its readings; 0: continuous.", unit),
+            (
+                "pause_period",
+                "Time between two pauses, in which its reading stands still; 0: no pauses.",
+                "s",
+            ),
+            ("pause_duration", "Duration of a pause.", "s"),
         )
     )
 
@@ -319,14 +321,14 @@ def _family(has: TwinSettings) -> tuple[Parameter, ...]:
 def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
     """Limits of the trust level and of the plant's health."""
     y = has.plant.output.unit
-    doubt = "What came minus what was foretold, RMS in half widths of the band, that makes the twin doubtful."
+    doubt = "RMS forecast error, in half widths of the band, from which the twin is doubtful."
     health = (
         ("lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
-        ("weak", "The same below which it is weak, if that lasts.", "", 0.01, 0.99),
-        ("jump", "Step of a reading that no plant can make.", y, 1e-6, 1e6),
-        ("frozen", "How long one reading has to be repeated.", "s", 1.0, 1e4),
-        ("change", "What a change has to explain better than none, to be told.", "nats", 0.1, 1e3),
-        ("lead", "The same against the next best, to be told by name.", "nats", 0.1, 1e3),
+        ("weak", "Share below which it is weak, if that lasts.", "", 0.01, 0.99),
+        ("jump", "Step of a reading that is physically impossible.", y, 1e-6, 1e6),
+        ("frozen", "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e4),
+        ("change", "Log-likelihood gain over no change from which a change is reported.", "nats", 0.1, 1e3),
+        ("lead", "Log-likelihood gain over the next best from which it is named.", "nats", 0.1, 1e3),
         ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
     )
     return (

@@ -1,6 +1,6 @@
 """Runs the leading twin beside the plant: samples and `twin/leader` in, `twin/state` out.
 
-It also says, once, what plant that is: `plant/description`.
+It also publishes the description of the plant once, latched: `plant/description`.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ __all__ = ["TwinSimulatorNode", "main"]
 
 
 class TwinSimulatorNode(SampleNode):
-    """Publishes where the twins are at every sample; before there is a leader, with the start values."""
+    """Publishes the twins' states at every sample; before there is a leader, they use the start values."""
 
     NAME = "twin_simulator"
 
     def open(self) -> None:
-        """Mirror the samples to come."""
+        """Start to mirror the samples."""
         self._mirror = Mirror(
             self.settings.start, self.settings.gains, self.values["recent"], self.settings.period
         )
         self._leader = ""
-        self._made = self._heard = 0  # states made; those that were heard before this node came
+        self._made = 0  # states
+        self._published_before = 0  # states published before this node started
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
         self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
         self._describer.publish(
@@ -41,15 +42,15 @@ class TwinSimulatorNode(SampleNode):
         self.create_subscription(ForecastScore, "twin/leader", self.put, LATCHED)
 
     def learn(self, said: Past.Response) -> None:
-        """Take how many states a simulator before this one has published."""
-        self._heard = said.states_heard
+        """Take the number of states that a simulator before this one published."""
+        self._published_before = said.states_heard
 
     def work(self, item: Sample | ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""
         if isinstance(item, Sample):
             state = self._mirror.push(item)
             self._made += 1
-            if self._made > self._heard:
+            if self._made > self._published_before:
                 message = state_message(state, self._leader, self.settings.plant.states)
                 self.publish(self._publisher, message)
             return

@@ -1,7 +1,7 @@
-"""How readings come to a controller and its commands leave it.
+"""The topics of a controller's readings and commands.
 
-Every plant has `plant/reading` and `plant/command`. The Peltier rig has had topics of its own for longer than
-that, which name what it has: a temperature and a PWM.
+Every plant has `plant/reading` and `plant/command`. Only the Peltier rig has its own, older topics, which are
+named for its temperature and its PWM.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from twinmatch_msgs.msg import PlantCommand, PlantReading, PwmCommand
 __all__ = ["Take", "Wires", "wires_of"]
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For readings of which only the newest counts."""
+"""For readings, of which only the newest counts."""
 
 Take = Callable[[Any, float, tuple[float, ...]], None]
-"""Is given a reading: its stamp as a message, the output, the disturbances."""
+"""Called with a reading: its stamp as a message, the output, the disturbances."""
 
 
 class Wires(Protocol):
-    """The two topics between a controller and what drives its plant."""
+    """The two topics between a controller and the driver of its plant."""
 
     publisher: Any
-    """Of the commands."""
+    """Publisher of the commands."""
 
     def __init__(self, node: Node, take: Take) -> None:
-        """Listen for readings and be ready to command."""
+        """Subscribe to readings and create the publisher of commands."""
         ...
 
     def command(self, value: float, index: int, stamp: Any) -> None:
@@ -42,10 +42,10 @@ class Wires(Protocol):
 
 
 class PlantWires:
-    """Those of any plant."""
+    """The topics of any plant."""
 
     def __init__(self, node: Node, take: Take) -> None:
-        """Listen for readings and be ready to command."""
+        """Subscribe to readings and create the publisher of commands."""
 
         def on_reading(message: PlantReading) -> None:
             take(message.header.stamp, message.output, tuple(message.disturbances))
@@ -61,10 +61,10 @@ class PlantWires:
 
 
 class PeltierWires:
-    """Those of the Peltier rig."""
+    """The topics of the Peltier rig."""
 
     def __init__(self, node: Node, take: Take) -> None:
-        """Listen for temperatures and be ready to command."""
+        """Subscribe to temperatures and create the publisher of commands."""
 
         def on_temperature(message: Temperature) -> None:
             take(message.header.stamp, message.temperature, ())

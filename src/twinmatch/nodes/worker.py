@@ -15,19 +15,19 @@ __all__ = ["Worker"]
 
 Item = TypeVar("Item")
 PATIENCE = 0.2
-"""Seconds after which an idle worker looks whether it is to end."""
+"""Interval at which an idle worker checks whether it should end, s."""
 
 
 class Worker(Generic[Item]):
-    """Handles items in the order in which they were put.
+    """Handles items in the order in which they were queued.
 
-    Nothing is ever dropped: the items are small, and a lost sample would cost a whole window. A
-    `TwinmatchError` of the handler is reported and the next item handled; any other exception is a
+    Nothing is ever dropped: the items are small, and a lost sample would cost a whole window. After a
+    `TwinmatchError` of the handler, which is reported, the next item is handled; any other exception is a
     defect, ends the worker and is kept in `failure`.
     """
 
     def __init__(self, handle: Callable[[Item], None], health: Health, backlog: int = 100) -> None:
-        """Start the thread; more than `backlog` items waiting is reported as a warning."""
+        """Start the thread; more than `backlog` queued items are reported as a warning."""
         self.failure: Exception | None = None
         self._handle = handle
         self._health = health
@@ -42,36 +42,36 @@ class Worker(Generic[Item]):
 
     @property
     def depth(self) -> int:
-        """Items that wait."""
+        """Number of queued items."""
         return self._items.qsize()
 
     @property
     def alive(self) -> bool:
-        """Whether the thread still runs."""
+        """Whether the thread is still running."""
         return self._thread.is_alive()
 
     @property
     def idle(self) -> bool:
-        """Whether everything that was put has been handled."""
+        """Whether every queued item has been handled."""
         return self._done >= self._last_put
 
     def put(self, item: Item) -> None:
-        """Leave an item to the worker."""
+        """Queue an item."""
         self._last_put = next(self._taken_on)
         self._items.put(item)
 
     def watch(self) -> None:
-        """Bring the queue into the health report."""
+        """Report the queue's depth."""
         depth = self.depth
         self._health.set("queue depth", depth)
         if depth > self._backlog:
-            message = f"{depth} messages wait; the work takes longer than they come in"
-            self._health.complain("queue", Level.WARN, message)
+            message = f"{depth} messages are queued; they arrive faster than they are processed"
+            self._health.flag("queue", Level.WARN, message)
         else:
             self._health.withdraw("queue")
 
     def close(self, timeout: float = 2.0) -> bool:
-        """Ask the worker to end after the item it is at; whether it did within the timeout (s)."""
+        """End the worker after its current item; returns whether it ended within the timeout (s)."""
         self._ending.set()
         self._thread.join(timeout)
         return not self.alive
@@ -87,7 +87,7 @@ class Worker(Generic[Item]):
             except TwinmatchError as error:
                 self._health.set("last error", error)
                 self._health.count("errors")
-                self._health.complain("error", Level.ERROR, str(error))
+                self._health.flag("error", Level.ERROR, str(error))
             except Exception as error:  # handed to the main thread, which ends the process with it
                 self.failure = error
                 return

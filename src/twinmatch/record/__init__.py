@@ -1,13 +1,12 @@
-"""What is recorded of a run: verdicts, matches and their parts, described once.
+"""The records of a run: verdicts, matches and their parts, described in one place.
 
-The description is the dataclasses themselves: names and kinds of their fields are read off them, and from
-that are made the fields of a message (`tree_of`, `fill`), the object again (`tree_of_message`, `object_of`),
-JSON (`document_of`) and the bit for bit comparison (`differences`). Whoever adds a field adds it to the
-dataclass, and its line to the message; a test compares the two. Nothing here knows ROS: a message is whatever
-has the fields.
+The dataclasses themselves are the description. Names and types of their fields give the fields of a message
+(`tree_of`, `fill`), the object again (`tree_of_message`, `object_of`), JSON (`document_of`) and the bit for
+bit comparison (`differences`). A new field is added to the dataclass and to the message; a test compares the
+two. Nothing here knows ROS: any object with the fields is a message.
 
-What is absent (`None`) is NaN, −1 or an empty text in a message and null in JSON; a level or status is a word
-there, and a number beside it in a message.
+An absent value (`None`) is NaN, −1 or an empty text in a message and null in JSON. A level or status is a
+word, with a number beside it in a message.
 """
 
 from twinmatch.record.differences import differences

@@ -1,4 +1,4 @@
-"""Where two recorded trees differ in a single bit."""
+"""Bit for bit comparison of two recorded trees."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _NUMBER = re.compile(r"\[\d+\]")
 def differences(
     recorded: Any, computed: Any, place: str = "", apart: set[str] | None = None
 ) -> Iterator[tuple[str, Any, Any]]:
-    """Where two trees differ in a single bit: path of the field, value in the one, value in the other.
+    """Fields in which two trees differ, if only by a bit: path, recorded value, computed value.
 
-    A field that only one of them has is a difference too, unless there is a set `apart` to note it in.
+    A field that only one of them has is a difference too, unless a set `apart` is given to collect it.
     """
     if isinstance(recorded, Mapping) and isinstance(computed, Mapping):
         for name in (*recorded, *(name for name in computed if name not in recorded)):

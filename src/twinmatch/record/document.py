@@ -1,4 +1,4 @@
-"""Recorded objects as JSON takes them."""
+"""Recorded objects as JSON documents."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["document_of"]
 
 
 def document_of(record: Any) -> dict[str, Any]:
-    """An object as a dictionary; every value is a text, finite number, truth value, None, list or dictionary.
+    """An object as a dictionary of texts, finite numbers, booleans, None, lists and dictionaries.
 
-    What is absent, not a number or without bound is None.
+    Absent values, NaN and infinities are None.
     """
     document: dict[str, Any] = {}
     for field in fields_of(type(record)):

@@ -1,4 +1,4 @@
-"""The fields of a recorded dataclass or named tuple, read off its type hints."""
+"""The fields of a recorded dataclass or named tuple, from its type hints."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["Field", "Form", "RecordError", "fields_of", "values_name"]
 
 
 class RecordError(TwinmatchError):
-    """A record that does not hold what it should."""
+    """A record has missing or invalid content."""
 
 
 class Form(Enum):
     """How a field is written."""
 
     PLAIN = auto()
-    """A number, a truth value or a text."""
+    """A number, a boolean or a text."""
     WORD = auto()
-    """One of an `Enum`: its word under the name with `_name`, its number under the name."""
+    """A member of an `Enum`: its word under the name with `_name`, its number under the name."""
     LIST = auto()
     """Numbers or texts."""
     ROWS = auto()
@@ -34,17 +34,17 @@ class Form(Enum):
     ARRAY = auto()
     """A numpy array; row by row in a message."""
     SPAN = auto()
-    """First and last sample, under these names."""
+    """First and last sample, under the names `first` and `last`."""
     NAMED = auto()
-    """Numbers by name: the names, and the values under the name in the singular with `_values`."""
+    """Numbers by name: the names, and the values under the field's name in the singular with `_values`."""
     PARAMETERS = auto()
     """Parameters of a plant."""
     PART = auto()
-    """A recorded object of its own."""
+    """A nested recorded object."""
     PARTS = auto()
-    """Several of one kind."""
+    """A list of recorded objects of one type."""
     INLINE = auto()
-    """A recorded object whose fields stand beside this one's owner's."""
+    """A recorded object whose fields are written among those of its owner."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,22 +52,22 @@ class Field:
     """One field."""
 
     name: str
-    """In the core, and in message and JSON unless its form says otherwise."""
+    """Name in the core, and in message and JSON unless its form says otherwise."""
     form: Form
     kind: Any
-    """Type of the value, or of one of several."""
+    """Type of the value, or of the elements of a list."""
     optional: bool = False
     """Whether it may be None."""
     columns: int = 0
-    """Of an array; 0: it has one dimension, −1: as many as rows."""
+    """Columns of an array; 0: one dimension, −1: as many as rows."""
     prefix: str = ""
-    """Before the names of an inline object's fields."""
+    """Prefix of the names of an inline object's fields."""
     made: bool = False
-    """Whether it follows from the others, so that it is written and never read."""
+    """Whether it is derived from the others, so that it is written but never read."""
 
 
 def fields_of(owner: type) -> tuple[Field, ...]:
-    """The fields of a class, in order; last the properties that its `DERIVED` names.
+    """The fields of a class in order, followed by the properties named in its `DERIVED`.
 
     Raises:
         RecordError: a field has a type that is not recorded.
@@ -89,7 +89,7 @@ def _fields_of(owner: Any) -> tuple[Field, ...]:
 
 
 def values_name(name: str) -> str:
-    """Under which name the values of a `NAMED` field stand."""
+    """Name of the values of a `NAMED` field."""
     return f"{name.removesuffix('s')}_values"
 
 
@@ -128,7 +128,7 @@ def _several(inside: Any) -> tuple[Form, Any]:
 
 
 def _unless_none(hint: Any) -> tuple[Any, bool]:
-    """A type, and whether None is said beside it."""
+    """A type without None, and whether None was allowed."""
     if get_origin(hint) in (Union, types.UnionType):
         inside = [kind for kind in get_args(hint) if kind is not type(None)]
         return inside[0], len(inside) < len(get_args(hint))

@@ -1,4 +1,4 @@
-"""Between trees and messages, of ROS 2 or decoded from a recording: whatever has the fields."""
+"""Convert between trees and messages, either of ROS 2 or decoded from a recording."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ NANOSECONDS = 1_000_000_000
 def fill(message: Any, tree: Tree, part: Callable[[str], Any]) -> Any:
     """Write a tree into a message of ROS 2 and return it.
 
-    Beside a word goes its number: the constant of the message that has the word's name.
+    A word is written together with its number, the message's constant of that name.
 
     Args:
-        message: a new one.
+        message: a new message.
         tree: its fields.
-        part: makes an empty message of a type given by its short name, for lists of parts.
+        part: creates an empty message of a type given by its short name, for lists of parts.
     """
     kinds = message.get_fields_and_field_types()
     for name, value in tree.items():
@@ -38,7 +38,7 @@ def fill(message: Any, tree: Tree, part: Callable[[str], Any]) -> Any:
 
 
 def tree_of_message(message: Any) -> Tree:
-    """A message as a tree; of its header only `stamp` (ns) is kept, of a level or status the word."""
+    """A message as a tree, with only `stamp` (ns) of the header and only the word of a level or status."""
     names = [name.removeprefix("_") for name in message.__slots__ if name != "_check_fields"]
     tree: Tree = {}
     for name in names:

@@ -1,4 +1,4 @@
-"""Parameters of a plant in a record."""
+"""Convert a plant's parameters to and from records."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ __all__ = ["parameters_document", "parameters_of", "parameters_tree"]
 
 
 def parameters_tree(parameters: Parameters | None) -> dict[str, Any]:
-    """As a message has them; without names where there are none."""
+    """The parameters as in a message; for None without names."""
     held = names_of.named(parameters)._asdict()
     return {key: value if isinstance(value, str) else list(value) for key, value in held.items()}
 
 
 def parameters_of(tree: Mapping[str, Any]) -> Parameters | None:
-    """Parameters of such a tree; None where there are none.
+    """The parameters of such a tree; None if it has none.
 
     Raises:
-        PlantError: those of a plant that is not known, or values it cannot have.
+        PlantError: the plant is unknown, or a value is out of range.
     """
     return names_of.parameters_of(tree["plant"], tree["structure"], tree["names"], tree["values"])
 
 
 def parameters_document(parameters: Parameters) -> dict[str, float]:
-    """By name in their own units."""
+    """The values by name, in their own units."""
     return dict(parameters)

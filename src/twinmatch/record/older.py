@@ -1,4 +1,4 @@
-"""Recorded trees of this version and of those before, brought to one form so that they can be compared."""
+"""Convert recorded trees of this and earlier versions to one form, so that they can be compared."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ RENAMED = {
     "held_back_fit_y": "held_back_y",
     "held_back_fit_u": "held_back_u",
 }
-"""Fields that were called otherwise before."""
+"""Earlier names of fields, and their current names."""
 
 BY_RESIDUALS = ("level", "nominal", "decided", "certainty", "order", "candidates", "nu_gap")
-"""What a verdict said by other rules before it had a leader: structures were no candidates, and residuals of
-the nominal twin made the level."""
+"""Fields that followed other rules before verdicts had a leader: structures were not candidates then, and the
+level was computed from the residuals of the nominal twin."""
 
 
 def comparable(tree: Tree) -> Tree:
-    """The tree under today's names, with every named value under its own name."""
+    """The tree with current field names, and every named value under its own name."""
     if {"level", "candidates"} <= tree.keys() and "leader" not in tree:
         tree = {name: value for name, value in tree.items() if name not in BY_RESIDUALS}
     tree = {RENAMED.get(name, name): _inside(value) for name, value in tree.items()}
     if {"plant", "names", "values"} <= tree.keys():
         held = dict(zip(tree["names"], tree["values"], strict=True))
-        # Before structures had names, the values said which parts there were.
+        # Before structures had names, the values implied the structure.
         structure = {"structure": tree["structure"]} if tree["structure"] or not held else {}
         return {"plant": tree["plant"], **structure, **held}
-    if "seebeck" in tree:  # the rig's own message, before there were other plants
+    if "seebeck" in tree:  # the rig-specific message, before other plants were supported
         absent = math.isnan(tree["seebeck"])
         return {"plant": "", "structure": ""} if absent else {"plant": "peltier", **tree}
     if "start_values" in tree:

@@ -1,4 +1,4 @@
-"""Recorded objects as trees of plain values, named as the fields of their messages, and back."""
+"""Convert recorded objects to and from trees of plain values with the field names of their messages."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def object_of(kind: type[Recorded], tree: Tree) -> Recorded:
 
     Raises:
         RecordError: a field is missing, or a word is unknown.
-        TwinmatchError: the parameters are those of no plant.
+        TwinmatchError: the parameters cannot be used.
     """
     try:
         values = {f.name: _read(f, tree) for f in fields_of(kind) if not f.made}
     except KeyError as error:
-        msg = f"record: a {kind.__name__} without {error.args[0]}; it is of another version"
+        msg = f"record: a {kind.__name__} lacks {error.args[0]}; it was recorded by another version"
         raise RecordError(msg) from error
     return kind(**values)
 
@@ -70,7 +70,7 @@ def _written(field: Field, value: Any) -> Tree:
 
 
 def _nothing(kind: type) -> Tree:
-    """A part that is not there: NaN throughout, counts included, for they are float64 in a message."""
+    """An absent part: all NaN, including counts, which are float64 in a message."""
     return {field.name: math.nan for field in fields_of(kind)}
 
 
@@ -128,7 +128,7 @@ def _absent(value: Any, kind: Any) -> bool:
 
 
 def _empty(tree: Tree) -> bool:
-    """Whether a part is not there: its first figure is NaN."""
+    """Whether a part is absent: its first value is NaN."""
     return math.isnan(next(iter(tree.values())))
 
 
@@ -136,5 +136,5 @@ def _word(kind: Any, word: str) -> Any:
     try:
         return kind(word)
     except ValueError as error:
-        msg = f"record: {word!r} is none of {', '.join(one.value for one in kind)}"
+        msg = f"record: {word!r} is unknown; expected one of {', '.join(one.value for one in kind)}"
         raise RecordError(msg) from error

@@ -1,8 +1,8 @@
-"""When the output has to go to zero.
+"""Decide when the output must go to zero.
 
-State machines without clocks, wires or threads: the caller tells them the time. `OutputGuard` decides
-what may reach the driver, `Runaway` watches that the plate goes where it is pushed, and `SafetyClock` makes
-time that only runs forward out of a clock that may not.
+State machines without clocks, wires or threads: the caller passes the time. `OutputGuard` decides what may
+reach the driver, `Runaway` checks that the plate follows the drive, and `SafetyClock` derives a time that
+only runs forward from a clock that may not.
 """
 
 from __future__ import annotations

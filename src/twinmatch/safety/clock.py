@@ -1,7 +1,7 @@
-"""Time for safety decisions, made of a clock that cannot be trusted.
+"""Time for safety decisions, derived from a clock that cannot be trusted.
 
-Deadlines of the rig are in the plant's time, which a simulation may stop, set back or run many times as
-fast as the wall's. The time made here only runs forward, and it tells when the clock under it stands still.
+Deadlines of the rig are in plant time, which a simulation may stop, set back or run many times faster than
+the wall clock. The time derived here only runs forward, and a standstill of the plant's clock is detected.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ NANOSECONDS = 1_000_000_000
 
 @dataclass(frozen=True)
 class ClockLimits:
-    """A clock stands still when it does not advance by `progress` within `patience`, or never has yet."""
+    """A clock stands still if it does not advance by `progress` within `patience`, or has never advanced."""
 
     patience: float = 1.0
-    """Seconds of the wall clock."""
+    """Wall time, s."""
     progress: float = 0.05
-    """Seconds of the plant's clock; so a rig slowed down more than twentyfold is not driven either."""
+    """Plant time, s; a rig slowed down more than twentyfold is therefore not driven either."""
 
     def __post_init__(self) -> None:
         for name in ("patience", "progress"):
@@ -33,22 +33,22 @@ class ClockLimits:
 
 
 class SafetyClock:
-    """Adds up the steps a clock makes forward.
+    """Sums the forward steps of a clock.
 
-    A step back counts as no time, and what follows it counts as usual: a deadline that was under way
-    goes on from where it stood, however far the clock went back and however often. A leap forward counts
-    in full, so that deadlines err towards zero output.
+    A step back counts as zero, and later steps count as usual: a running deadline continues from where it
+    was, however far and however often the clock jumps back. A jump forward counts in full, so that deadlines
+    err towards zero output.
     """
 
     def __init__(self, limits: ClockLimits | None = None) -> None:
-        """Begin at zero with the first reading."""
+        """Start at zero with the first reading."""
         self.limits = limits or ClockLimits()
         self.standing = math.inf
-        """Seconds of the wall clock since the plant's last made progress; infinite before the first."""
+        """Wall time since the plant's clock last made progress, s; infinite before the first."""
         self._now = 0
         self._plant: int | None = None
-        self._mark = 0  # our time when progress was last seen, ns …
-        self._seen: int | None = None  # … and the wall's
+        self._mark = 0  # derived time of the last progress, ns
+        self._seen: int | None = None  # wall time of the last progress, ns
 
     @property
     def stopped(self) -> bool:
@@ -56,7 +56,7 @@ class SafetyClock:
         return self.standing > self.limits.patience
 
     def read(self, plant: int, wall: int) -> float:
-        """The time now, s, from the plant's clock and a monotonic wall clock (both ns)."""
+        """The derived time, s, given the plant's clock and a monotonic wall clock (both ns)."""
         if self._plant is not None:
             self._now += max(0, plant - self._plant)
         self._plant = plant

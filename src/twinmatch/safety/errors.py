@@ -1,4 +1,4 @@
-"""What this room refuses."""
+"""Errors in safety limits."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["SafetyError"]
 
 
 class SafetyError(TwinmatchError):
-    """Limits that protect nothing."""
+    """Limits under which nothing is protected."""

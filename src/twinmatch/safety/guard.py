@@ -1,12 +1,12 @@
-"""The last word on the output: what may be sent to the driver, and why not.
+"""The final decision on the output: what may be sent to the driver, and if not, why.
 
     waiting ──fresh command and temperature──▶ armed ──anything doubtful──▶ latched
        ▲                                                                       │
        └────────────────────────────── clear() ◀───────────────────────────────┘
 
-Only an armed guard lets a command through. A latched fault stays, with the output at zero, until
-somebody clears it; clearing does not arm, a new command and a new temperature do. While it waits, silence
-is no fault, so the nodes of a rig may start in any order; impossible values are one at any time.
+Only an armed guard passes commands. A latched fault holds the output at zero until it is cleared; clearing
+does not arm, but a new command and a new temperature do. While waiting, silence is not a fault, so the nodes
+of a rig may start in any order; invalid values are a fault at any time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Fault", "FaultKind", "GuardLimits", "OutputGuard"]
 
 
 class FaultKind(Enum):
-    """What latched."""
+    """Cause of a latched fault."""
 
     COMMAND_SILENT = "command_silent"
     COMMAND_INVALID = "command_invalid"
@@ -32,20 +32,20 @@ class FaultKind(Enum):
     UNDER_TEMPERATURE = "under_temperature"
     RUNAWAY = "runaway"
     DRIVER = "driver"
-    """The motor driver reports a short circuit, heat or lack of supply."""
+    """The motor driver reports a short circuit, over-temperature or under-voltage."""
     BOARD = "board"
-    """The board that drives started anew, tripped by itself, or does something else than it was told."""
+    """The driver board restarted, tripped, or applies something other than the command."""
     LINK = "link"
-    """That board does not answer, or its port is gone."""
+    """The board does not answer, or its port is gone."""
     CLOCK = "clock"
-    """The clock the plant lives by stands still."""
+    """The plant's clock stands still."""
     STOPPED = "stopped"
-    """Somebody asked for it."""
+    """The operator stopped the output."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A latched fault: what, in which words, since when (s)."""
+    """A latched fault: kind, message and time (s)."""
 
     kind: FaultKind
     message: str
@@ -54,22 +54,22 @@ class Fault:
 
 @dataclass(frozen=True)
 class GuardLimits:
-    """When the output has to go to zero."""
+    """Limits beyond which the output goes to zero."""
 
     command_timeout: float = 1.0
     """Longest time between two commands, s."""
     temperature_timeout: float = 3.0
-    """Greatest age of the newest temperature that was news, s; flat-field corrections take about 1 s."""
+    """Highest age of the newest temperature, without repeated ones, s; flat-field corrections take 1 s."""
     commands: tuple[float, float] = (-255.0, 255.0)
-    """Least and greatest command there can be."""
+    """Lowest and highest valid command."""
     highest: float = 110.0
-    """Over-temperature, °C."""
+    """Over-temperature limit, °C."""
     lowest: float = -10.0
-    """Below this the plate ices or the sensor is wrong, °C."""
+    """Under-temperature limit, °C: below it the plate ices or the sensor is wrong."""
     thing: str = "plate"
-    """What has the temperature …"""
+    """Name of the heated object, for messages."""
     sensor: str = "camera"
-    """… and what measures it, in a word."""
+    """Name of its sensor, for messages."""
     runaway: RunawayLimits = field(default_factory=RunawayLimits)
 
     def __post_init__(self) -> None:
@@ -89,10 +89,10 @@ class OutputGuard:
     """
 
     fault: Fault | None
-    """What latched, if anything did."""
+    """The latched fault, if any."""
 
     def __init__(self, limits: GuardLimits | None = None) -> None:
-        """Begin waiting, with the output at zero."""
+        """Start waiting, with the output at zero."""
         self.limits = limits or GuardLimits()
         self._runaway = Runaway(self.limits.runaway, self.limits.thing)
         self.clear()
@@ -103,18 +103,18 @@ class OutputGuard:
         return self._armed
 
     def command(self, value: float, now: float, age: float = 0.0) -> None:
-        """Take a command that was given `age` seconds ago."""
+        """Take a command that was sent `age` seconds ago."""
         if self.fault is not None:
             return
         low, high = self.limits.commands
-        if not low <= value <= high:  # nor is what is not a number
-            message = f"the command is {value}; {low:g} to {high:g} is possible"
+        if not low <= value <= high:  # true for NaN too
+            message = f"the command is {value}, outside {low:g} to {high:g}; check its publisher"
             self.trip(FaultKind.COMMAND_INVALID, message, now)
             return
         self._command.take(value, now - max(0.0, age))
 
     def temperature(self, celsius: float, now: float, age: float = 0.0) -> None:
-        """Take a temperature measured `age` seconds ago; not those that a frozen sensor repeats."""
+        """Take a temperature measured `age` seconds ago; not one that a frozen sensor repeats."""
         limits = self.limits
         if self.fault is not None:
             return
@@ -124,7 +124,7 @@ class OutputGuard:
             )
         elif celsius > limits.highest:
             found = f"the {limits.thing} is at {celsius:.1f} °C, above {limits.highest:g} °C"
-            self.trip(FaultKind.OVER_TEMPERATURE, f"{found}; let it cool, find out why", now)
+            self.trip(FaultKind.OVER_TEMPERATURE, f"{found}; let it cool and find the cause", now)
         elif celsius < limits.lowest:
             found = f"the {limits.thing} is at {celsius:.1f} °C, below {limits.lowest:g} °C"
             self.trip(FaultKind.UNDER_TEMPERATURE, f"{found}; check sensor and polarity", now)
@@ -140,29 +140,29 @@ class OutputGuard:
             self.trip(FaultKind.RUNAWAY, found, now)
 
     def trip(self, kind: FaultKind, message: str, now: float) -> None:
-        """Latch a fault, unless there is one already: the first one tells the cause."""
+        """Latch a fault, unless one is latched already: the first one shows the cause."""
         if self.fault is None:
             self.fault = Fault(kind, message, now)
         self._armed = False
 
     def output(self, now: float) -> float:
-        """What may be sent now: the newest command, or zero."""
+        """The value that may be sent now: the newest command, or zero."""
         if self.fault is not None:
             return 0.0
         silence, age = self._command.age(now), self._temperature.age(now)
         silent, stale = silence > self.limits.command_timeout, age > self.limits.temperature_timeout
         if self._armed and silent:
-            message = f"no command for {silence:.1f} s; is the controller up?"
+            message = f"no command for {silence:.1f} s; is the controller running?"
             self.trip(FaultKind.COMMAND_SILENT, message, now)
         elif self._armed and stale:
-            message = f"the newest temperature is {age:.1f} s old; is the {self.limits.sensor} up?"
+            message = f"the newest temperature is {age:.1f} s old; is the {self.limits.sensor} working?"
             self.trip(FaultKind.TEMPERATURE_STALE, message, now)
-        else:  # before it is armed, what has grown old is only waited for again
+        else:  # before arming, stale inputs are not a fault
             self._armed = not (silent or stale)
         return self._command.value if self._armed else 0.0
 
     def clear(self) -> None:
-        """Forget the fault; the output stays at zero until a new command and temperature arrive."""
+        """Clear the fault; the output stays at zero until a new command and temperature arrive."""
         self.fault = None
         self._runaway.reset()
         self._command = _Input()
@@ -171,7 +171,7 @@ class OutputGuard:
 
 
 class _Input:
-    """The newest value of something, and when it was true."""
+    """The newest value of an input, and its time."""
 
     def __init__(self) -> None:
         self.value = 0.0

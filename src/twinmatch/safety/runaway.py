@@ -1,8 +1,8 @@
-"""Thermal runaway: the plant does not go where the drive pushes it.
+"""Thermal runaway: the plant does not follow the drive.
 
-After the heater checks of 3D-printer firmware (Klipper's `verify_heater`, Marlin's thermal protection),
-for both directions, since a Peltier plate is cooled as well as heated. The monitor knows nothing of
-models; it catches a lost drive, a sensor that fell off, a reversed cable.
+Modelled on the heater checks of 3D-printer firmware (Klipper's `verify_heater`, Marlin's thermal protection),
+but for both directions, since a Peltier plate is cooled as well as heated. The check uses no model of the
+plant; it detects a lost drive, a detached sensor, or reversed polarity.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ __all__ = ["Runaway", "RunawayLimits"]
 
 @dataclass(frozen=True)
 class RunawayLimits:
-    """When pushing without effect becomes a fault."""
+    """Limits from which a drive without effect is a fault."""
 
     hysteresis: float = 5.0
-    """Error of the loop that is always tolerated, °C."""
+    """Control error that is always tolerated, °C."""
     patience: float = 120.0
-    """Error beyond the hysteresis, summed over the time without progress, °C·s."""
+    """Integral of the error beyond the hysteresis, over the time without progress, that is a fault, °C·s."""
     gain: float = 2.0
-    """Movement towards the set-point that counts as progress, °C …"""
+    """Movement towards the set-point within `gain_time` that counts as progress, °C."""
     gain_time: float = 20.0
-    """… within this time, s."""
+    """s"""
     wrong_way: float = 3.0
     """Movement away from the set-point at full drive that is a fault at once, °C."""
     full_drive: float = 250.0
-    """Command from which the drive is taken to be full, in its unit."""
+    """Magnitude of the command from which the drive counts as full, in its unit."""
 
     def __post_init__(self) -> None:
         for name in ("hysteresis", "patience", "gain", "gain_time", "wrong_way", "full_drive"):
@@ -41,28 +41,28 @@ class RunawayLimits:
 
 
 class Runaway:
-    """Watches set-point, temperature and drive; says what is wrong, once something is."""
+    """Monitors set-point, temperature and drive for runaway."""
 
     def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate") -> None:
-        """Begin with nothing seen of the `thing` that is heated or cooled."""
+        """Start without history; `thing` names what is heated or cooled, for messages."""
         self._thing = thing
         self.limits = limits or RunawayLimits()
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything seen."""
+        """Forget the history."""
         self._time: float | None = None
         self._reference = 0.0
         self._heating = True
         self._unexplained = 0.0  # °C·s
         self._goal = 0.0  # distance from the set-point that will count as progress, °C
         self._deadline = 0.0
-        self._nearest_at_full = math.inf  # smallest distance seen since the drive went full
+        self._nearest_at_full = math.inf  # smallest distance since the drive became full
 
     def check(self, now: float, reference: float, temperature: float, drive: float) -> str | None:
-        """Take one tick (s, °C, °C, the drive's unit); returns what is wrong, or None.
+        """Take one tick (s, °C, °C, the drive's unit); returns an error message, or None.
 
-        A clock that steps back starts the watch anew.
+        If the clock jumps back, the check starts over.
         """
         heating = reference >= temperature
         distance = abs(reference - temperature)
@@ -79,7 +79,7 @@ class Runaway:
         if pushing and distance - self._nearest_at_full >= limits.wrong_way:
             word, away = "heating" if heating else "cooling", distance - self._nearest_at_full
             return (
-                f"full {word}, yet the {self._thing} moved {away:.1f} °C away from the set-point; "
+                f"at full {word} the {self._thing} moved {away:.1f} °C away from the set-point; "
                 "check drive, polarity and sensor"
             )
         return self._progress(now, elapsed, distance, drive)
@@ -104,5 +104,5 @@ class Runaway:
         word = "heating" if self._heating else "cooling"
         return (
             f"{word} makes no progress: {distance:.1f} °C from the set-point, less than {limits.gain:g} °C "
-            f"nearer in {limits.gain_time:g} s; check drive, fan and sensor"
+            f"closer in {limits.gain_time:g} s; check drive, fan and sensor"
         )

@@ -1,7 +1,7 @@
-"""Samples of a loop from the values that somebody else's programs send: which field, which tick, how old.
+"""Samples of a loop from the values that foreign programs publish: which field, which tick, which age.
 
-`Sampler` is told values and their times and makes one `Sample` per tick of the foreign loop. `fields` finds
-the number that is meant in a message of any type. Nothing here knows ROS or bags.
+`Sampler` takes values with their times and makes one `Sample` per tick of the foreign loop. `fields` finds
+a number in a message of any type by its path. Nothing here knows ROS or bags.
 """
 
 from twinmatch.sampling.errors import SamplingError

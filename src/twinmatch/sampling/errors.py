@@ -1,4 +1,4 @@
-"""What can be wrong with topics, fields and rules of sampling."""
+"""Errors in topics, fields and settings of sampling."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["SamplingError"]
 
 
 class SamplingError(TwinmatchError):
-    """A field that is not there, or rules by which nothing can be sampled."""
+    """A field is missing, or the settings allow no sampling."""

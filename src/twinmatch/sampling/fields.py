@@ -1,7 +1,7 @@
-"""The number that is meant in a message: `data`, `temperature`, `readings[2].value`.
+"""Paths to a number in a message: `data`, `temperature`, `readings[2].value`.
 
-A type is known by a function from its name to its fields, so that messages of ROS and of a bag are looked
-into in the same way.
+A function from a type's name to its fields describes the types, so that messages of ROS and of a bag are
+handled alike.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ NUMBERS: Final = frozenset(
 TEXTS: Final = frozenset({"string", "wstring"})
 _STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]")
 _DEEP: Final = 4
-"""Messages within messages that are looked into for a list of fields."""
-_MANY: Final = 30
-"""Fields that an error lists."""
+"""Depth of nested messages to which fields are listed."""
+_MOST_LISTED: Final = 30
+"""Most fields that an error lists."""
 
 
 class Field(NamedTuple):
-    """What a type says of one of its fields."""
+    """Type of one field of a message."""
 
     kind: str
     """A number's or text's type, or the name of another message."""
     array: bool = False
     length: int | None = None
-    """Of an array whose length is fixed."""
+    """Length of a fixed-length array."""
 
 
 FieldsOf = Callable[[str], Mapping[str, Field]]
@@ -41,15 +41,15 @@ FieldsOf = Callable[[str], Mapping[str, Field]]
 
 
 class Channel(NamedTuple):
-    """A number of a topic."""
+    """A number in a topic's messages."""
 
     topic: str
     path: str
-    """Empty: the only one that its messages have."""
+    """Empty: the only number in the messages."""
 
     @property
     def text(self) -> str:
-        """As it is written."""
+        """The channel as written in a map."""
         return f"{self.topic}:{self.path}" if self.path else self.topic
 
 
@@ -57,7 +57,7 @@ def parse_channel(text: str) -> Channel:
     """A channel from `/camera/temperature:temperature` or `/cmd`.
 
     Raises:
-        SamplingError: there is no topic, or what follows is no path of fields.
+        SamplingError: the topic is missing, or the rest is not a field path.
     """
     topic, colon, path = (part.strip() for part in text.strip().partition(":"))
     if not re.fullmatch(r"/?\w+(/\w+)*", topic):
@@ -74,14 +74,14 @@ def steps(path: str) -> tuple[str | int, ...]:
     """The names and indices of a path.
 
     Raises:
-        SamplingError: it is none.
+        SamplingError: it is not a field path.
     """
     found: list[str | int] = []
     at = 0
     while at < len(path):
         match = _STEP.match(path, at)
         if match is None or (not found and path[0] in ".["):
-            msg = f"{path!r} is no path of fields; write names and indices, such as readings[2].value"
+            msg = f"{path!r} is not a field path; write names and indices, such as readings[2].value"
             raise SamplingError(msg)
         found.append(match["name"] if match["name"] else int(match["index"]))
         at = match.end()
@@ -89,16 +89,16 @@ def steps(path: str) -> tuple[str | int, ...]:
 
 
 def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
-    """The path to a number in messages of a type; an empty one is that to the only number they have.
+    """The checked path to a number in messages of a type; an empty path stands for their only number.
 
     Args:
         kind: name of the type.
-        path: as it was written.
-        fields_of: knows the types.
+        path: the path as written.
+        fields_of: returns the fields of a type.
 
     Raises:
-        SamplingError: there is no such field, it is no number, or there are several and none is named. The
-            message says which there are.
+        SamplingError: there is no such field, it is not a number, or the path is empty and there are several
+            numbers. The error lists the numbers.
     """
     if not path:
         return _only(kind, fields_of)
@@ -107,31 +107,31 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
     for step in steps(path):
         if isinstance(step, int):
             if not field.array:
-                raise SamplingError(f"{kind}: {done} is no list; leave out [{step}]")
+                raise SamplingError(f"{kind}: {done} is not a list; leave out [{step}]")
             if field.length is not None and step >= field.length:
                 raise SamplingError(f"{kind}: {done} has {field.length} values, counted from 0")
             field, done = Field(field.kind), f"{done}[{step}]"
             continue
         if field.array:
-            raise SamplingError(f"{kind}: {done} is a list; write which is meant, such as {done}[0].{step}")
+            raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0].{step}")
         known = {} if field.kind in NUMBERS | TEXTS else fields_of(field.kind)
         if step not in known:
             where = f"{kind}: {done} has" if done else f"{kind} has"
-            raise SamplingError(f"{where} no field {step!r}; numbers there are {_listed(kind, fields_of)}")
+            raise SamplingError(f"{where} no field {step!r}; its numbers: {_listed(kind, fields_of)}")
         field, done = known[step], f"{done}.{step}" if done else step
     if field.array:
-        raise SamplingError(f"{kind}: {done} is a list; write which is meant, such as {done}[0]")
+        raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0]")
     if field.kind in TEXTS:
-        raise SamplingError(f"{kind}: {done} is a text; numbers there are {_listed(kind, fields_of)}")
+        raise SamplingError(f"{kind}: {done} is text; choose a number: {_listed(kind, fields_of)}")
     if field.kind not in NUMBERS:
         whole = [f"{done}.{below}" for below in fields_below(field.kind, fields_of)]
-        instead = ", ".join(whole[:_MANY]) if whole else _listed(kind, fields_of)
-        raise SamplingError(f"{kind}: {done} is a message; name a number: {instead}")
+        instead = ", ".join(whole[:_MOST_LISTED]) if whole else _listed(kind, fields_of)
+        raise SamplingError(f"{kind}: {done} is a message; choose a number in it: {instead}")
     return path
 
 
 def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[str]:
-    """Paths of the numbers in messages of a type, those of headers and times left out."""
+    """Paths of the numbers in messages of a type, without those of headers and times."""
     for name, field in fields_of(kind).items():
         mark = "[0]" if field.array else ""
         if field.kind in NUMBERS:
@@ -142,10 +142,10 @@ def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[
 
 
 def follow(message: Any, path: str) -> float:
-    """The number at a path in a message; nan if a list is too short for it.
+    """The number at a path in a message; NaN if a list is too short for the index.
 
     Raises:
-        SamplingError: what is there is no number.
+        SamplingError: the value is not a number.
     """
     found = message
     for step in steps(path):
@@ -160,7 +160,7 @@ def follow(message: Any, path: str) -> float:
     try:
         return float(found)
     except (TypeError, ValueError):
-        raise SamplingError(f"{path} is {str(found)[:40]!r}, which is no number") from None
+        raise SamplingError(f"{path} is {str(found)[:40]!r}, which is not a number") from None
 
 
 def _only(kind: str, fields_of: FieldsOf) -> str:
@@ -170,13 +170,13 @@ def _only(kind: str, fields_of: FieldsOf) -> str:
         return found[0]
     if not found:
         raise SamplingError(f"{kind} has no numbers; name another topic")
-    raise SamplingError(f"{kind} has several numbers; write which: {_listed(kind, fields_of)}")
+    raise SamplingError(f"{kind} has several numbers; choose one: {_listed(kind, fields_of)}")
 
 
 def _listed(kind: str, fields_of: FieldsOf) -> str:
     found = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
-    more = f" and {len(found) - _MANY} more" if len(found) > _MANY else ""
-    return ", ".join(found[:_MANY]) + more if found else "none"
+    more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
+    return ", ".join(found[:_MOST_LISTED]) + more if found else "none"
 
 
 def _is_time(kind: str) -> bool:

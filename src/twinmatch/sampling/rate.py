@@ -1,4 +1,4 @@
-"""Whether what paces the samples comes as often as it is said to."""
+"""Check that the signal that paces the samples has the stated period."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 __all__ = ["Rate"]
 
 _FEWEST: Final = 5
-"""Intervals before anything is said."""
+"""Fewest intervals for an estimate."""
 _MOST: Final = 100
 _REGULAR: Final = 0.5
-"""Part of the usual interval by which another may differ and still be one: no gap, no burst."""
+"""Relative deviation from the median up to which an interval is regular: neither gap nor burst."""
 _TOLERATED: Final = 0.01
-"""Part by which the period may be wrong: a twin's time constants are wrong by as much."""
+"""Tolerated relative error of the period: a twin's time constants are off by as much."""
 
 
 class Rate:
     """The newest intervals between ticks."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Start without intervals."""
         self._intervals: deque[float] = deque(maxlen=_MOST)
         self._last: int | None = None
 
@@ -40,11 +40,11 @@ class Rate:
         return float(regular.mean()) if regular.size >= _FEWEST else None
 
     def differs_from(self, period: float) -> bool:
-        """Whether the intervals are surely not those of a period (s)."""
+        """Whether the intervals significantly differ from a period (s)."""
         regular = self._regular()
         if regular.size < _FEWEST:
             return False
-        # Lateness of single ticks cancels in a mean, but for the first and the last.
+        # The lateness of single ticks cancels in the mean, except for the first and the last.
         unsure = 2.0 * float(regular.std()) / regular.size
         return bool(abs(regular.mean() - period) > _TOLERATED * period + unsure)
 

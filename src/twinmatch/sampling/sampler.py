@@ -1,8 +1,8 @@
-"""Samples of a loop that other programs run: told values and times, it gives one sample per tick.
+"""Samples of a loop that foreign programs run: values and times in, one sample per tick out.
 
-At tick k reference, output and disturbances are the newest values there are; the input is what acts on the
-plant from there to tick k+1. Where the input paces the loop (a controller that has read the output and now
-commands) that is its value at the tick. Otherwise it is known one period later: the mean of what stood.
+At tick k, reference, output and disturbances are the newest values; the input is what acts on the plant from
+tick k to tick k+1. If the input paces the loop (a controller that has read the output and then commands),
+that is its value at the tick. Otherwise it is known one period later, as the mean over that period.
 """
 
 from __future__ import annotations
@@ -27,37 +27,37 @@ OUTPUT: Final = "output"
 INPUT: Final = "input"
 REFERENCE: Final = "reference"
 TIMER: Final = "timer"
-"""Paces the samples by a clock of ours instead of a signal."""
+"""Paces the samples with the sampler's own clock instead of a signal."""
 
 NANOSECONDS: Final = 1_000_000_000
 _NONE: Final[Mapping[str, float]] = MappingProxyType({})
 LATEST_SETTLE: Final = 0.45
-"""Part of a period after which values would rather belong to the next tick."""
+"""Largest settling time, in periods; later values would rather belong to the next tick."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What is asked of a signal's values."""
+    """Limits of a signal's values."""
 
     max_age: float = 0.0
-    """Age from which a value is not used any more, s; 0: any age will do."""
+    """Age from which a value is stale, s; 0: never."""
     low: float = -math.inf
     high: float = math.inf
-    """In the plant's unit; a tick with a value beyond has no sample."""
+    """In the plant's unit; a tick with a value outside has no sample."""
     lenient: bool = False
-    """Whether values beyond are taken once one was within: a sensor that fails is not one in another unit."""
+    """Whether values outside are accepted once one was inside: then a sensor failed, the unit is right."""
 
 
 @dataclass
 class Counts:
-    """What became of ticks and values of one signal."""
+    """Ticks without a usable value of one signal."""
 
     missing: int = 0
     """Ticks at which it had no value yet."""
     late: int = 0
-    """Ticks at which its newest value was too old."""
+    """Ticks at which its newest value was stale."""
     beyond: int = 0
-    """Ticks at which its value was beyond the limits."""
+    """Ticks at which its value was outside the limits."""
 
 
 @dataclass
@@ -65,19 +65,19 @@ class _Tick:
     number: int
     time: int
     ready: int
-    """When the values that come with it are there, ns."""
+    """Time at which the values sent with it have arrived, ns."""
     paced: float | None = None
-    """The value that made the tick."""
+    """The value that triggered the tick."""
     values: dict[str, float] = field(default_factory=dict)
-    """Empty until they have been read."""
+    """Empty until read."""
     troubles: dict[str, str] = field(default_factory=dict)
 
 
 class Sampler:
     """Ticks and values in, samples out.
 
-    A tick without all of its values makes no sample; the next one's index shows how many are missing. All
-    times are ns of one clock: `at` is when a value was measured or commanded, `now` when it is told.
+    A tick without all of its values makes no sample; the index of the next sample shows how many are missing.
+    All times are ns of one clock: `at` is when a value was measured or commanded, `now` when it arrived.
     """
 
     def __init__(
@@ -89,25 +89,26 @@ class Sampler:
         settle: float = 0.1,
         disturbances: Mapping[str, float] = _NONE,
     ) -> None:
-        """Begin with nothing seen.
+        """Start without values.
 
         Args:
-            signals: those that are told, by name: `output`, `input`, perhaps `reference`, and disturbances.
-            period: s from tick to tick.
-            paced_by: the signal whose values are the ticks, or `timer`.
-            settle: part of the period to wait behind the value that makes a tick, for those that are sent
-                with it.
-            disturbances: all of the plant's, in its order, and what stands in for one that is not told.
+            signals: limits of the mapped signals by name: `output`, `input`, perhaps `reference`, and
+                disturbances.
+            period: sampling period, s.
+            paced_by: the signal whose values trigger the ticks, or `timer`.
+            settle: time to wait after the value that triggers a tick for the values sent with it, in periods.
+            disturbances: default value of each of the plant's disturbances, in its order; used where a
+                disturbance is not mapped.
 
         Raises:
-            SamplingError: rules by which nothing can be sampled.
+            SamplingError: the settings allow no sampling.
         """
         _check(signals, period, paced_by, settle)
         self.counts = {name: Counts() for name in signals}
         self.troubles: dict[str, str] = {}
-        """Why the newest tick had no sample, by signal or `pace`; empty if it had one."""
+        """Reasons why the newest tick had no sample, by signal or `pace`; empty if it had one."""
         self.idle = 0
-        """Ticks since sample 0 that took place without a sample."""
+        """Ticks since sample 0 without a sample."""
         self.grid = Grid(round(period * NANOSECONDS))
         self.rate = Rate()
         self._signals = signals
@@ -130,17 +131,17 @@ class Sampler:
         return self._held[name].newest
 
     def take(self, name: str, value: float, at: int, now: int) -> None:
-        """Take a value; one of the signal that paces is a tick."""
+        """Take a value; a value of the pacing signal triggers a tick."""
         self._held[name].push(value, at)
         if name == self._pacer and math.isfinite(value):
-            self._begin(_Tick(0, at, now + self._settle, value))
+            self._push(_Tick(0, at, now + self._settle, value))
 
     def tick(self, now: int) -> None:
-        """A tick of the timer."""
-        self._begin(_Tick(0, now, now))
+        """Take a tick of the timer."""
+        self._push(_Tick(0, now, now))
 
     def look(self, now: int) -> list[Sample]:
-        """The samples that are complete now; to be called a few times in a period."""
+        """The samples that are complete now; to be called several times per period."""
         for tick, after in zip_longest(self._ticks, islice(self._ticks, 1, None)):
             if not tick.values and now >= tick.ready:
                 self._read(tick, after)
@@ -160,7 +161,7 @@ class Sampler:
     def _complete(self, tick: _Tick, now: int) -> bool:
         return bool(tick.values) and (self._pacer == INPUT or now >= tick.ready + self._step)
 
-    def _begin(self, tick: _Tick) -> None:
+    def _push(self, tick: _Tick) -> None:
         self.rate.push(tick.time)
         number = self.grid.place(tick.time)
         if number is not None:
@@ -168,14 +169,14 @@ class Sampler:
             self._ticks.append(tick)
 
     def _read(self, tick: _Tick, after: _Tick | None) -> None:
-        """What is known at the tick, and what is not."""
+        """Read the values at the tick, and note those that cannot be used."""
         if self.rate.differs_from(self._period):
             tick.troubles["pace"] = (
-                f"{self._pacer} comes every {self.rate.period:.4g} s, and the period is {self._period:g} s; "
-                f"give the period that it has, or let {TIMER} pace the samples"
+                f"{self._pacer} arrives every {self.rate.period:.4g} s, but the period is "
+                f"{self._period:g} s; correct the period, or set paced_by to {TIMER}"
             )
         elif after is not None and self._pacer != TIMER and after.ready - tick.ready < self._settle:
-            tick.troubles["pace"] = "several ticks came at once; what was sent with each is not known"
+            tick.troubles["pace"] = "several ticks arrived at once; their other values cannot be told apart"
         for name in self._signals:
             if name != INPUT or self._pacer == INPUT:
                 value = tick.paced if name == self._pacer else self._held[name].newest
@@ -184,7 +185,7 @@ class Sampler:
     def _sample(self, number: int, time: int, values: Mapping[str, float]) -> Sample:
         if self._first is None:
             self._first = number
-        if self._reference is None:  # where nobody tells one, the field has to be finite all the same
+        if self._reference is None:  # without a mapped reference the field must still be finite
             self._reference = values[OUTPUT]
         return Sample(
             number - self._first,
@@ -196,7 +197,7 @@ class Sampler:
         )
 
     def _checked(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
-        """The value; if it cannot be used, there is a trouble more, and it may be nan."""
+        """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
         limits, counts, at = self._signals[name], self.counts[name], self._held[name].time
         if value is None or at is None:
             counts.missing += 1
@@ -209,24 +210,24 @@ class Sampler:
         elif age < -self._period:
             counts.late += 1
             troubles[name] = (
-                f"{name} is of {-age:.1f} s after the tick: a clock was set, or this machine slept"
+                f"{name} is stamped {-age:.1f} s after the tick: a clock was set or this machine suspended"
             )
         elif limits.low <= value <= limits.high:
             self._within.add(name)
         elif not (limits.lenient and name in self._within):
             counts.beyond += 1
-            troubles[name] = f"{name} is {value:g}, beyond {limits.low:g} to {limits.high:g}"
+            troubles[name] = f"{name} is {value:g}, outside {limits.low:g} to {limits.high:g}"
         return value
 
 
 def _check(signals: Mapping[str, Limits], period: float, paced_by: str, settle: float) -> None:
     for name in (OUTPUT, INPUT):
         if name not in signals:
-            raise SamplingError(f"there is no {name}; a sample needs one")
+            raise SamplingError(f"{name} is not mapped; every sample needs it")
     if paced_by not in (*signals, TIMER):
-        msg = f"paced_by is {paced_by!r}; there are {', '.join([*signals, TIMER])}"
+        msg = f"paced_by is {paced_by!r}; choose one of {', '.join([*signals, TIMER])}"
         raise SamplingError(msg)
     if not 0 <= settle <= LATEST_SETTLE:
-        raise SamplingError(f"settle is {settle:g}; give a part of the period from 0 to {LATEST_SETTLE}")
+        raise SamplingError(f"settle is {settle:g}; give a fraction of the period from 0 to {LATEST_SETTLE}")
     if not (math.isfinite(period) and period > 0):
         raise SamplingError(f"period is {period:g} s; it must be positive")

@@ -1,4 +1,4 @@
-"""Units that a message type says its numbers have."""
+"""Units of the numbers in common message types."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _UNITS: Final = {
     "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
     "geometry_msgs/msg/TwistStamped": {"twist.linear": "m/s", "twist.angular": "rad/s"},
 }
-"""By type and by how the path begins, as the comments in the definitions say."""
+"""By type and prefix of the path, from the comments in the message definitions."""
 
 
 def usual_unit(kind: str, path: str) -> str:
-    """The unit of a number by the definition of its type; empty where that says none."""
+    """The unit of a number according to its message definition; empty if it gives none."""
     known = _UNITS.get(kind, {})
     return next(
         (unit for begin, unit in known.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), ""

@@ -1,4 +1,4 @@
-"""A signal of a plant as a sum over numbers of topics, in the plant's unit."""
+"""A plant's signal as the mean of numbers in topics, in the plant's unit."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ _SAME: Final = Conversion()
 
 @dataclass(frozen=True)
 class Wire:
-    """Where a signal comes from: the mean of its channels, scaled, then brought to the plant's unit."""
+    """The source of a signal: the mean of its channels, scaled, then converted to the plant's unit."""
 
     signal: str
     channels: tuple[Channel, ...]
     unit: str = ""
-    """Of scale·mean + offset; empty: as the type of the messages says, or the plant's."""
+    """Unit of scale·mean + offset; empty: that of the message type, or else the plant's."""
     scale: float = 1.0
     offset: float = 0.0
     change: Conversion = _SAME
-    """To the plant's unit."""
+    """Conversion to the plant's unit."""
 
     @classmethod
     def of(cls, signal: str, columns: Sequence[str], unit: str, scale: float, offset: float) -> Wire:
-        """A wire from what a map says of a signal; a text may name several channels, with commas between.
+        """A wire from a signal's map entry; a text may name several channels, separated by commas.
 
         Raises:
-            SamplingError: one of them names no topic.
+            SamplingError: a channel names no topic.
         """
         parts = [part for column in columns for part in column.split(",") if part.strip()]
         try:
@@ -44,12 +44,12 @@ class Wire:
             raise SamplingError(f"{signal}: {error}") from None
 
     def to(self, wanted: str, kinds: Sequence[str], paths: Sequence[str]) -> Wire:
-        """The wire with the paths that were found and its change to the plant's unit.
+        """The wire with resolved paths and the conversion to the plant's unit.
 
         Args:
             wanted: unit of the plant's signal.
-            kinds: type of the messages of each channel.
-            paths: to the number in them.
+            kinds: message type of each channel.
+            paths: path to the number in each channel's messages.
 
         Raises:
             SamplingError: the units measure different things.
@@ -62,22 +62,22 @@ class Wire:
             return found
         usual = {usual_unit(kind, path): kind for kind, path in zip(kinds, paths, strict=True)}
         if len(usual) > 1:
-            msg = (
-                f"{self.signal}: its channels are in different units, {' and '.join(usual)}; name one of them"
-            )
+            msg = f"{self.signal}: its channels have different units, {' and '.join(usual)}; map only one"
             raise SamplingError(msg)
         unit, kind = next(iter(usual.items()))
-        return replace(found, change=found._change(unit, wanted, f" (as {kind} says)")) if unit else found
+        return (
+            replace(found, change=found._change(unit, wanted, f" (according to {kind})")) if unit else found
+        )
 
     def _change(self, unit: str, wanted: str, why: str) -> Conversion:
         try:
             return conversion(unit, wanted)
         except TwinmatchError:
-            strange = "" if measure(unit).known else f" {unit!r} is no unit that is known;"
+            strange = "" if measure(unit).known else f" {unit!r} is not a known unit;"
             msg = (
-                f"{self.signal}: {self.channels[0].text} is in {unit}{why}, the plant's {self.signal} in "
-                f"{wanted or 'plain numbers'};{strange} name another field, or write behind it "
-                f"'; unit={wanted or 1}; scale=…'"
+                f"{self.signal}: {self.channels[0].text} is in {unit}{why}, but the plant's {self.signal} in "
+                f"{wanted or 'plain numbers'};{strange} map another field, or append "
+                f"'; unit={wanted or 1}; scale=…' to its map entry"
             )
             raise SamplingError(msg) from None
 

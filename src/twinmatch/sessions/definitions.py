@@ -90,7 +90,7 @@ LOOP_SAMPLE = MessageType(
 # computed from them; the inputs then drive the plant until tick k+1. plant/description has names and units.
 
 std_msgs/Header header   # stamp: when the outputs were read
-uint64 index             # ticks since the session began, without gaps
+uint64 index             # ticks since the session started, without gaps
 float64[] reference      # set-points r, in the units of the outputs
 float64[] output         # measured outputs y
 float64[] input          # commands u of this tick
