@@ -97,7 +97,7 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     before = len(beside.gaps)
     rig.freeze()
     begun = time.monotonic()
-    beside.wait_for_word("input: nothing of /oven/heater for")
+    beside.wait_for_word("input: no message on /oven/heater for")
     rig.thaw()
     frozen = time.monotonic() - begun
     beside.wait_for_word("the loop paused: ticks were missed")
@@ -167,10 +167,10 @@ def test_stamps_of_a_clock_that_is_behind_are_reported(beside: Beside) -> None:
         ),
         (
             {"output": "/oven/temperature; unit=Pa"},
-            "output: /oven/temperature:data is in Pa, the plant's output",
+            "output: /oven/temperature:data is in Pa, but the plant's output",
         ),
         ({"input": "/oven/heater; unit=wibble"}, "'wibble' is not a known unit"),
-        ({"input": ""}, "there is no map.input"),
+        ({"input": ""}, "map.input is missing"),
         (
             {"paced_by": "timr"},
             "parameter paced_by is 'timr'; allowed: one of: reference, output, input, timer",
