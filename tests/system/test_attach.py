@@ -117,7 +117,7 @@ def test_without_a_set_point_the_twin_is_driven_and_the_session_says_so(
     ("options", "words"),
     [
         ((), "map topics to signals with"),
-        (("--map", "output=/t"), "attach: there is no map.input; give its topic and field"),
+        (("--map", "output=/t"), "attach: map.input is missing; give its topic and field"),
         (("--map", "outptu=/t"), "has no signal 'outptu'; it has time, output"),
         (("--map", "output=/t", "input=/u", "--plant", "nowhere.py"), "nowhere.py"),
         (("--map", "output=/t", "input=/u", "--session", "."), "exists already"),
