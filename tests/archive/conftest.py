@@ -39,7 +39,7 @@ def make_session() -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def archive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two good sessions (one deeper than the other), a bad one, and things that are none."""
+    """A folder with two good sessions (one deeper than the other), a bad one, and other files."""
     folder = tmp_path_factory.mktemp("archive")
     _make(folder / "first", seed=1, seebeck=0.06)
     _make(folder / "deeper" / "second", seed=2, seebeck=0.055)

@@ -67,7 +67,7 @@ def test_an_impossible_loss_is_refused(criterion: object, bad: float) -> None:
         criterion(bad, 3, 100)
 
 
-def test_counts_that_are_none_are_refused() -> None:
+def test_impossible_counts_are_refused() -> None:
     with pytest.raises(DiscriminationError, match="3 parameters and 0 samples"):
         naic(1.0, 3, 0)
     with pytest.raises(DiscriminationError, match="-1 parameters and 10 samples"):

@@ -168,7 +168,7 @@ def test_time_lost_to_a_busy_machine(monkeypatch: pytest.MonkeyPatch, speed: flo
 
 
 @pytest.mark.parametrize("text", ["", "localhost", "localhost:", ":1", "a:0", "a:65536", "a:1.5"])
-def test_addresses_that_are_none(text: str) -> None:
+def test_invalid_addresses(text: str) -> None:
     with pytest.raises(ClockError, match="give HOST:PORT"):
         parse_address(text)
 

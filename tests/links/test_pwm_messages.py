@@ -104,7 +104,7 @@ def test_the_banner_of_another_protocol_still_names_it(rest: bytes) -> None:
         b"P 1 5",
     ],
 )
-def test_replies_that_are_none(payload: bytes) -> None:
+def test_invalid_replies(payload: bytes) -> None:
     assert parse_reply(payload) is None
 
 

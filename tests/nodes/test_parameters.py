@@ -40,7 +40,7 @@ def test_defaults() -> None:
     assert check("node", TABLE, {}) == {p.name: p.default for p in TABLE}
 
 
-def test_built_in_parameters_are_passed_over() -> None:
+def test_built_in_parameters_are_skipped() -> None:
     given_ones = {
         "use_sim_time": True,
         "qos_overrides./clock.subscription.depth": 3,

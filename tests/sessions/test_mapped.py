@@ -277,7 +277,7 @@ def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path
     assert len(again.stderr.strip().splitlines()) == 1
 
 
-def test_a_session_speaks_of_a_temperature_only_if_the_plant_has_one(tmp_path: Path) -> None:
+def test_a_session_has_a_temperature_only_if_the_plant_has_one(tmp_path: Path) -> None:
     plant = plant_file(tmp_path, "block_in_kelvin", ('Output(unit="°C"', 'Output(unit="K"'))
     entries = [*MAP, "reference=T1"]
     done = run_twinmatch(

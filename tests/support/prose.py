@@ -145,6 +145,30 @@ RULES = (
         "how your program reads it",
     ),
     Rule(
+        r"\bpassed over\b",
+        'write "skipped"',
+        "a session that cannot be used is passed over",
+        "a session that cannot be used is skipped",
+    ),
+    Rule(
+        r"\b(that|which) (is|are) none\b",
+        'write "invalid …" or "is not a …"',
+        "an address that is none is refused",
+        "an invalid address is refused",
+    ),
+    Rule(
+        r"\bspeaks? of\b",
+        'write "is about", "names" or "describes"',
+        "it says of which sample it speaks, and speaks of it",
+        "it names the sample it is based on",
+    ),
+    Rule(
+        r"\bwhat came\b(?! (from|over|in)\b)",
+        'write "the measurements" or "the samples after it"',
+        "every forecast against what came",
+        "every forecast against the measurements",
+    ),
+    Rule(
         r"\bin (plain|its own) words\b",
         "leave it out, or say what is shown",
         "what is wrong with it, in plain words",

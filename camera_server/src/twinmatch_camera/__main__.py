@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> None:
     try:
-        from twinmatch.links.thermal_frame import DEFAULT_PORT  # noqa: PLC0415 (told in one line if missing)
+        from twinmatch.links.thermal_frame import DEFAULT_PORT  # noqa: PLC0415 (one line says if it is missing)
     except ImportError as error:
         msg = f"{error}; install the frame codec with `pip install --no-deps twinmatch`"
         raise UsageError(msg) from error

@@ -23,7 +23,7 @@ _JOIN_TIMEOUT = 3.0
 
 
 class CameraThread(threading.Thread):
-    """Reads exposures, numbers them, and publishes them until told to stop or the source fails."""
+    """Reads exposures, numbers them, and publishes them until stopped or the source fails."""
 
     def __init__(self, source: Source, broadcast: Broadcast) -> None:
         super().__init__(name="camera", daemon=True)

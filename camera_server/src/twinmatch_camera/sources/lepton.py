@@ -19,7 +19,7 @@ __all__ = ["LeptonSource", "SpiWire"]
 _log = logging.getLogger(__name__)
 
 _PACKETS_AT_ONCE = 20
-"""Per transfer: 3280 bytes, below the 4096 that spidev takes unless told otherwise."""
+"""Per transfer: 3280 bytes, below the 4096 that spidev takes by default."""
 _REPEAT_AFTER = 0.12
 """Seconds after which a frame is passed on although its counter stands still."""
 _PATIENCE = 5.0
