@@ -70,7 +70,7 @@ def test_a_trace_is_wholly_like_itself() -> None:
 @pytest.mark.parametrize(
     ("twin", "options", "words"),
     [
-        ([], {"tolerance": 1.0}, "trace of the twin must be a row of finite readings"),
+        ([], {"tolerance": 1.0}, "trace of the twin is invalid; give a row of finite readings"),
         ([math.nan], {"tolerance": 1.0}, "trace of the twin must be"),
         ([1.0], {"tolerance": 0.0}, "the tolerance is 0.0; it must be positive"),
         ([1.0], {"tolerance": 1.0, "opening": -1.0}, "neither may be negative"),

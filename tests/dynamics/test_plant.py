@@ -71,7 +71,7 @@ def test_unknown_names_are_refused() -> None:
         PlantError, match="plant motor: no structure 'x'; it has without friction, with friction"
     ):
         Motor.model("x")
-    with pytest.raises(PlantError, match="plant 'pump': not known; there are peltier"):
+    with pytest.raises(PlantError, match="plant 'pump': not known; choose from peltier"):
         find_plant("pump")
 
 

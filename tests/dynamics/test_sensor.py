@@ -82,5 +82,5 @@ def test_impossible_cameras_are_refused() -> None:
         SensorRealisation(np.zeros(2), np.zeros(3, dtype=bool), 0.0)
     with pytest.raises(PlantError, match="must be finite"):
         SensorRealisation(np.full(2, np.nan), np.zeros(2, dtype=bool), 0.0)
-    with pytest.raises(PlantError, match="reading 2 asked of 2"):
+    with pytest.raises(PlantError, match="reading 2 of 2"):
         SensorRealisation(np.zeros(2), np.zeros(2, dtype=bool), 0.0).reading(2, 27.0)

@@ -69,8 +69,8 @@ def test_good_evidence_is_accepted() -> None:
             Status.NOT_IDENTIFIABLE,
             "seebeck is 0.075 ± inf",
         ),
-        ({"held_back_chi2": 1.7}, Status.NOT_BETTER, "leaves 1.7 times"),
-        ({"held_back_chi2": float("nan")}, Status.NOT_BETTER, "leaves nan times"),
+        ({"held_back_chi2": 1.7}, Status.NOT_BETTER, "residuals are 1.7 times"),
+        ({"held_back_chi2": float("nan")}, Status.NOT_BETTER, "residuals are nan times"),
     ],
 )
 def test_each_flaw_has_its_status(flaw: dict[str, object], status: Status, reason: str) -> None:
@@ -161,7 +161,7 @@ def test_excitation_is_a_movement_of_the_set_point() -> None:
 def test_limits_have_a_meaning() -> None:
     with pytest.raises(MatchingError, match="the limit condition is 0; it must be positive"):
         Limits(condition=0)
-    with pytest.raises(MatchingError, match=r"held_back is 1\.0; it is a part of the window"):
+    with pytest.raises(MatchingError, match=r"held_back is 1\.0; give a share of the window"):
         Limits(held_back=1.0)
 
 

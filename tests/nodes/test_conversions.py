@@ -273,7 +273,7 @@ def test_a_state_of_another_number_of_loops_is_refused() -> None:
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        ({"plant": "fridge"}, "plant 'fridge': not known; there are peltier"),
+        ({"plant": "fridge"}, "plant 'fridge': not known; choose from peltier"),
         (
             {"names": ["seebeck", "mass"], "values": [0.1, 1.0]},
             "no parameter 'mass' in this structure",

@@ -152,7 +152,7 @@ def test_every_structure_has_its_own_start_values(structure: str, tmp_path: Path
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("plant: nothing_like_it", "plant 'nothing_like_it': not known; there are peltier"),
+        ("plant: nothing_like_it", "plant 'nothing_like_it': not known; choose from peltier"),
         ("structure: two sinks", "no structure 'two sinks'; it has held sink, "),
         ("start.seebek: 0.1", "there is no parameter start.seebek; did you mean start.seebeck?"),
         (

@@ -111,7 +111,7 @@ def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Pa
     empty.write_text("x = 1\n")
     with pytest.raises(PlantError, match="has no plant; write a class such as"):
         find_plant(str(empty))
-    with pytest.raises(PlantError, match="is called peltier, as one that comes with twinmatch"):
+    with pytest.raises(PlantError, match="is called peltier, like one that comes with twinmatch"):
         find_plant(str(plant_file(tmp_path, "peltier")))
     assert find_plant("peltier") is Peltier
     find_plant(str(plant_file(tmp_path, "block_twice")))
@@ -120,7 +120,7 @@ def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Pa
         PlantError, match=r"is called block_twice, like that of .*give one of them another name"
     ):
         find_plant(str(plant_file(tmp_path / "copy", "block_twice")))
-    with pytest.raises(PlantError, match=r"plant 'nothing': not known; there are peltier.*nothing\.py"):
+    with pytest.raises(PlantError, match=r"plant 'nothing': not known; choose from peltier.*nothing\.py"):
         find_plant("nothing")
 
 

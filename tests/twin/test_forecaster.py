@@ -154,7 +154,7 @@ def test_a_question_too_early_or_to_a_wrong_name_is_refused() -> None:
     forecaster.push(Sample(0, 0, 40.0, 23.0, 0.0))
     with pytest.raises(ForecastError, match="no candidate 'other'; at this sample there are: truth"):
         forecaster.outlook("other")
-    with pytest.raises(ForecastError, match="no list of finite numbers"):
+    with pytest.raises(ForecastError, match="not a list of finite numbers"):
         forecaster.outlook().forecast([40.0, float("nan")])
     with pytest.raises(ForecastError, match=r"every is 0\.0 s; it must be positive"):
         ForecastSettings(every=0.0)
