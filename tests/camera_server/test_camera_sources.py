@@ -112,7 +112,7 @@ def test_nonsense_on_the_feed_is_reported_and_skipped(
     with PlateFeed(path) as feed:
         feed._socket.sendto(b"warm", str(path))
         assert source.read(0.1) is None
-        assert "b'warm' is no temperature" in caplog.text
+        assert "b'warm' is not a temperature" in caplog.text
         feed.send(33.0)
         assert source.read(0.1) is not None
     source.close()

@@ -115,10 +115,10 @@ RULES = (
         "the run continues where it stopped",
     ),
     Rule(
-        r"\b(is|are|was|were|be|been) told\b",
+        r"\b(is|are|was|were|be|been) told\b(?! (apart|from)\b)",
         'write "reported", "distinguished" or "given"',
         "a lost drive is told within half a minute",
-        "a lost drive is reported within half a minute",
+        "a lost drive is reported within half a minute, and can be told apart from a weak one",
     ),
     Rule(
         r"(?<!-)\b(shoot|shoots|shot)\b",
@@ -242,6 +242,8 @@ def read_prose(path: Path) -> Iterator[tuple[int, str]]:
     elif path.suffix == ".ipynb":
         cells = json.loads(text)["cells"]
         yield from ((1, "".join(cell["source"])) for cell in cells if cell["cell_type"] == "markdown")
+    elif path.suffix in {".msg", ".srv"}:  # what stands before a comment is a field
+        yield 1, re.sub(r"^[^#\n]*", "", text, flags=re.MULTILINE)
     elif path.suffix in PAGES:
         yield 1, text
     elif path.suffix == ".py":

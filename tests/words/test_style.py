@@ -13,12 +13,6 @@ from tests.support.prose import RULES, STYLE_PAGE, Rule, findings, prose_files, 
 SHOWS_THEM = {PROJECT / "tests" / "support" / "prose.py", Path(__file__).resolve()}
 FILES = [path for path in prose_files() if path not in SHOWS_THEM]
 
-LATER = re.compile(
-    r"src/twinmatch|src/twinmatch_msgs/\w+|config|docs|docs/decisions|docs/rig|launch_scripts|benchmarks|tests|"
-    r"(src/twinmatch|tests)/\w+"
-)
-"""Rooms that are still being edited."""
-
 
 def room_of(path: Path) -> str:
     """The folder that one editor goes through: a room of the source, or a folder of the project."""
@@ -26,7 +20,7 @@ def room_of(path: Path) -> str:
     return "/".join(parts[:3] if parts[0] == "src" and len(parts) > 3 else parts[:-1][:2] or ("the project",))
 
 
-ROOMS = sorted(room for room in {room_of(path) for path in FILES} if not LATER.fullmatch(room))
+ROOMS = sorted({room_of(path) for path in FILES})
 
 
 def faults_of(path: Path) -> list[str]:

@@ -70,7 +70,7 @@ _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("virtual-rig", virtual_rig, "emulate a rig: the Peltier rig's board, camera and plate, or the kit"),
     ("fmu", fmus, "list an FMU's variables and draft the map that makes it a structure of a plant"),
     ("new-plant", planting, "write a first file for your own plant, with its test and configuration"),
-    ("check-plant", checking, "report in plain words what is wrong with a plant's file"),
+    ("check-plant", checking, "report what is wrong with a plant's file, and what to change"),
     ("prepare", preparing, "derive and compile the plants' equations now, so that the first run need not"),
 )
 """Name, module and help text of each command."""

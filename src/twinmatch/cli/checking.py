@@ -1,4 +1,4 @@
-"""`twinmatch check-plant`: what is wrong with a plant's file, in plain words."""
+"""`twinmatch check-plant`: what is wrong with a plant's file, and what to change."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def _say(options: argparse.Namespace, files: list[str]) -> None:
     print(f"Written: {', '.join(files)}")
     print("Next:")
     print(f"  1. check {plant}: names, units, ranges, equations (lines marked *)")
-    print(f"  2. twinmatch check-plant {plant}        # what is wrong with it, in plain words")
+    print(f"  2. twinmatch check-plant {plant}        # what is wrong with it, and what to change")
     print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
     if mapped:
         table = shlex.quote(str(options.table))

@@ -10,7 +10,7 @@ PwmLinkError                  a command could not be delivered; the state of the
 ├── PwmStaleReplyError        only answers to earlier requests arrived
 ├── PwmRejectedError          the board refused: .code is the reason
 │   └── PwmLatchedError       it has tripped and waits for clear(): .flags show the cause
-├── PwmResetError             the board restarted in mid-session; clear() if that is no fault
+├── PwmResetError             the board restarted in mid-session; clear() if that was expected
 └── PwmVersionError           the board has another version of the protocol
 
 Every command is absolute, so it is safe to send it again after any of them.

@@ -4,7 +4,7 @@ Three properties of rclpy determine this design. The events executor needs a fif
 the others, but its own `spin` never returns, so it is driven step by step; where rclpy lacks it, the
 single-threaded executor is used. With rclpy's signal handlers a SIGTERM is occasionally lost, so the handlers
 are ours and only set a flag. And closing Fast DDS can live-lock while holding the interpreter's lock, so that
-no thread of ours could end it; a kernel alarm does.
+none of our threads could end it; a kernel alarm does.
 """
 
 from __future__ import annotations

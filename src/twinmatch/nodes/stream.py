@@ -52,7 +52,7 @@ class Stream:
     def fetched(self, samples: Sequence[Sample], heard: int) -> bool:
         """Take an answer: some of the missing samples, and the end of what the keeper has received.
 
-        Returns whether this made progress; if not, it is no use asking again at once.
+        Returns whether this made progress; if not, asking again at once is useless.
         """
         missing = self.missing
         if missing is None:
