@@ -71,7 +71,7 @@ def test_a_trace_is_wholly_like_itself() -> None:
     ("twin", "options", "words"),
     [
         ([], {"tolerance": 1.0}, "trace of the twin is invalid; give a row of finite readings"),
-        ([math.nan], {"tolerance": 1.0}, "trace of the twin must be"),
+        ([math.nan], {"tolerance": 1.0}, "trace of the twin is invalid"),
         ([1.0], {"tolerance": 0.0}, "the tolerance is 0.0; it must be positive"),
         ([1.0], {"tolerance": 1.0, "opening": -1.0}, "neither may be negative"),
     ],

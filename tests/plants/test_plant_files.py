@@ -143,7 +143,7 @@ def test_a_plant_of_an_installed_package_is_found_by_its_name(
         plant = find_plant("block_package")
         assert plant.__module__ == "block_package"
         assert written_name(plant) == "block_package"
-        with pytest.raises(PlantError, match=r"there are peltier.*block_package"):
+        with pytest.raises(PlantError, match=r"choose from peltier.*block_package"):
             find_plant("another")
     finally:
         monkeypatch.undo()
