@@ -58,7 +58,7 @@ def test_windows_are_read_only_copies() -> None:
         (lambda: Window(np.zeros((2, 2)), np.zeros(2), np.zeros(2)), "reference has shape"),
         (lambda: Window(np.zeros(2), np.array([0.0, np.nan]), np.zeros(2), first=7), "nan at sample 8"),
         (lambda: Window(np.zeros(2), np.zeros(2), np.zeros(2), period=0.0), "period is 0.0 s"),
-        (lambda: Window.from_samples(samples(1, 2)).part(0, 2), "samples 0 to 2 asked"),
+        (lambda: Window.from_samples(samples(1, 2)).part(0, 2), "samples 0 to 2 requested"),
         (lambda: Window.from_samples(disturbed((1.0,), (1.0,), ())), "sample 6 has 0 disturbances, sample 4"),
         (
             lambda: Window.from_samples(disturbed((1.0,), (np.nan,), (1.0,))),
