@@ -35,10 +35,10 @@ from rich.console import Console
 from rich.table import Table
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketError, websocket_connect
-from twinmatch.launching.configs import shipped_config
 
 from twinmatch.emulation.virtual_rig_control import ControlError, tell
 from twinmatch.errors import TwinmatchError
+from twinmatch.shipped import shipped
 
 ALLOWED = 2.0
 """MB by which a process may grow from its second hour to the last: noise of the allocator."""
@@ -161,7 +161,7 @@ class Soak:
 
 def _patient(plant: str, folder: Path) -> Path:
     """The plant's parameters with long deadlines."""
-    config = yaml.safe_load(shipped_config(CONFIGS[plant]).read_text())
+    config = yaml.safe_load(shipped(f"config/{CONFIGS[plant]}").read_text())
     for node in config.values():
         given = node["ros__parameters"]
         given |= {name: value for name, value in PATIENT.items() if name in given}
