@@ -182,7 +182,7 @@ def test_a_peer_that_is_not_installed_is_reported(monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_unknown_peer_is_refused() -> None:
-    with pytest.raises(BacktestError, match="no peer 'prophet'; there are persistence, arx, statsmodels"):
+    with pytest.raises(BacktestError, match="no peer 'prophet'; choose from persistence, arx, statsmodels"):
         peers(Peltier, ["arx", "prophet"])
 
 
