@@ -83,7 +83,7 @@ RUNS = {
     ),
     f"{TW} play SESSION --rate 50": Runs("Leader: ", SHORT),
     f"{TW} new-plant tank --from log.csv": Runs("twinmatch check-plant", needs=("log",)),
-    f"{TW} check-plant tank.py": Runs("nothing is wrong", needs=("tank",)),
+    f"{TW} check-plant tank.py": Runs("no problems found", needs=("tank",)),
     f"{TW} replay SESSION --plant tank.py": Runs(
         "Leader: ", {"SESSION": "tank_session"}, needs=("tank_session",)
     ),
