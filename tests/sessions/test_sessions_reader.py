@@ -57,6 +57,16 @@ def test_messages_can_be_chosen(tmp_path):
         list(session.messages(["/plant/speed"]))
 
 
+def test_it_reports_its_progress(tmp_path):
+    folder = write_session(tmp_path / "long", run(9000))
+    calls: list[tuple[int, int]] = []
+    read_session(folder, progress=lambda done, total: calls.append((done, total)))
+    size = (folder / "long_0.mcap").stat().st_size
+    assert {total for _, total in calls} == {size}
+    # 18,001 messages, spread evenly; a chunk that was read counts as a whole.
+    assert [done / size for done, _ in calls] == pytest.approx([5 / 18, 10 / 18, 15 / 18], abs=0.1)
+
+
 def test_any_namespace_is_found(tmp_path):
     rig = SAMPLE._replace(name="/lab/rig7/plant/sample")
     assert read_session(record(tmp_path / "run", (rig, run()))).topic == "/lab/rig7/plant/sample"

@@ -43,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
             candidates=options.candidates,
             plant=options.plant,
             watch=progress.advance,
+            progress=progress.reading,
         )
     for note in found.notes:
         print(f"Note: {note}")

@@ -34,10 +34,17 @@ class Progress:
 
     def advance(self, done: int, total: int) -> None:
         """Show that `done` of `total` are done."""
+        self._show(self._doing, done, total)
+
+    def reading(self, done: int, total: int) -> None:
+        """Show that `done` of `total` bytes of the file are read, before the work itself."""
+        self._show("reading", done, total)
+
+    def _show(self, doing: str, done: int, total: int) -> None:
         if self._bar is None and self._shown:
             self._begin()
         if self._bar is not None:
-            self._bar.update(self._task, completed=done, total=total)
+            self._bar.update(self._task, description=doing, completed=done, total=total)
 
     def _begin(self) -> None:
         from rich.console import Console  # noqa: PLC0415 — needed only for the bar

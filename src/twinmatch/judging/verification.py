@@ -14,6 +14,7 @@ from twinmatch.judging.judgement import Judgement, Watch, judge
 from twinmatch.judging.terms import prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
 from twinmatch.sessions import Session, Topic, open_any
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
 
@@ -83,6 +84,7 @@ def verify_session(
     candidates: Path | None = None,
     plant: str | None = None,
     watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Verification:
     """Judge a session again and compare matches and verdicts with the recorded ones.
 
@@ -93,6 +95,7 @@ def verify_session(
         candidates: initial candidates instead of the recorded ones.
         plant: name or file of the plant, if the session does not name it or it is in a file.
         watch: called with the progress.
+        progress: called with the amount of the file read and the total.
 
     Raises:
         VerifyError: the session has no verdicts.
@@ -100,7 +103,7 @@ def verify_session(
         ForeignError: the FMUs of the verdicts are missing.
         TwinmatchError: one of the files cannot be used.
     """
-    session = open_any(path, topic, plant=plant)
+    session = open_any(path, topic, progress, plant=plant)
     if not holds_verdicts(session):
         msg = (
             f"session {session.name}: has no verdicts on {prefix_of(session)}{SCORES} to verify; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from pathlib import Path
@@ -13,6 +13,7 @@ from twinmatch.sessions.cdr import decode_sample
 from twinmatch.sessions.checks import check_samples, gaps_of, period_of
 from twinmatch.sessions.definitions import LOOP_SAMPLE, fields_of
 from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.sessions.metadata import METADATA, files_listed
 from twinmatch.sessions.older import current, current_topic
 from twinmatch.sessions.scan import Scan
@@ -23,6 +24,8 @@ from twinmatch.signals import Sample, Window
 __all__ = ["Session", "read_session"]
 
 SUFFIX = "plant/sample"
+MESSAGES_BETWEEN = 5000
+"""Messages between two reports of progress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,9 @@ class Session:
                 yield message
 
 
-def read_session(path: Path | str, topic: str | None = None) -> Session:
+def read_session(
+    path: Path | str, topic: str | None = None, progress: ProgressCallback | None = None
+) -> Session:
     """Read a session folder or a single MCAP file of one.
 
     A truncated or damaged file is read up to the damage, with a remark in `notes`. They also list where
@@ -101,6 +106,7 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
         path: the folder or the `.mcap` file.
         topic: the topic with the samples, if the session has several rigs; by default the only topic of type
             LoopSample with a name ending in `plant/sample`.
+        progress: called with the bytes read and the total.
 
     Raises:
         SessionError: the path does not exist or is not a session; it has no plant topic, several, or no
@@ -112,7 +118,7 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
     counts: Counter[str] = Counter()
     raw: dict[str, list[Message]] = {}
     start, end = 2**64, 0
-    for message in chain.from_iterable(scans):
+    for message in _reported(scans, progress):
         name = message.topic.name
         counts[name] += 1
         start, end = min(start, message.log_time), max(end, message.log_time)
@@ -141,6 +147,18 @@ def read_session(path: Path | str, topic: str | None = None) -> Session:
         plant=plant_of(records),
         has_reference=has_reference(records),
     )
+
+
+def _reported(scans: Sequence[Scan], progress: ProgressCallback | None) -> Iterator[Message]:
+    """The messages of all files, with calls of `progress` in between."""
+    if progress is None:
+        yield from chain.from_iterable(scans)
+        return
+    total = sum(scan.path.stat().st_size for scan in scans if scan.path.is_file())
+    for count, message in enumerate(chain.from_iterable(scans), 1):
+        if count % MESSAGES_BETWEEN == 0:
+            progress(sum(scan.read for scan in scans), total)
+        yield message
 
 
 def _files(path: Path) -> tuple[list[Path], list[str]]:

@@ -66,6 +66,8 @@ class Scan:
         """Metadata records found so far; the last of those with the same name."""
         self.fault = ""
         """Why reading ended early; empty if it did not."""
+        self.read = 0
+        """Bytes of the file read so far."""
         self._count = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Topic] = {}
@@ -100,6 +102,7 @@ class Scan:
         try:
             records = _records(file, len(MAGIC), self.path.stat().st_size)
             for opcode, body in records:
+                self.read += _RECORD.size + len(body)
                 if opcode == Opcode.CHUNK:
                     data = _unpacked_chunk(body)
                     yield from self._chunk(data)

@@ -34,7 +34,7 @@ def open_any(
     Args:
         path: folder or file.
         topic: the topic with the samples, if a session has several.
-        progress: called with the amount of a recording read and the total.
+        progress: called with the amount read and the total.
         plant: name or file of the plant, as given by the user; needed if the session does not name it, or
             the plant is in a file.
 
@@ -56,9 +56,9 @@ def open_any(
 def _open(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
     beginning = _beginning(path)
     if beginning is None:
-        return read_session(path, topic)
+        return read_session(path, topic, progress)
     if beginning.startswith(MAGIC) or path.suffix.lower() == ".mcap":
-        return read_session(path, topic)
+        return read_session(path, topic, progress)
     if path.suffix.lower() in RECORDING_SUFFIXES:
         return _recording(path, progress)
     hint = "; a MATLAB file needs the suffix .mat" if beginning.startswith(MAT_BEGINNING) else ""
