@@ -41,9 +41,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _live(speed: float) -> int:
     """Run the virtual rig through its set-points; returns the exit code."""
+    from twinmatch.judging.progress import Progress  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.judging.rehearsal import rehearse  # noqa: PLC0415
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
+    from twinmatch.plants import Peltier  # noqa: PLC0415
+    from twinmatch.twin import TwinSettings  # noqa: PLC0415
 
+    with Progress("compiling, the first time only") as progress:
+        rehearse(Peltier, TwinSettings(), progress.advance)
     session = Path("out") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
     plan = LivePlan(config=shipped("config/demo.yaml"), session=session, virtual=VirtualPlan(speed=speed))
     run = Live(plan)
