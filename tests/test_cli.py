@@ -297,6 +297,19 @@ def test_a_terminal_shows_the_run_and_ends_with_the_sentence() -> None:
     assert "trust it between" in lines[-1]
 
 
+def test_a_terminal_shows_the_progress_of_reading_a_session(tmp_path: Path) -> None:
+    reference = np.repeat([30.0, 50.0], 4500)
+    session = write_session(tmp_path / "long", samples_of(Window(reference, reference, reference / 2)))
+    for command in (
+        ["verify"],
+        ["backtest"],
+        ["forecast", "--at", "8000"],
+        ["report", "-o", tmp_path / "r.html"],
+    ):
+        _, written, _ = run_on_terminal(command[0], session, *command[1:], width=100)
+        assert re.search(r"reading .* \d+%", written), (command, written[:2000])
+
+
 def test_a_narrow_terminal_without_colours_cuts_no_number(fault_session: Path) -> None:
     code, written, stands = run_on_terminal("replay", fault_session, width=60, NO_COLOR="1")
     assert code == 0

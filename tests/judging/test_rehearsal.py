@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,7 @@ def test_a_rehearsal_matches_judges_and_forecasts_once(
 ) -> None:
     judged: list[Judgement] = []
 
-    def judge(*args: object, **settings: object) -> Judgement:
+    def judge(*args: Any, **settings: Any) -> Judgement:
         judged.append(judge_samples(*args, **settings))
         return judged[-1]
 

@@ -20,7 +20,7 @@ from tests.support.plant_files import plant_file
 from tests.support.processes import run_twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import find_plant
-from twinmatch.sessions import read_session
+from twinmatch.sessions import bags, read_session
 from twinmatch.sessions.bag_tables import _means, _Signal, map_bag
 from twinmatch.sessions.column_map import parse_map
 
@@ -151,6 +151,20 @@ def test_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
     session = read_session(tmp_path / "slow")
     assert session.period == 1.5
     assert [s.output for s in session.samples[:5]] == pytest.approx([20.0, 23.0, 26.0, 29.0, 32.0])
+
+
+def test_the_reading_of_a_bag_reports_its_progress(
+    tmp_path: Path, plant: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bags, "_EVERY", 5)
+    shares: list[float] = []
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
+    map_bag(
+        source, parse_map(MAP), find_plant(str(plant)), progress=lambda done, of: shares.append(done / of)
+    )
+    assert shares == sorted(shares)
+    assert shares[0] < 0.1
+    assert 0.9 < shares[-1] <= 1.0
 
 
 def test_headers_of_another_clock_are_reported_and_not_used(tmp_path: Path, plant: Path) -> None:

@@ -21,6 +21,7 @@ from twinmatch.judging.interrupt import held_interrupts
 from twinmatch.judging.judgement import Judgement, Watch, judge
 from twinmatch.judging.terms import Terms, terms_from_files
 from twinmatch.sessions import Session, open_any
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin
 from twinmatch.twin.threads import one_thread
@@ -84,6 +85,7 @@ def backtest_session(
     candidates: Path | None = None,
     plant: str | None = None,
     watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Backtest:
     """Test the twin on a session, an .mcap file or a recording.
 
@@ -94,11 +96,12 @@ def backtest_session(
         candidates: file of initial candidates.
         plant: name or file of the plant, if the session does not name it or it is in a file.
         watch: called with the progress.
+        progress: called with the amount of the file read and the total.
 
     Raises:
         TwinmatchError: one of the files cannot be used, or a horizon is too short for the session.
     """
-    session = open_any(path, plant=plant)
+    session = open_any(path, progress=progress, plant=plant)
     return backtest(session, terms_from_files(session, config, candidates), choices, watch=watch)
 
 

@@ -105,6 +105,7 @@ def _one(path: Path, options: argparse.Namespace) -> Backtest:
             candidates=options.candidates,
             plant=options.plant,
             watch=progress.advance,
+            progress=progress.reading,
         )
     _print(tested)
     return tested

@@ -44,7 +44,8 @@ def foretold(options: argparse.Namespace) -> Foretold:
     if options.reference not in {None, RECORDED}:
         rows = planned_rows(Path(options.reference))
     with held_interrupts():
-        session = open_any(options.session, plant=options.plant)
+        with Progress("reading") as progress:
+            session = open_any(options.session, progress=progress.advance, plant=options.plant)
         terms = terms_from_files(session, options.config, options.candidates)
         settings = terms.settings
         size = _size(options.horizon, settings.period)

@@ -93,7 +93,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _import_mapped(options: argparse.Namespace) -> int:
-    from twinmatch.plants import find_plant  # noqa: PLC0415 — as above
+    from twinmatch.judging.progress import Progress  # noqa: PLC0415 — as above
+    from twinmatch.plants import find_plant  # noqa: PLC0415
     from twinmatch.sessions import plant_topics, write_session  # noqa: PLC0415
     from twinmatch.sessions.bag_tables import map_bag  # noqa: PLC0415
     from twinmatch.sessions.bags import is_bag  # noqa: PLC0415
@@ -107,7 +108,15 @@ def _import_mapped(options: argparse.Namespace) -> int:
         raise ImportOptionError(msg)
     plant = find_plant(given.plant)
     if is_bag(options.recording):
-        found = map_bag(options.recording, given, plant, longest=options.bridge, gaps=options.gaps)
+        with Progress("reading") as progress:
+            found = map_bag(
+                options.recording,
+                given,
+                plant,
+                longest=options.bridge,
+                gaps=options.gaps,
+                progress=progress.advance,
+            )
     else:
         table = read_table(options.recording)
         given = with_plant_names(table, plant, given)
@@ -119,14 +128,16 @@ def _import_mapped(options: argparse.Namespace) -> int:
         "map": columns,
         "reference": "recorded" if found.has_reference else NO_REFERENCE,
     }
-    write_session(
-        options.output,
-        found.samples,
-        overwrite=options.overwrite,
-        records={PLANT: record},
-        gaps=options.gaps == "split",
-        topics=plant_topics(plant.output.unit, has_reference=found.has_reference),
-    )
+    with Progress("writing") as progress:
+        write_session(
+            options.output,
+            found.samples,
+            overwrite=options.overwrite,
+            records={PLANT: record},
+            gaps=options.gaps == "split",
+            topics=plant_topics(plant.output.unit, has_reference=found.has_reference),
+            progress=progress.advance,
+        )
     seconds = len(found.samples) * found.period
     print(
         f"{options.output}: {len(found.samples)} samples, one every {found.period:g} s, {seconds:.0f} s of "

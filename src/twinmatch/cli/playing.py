@@ -30,12 +30,17 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: an option, the session or a file cannot be used.
     """
+    from twinmatch.judging.progress import Progress  # noqa: PLC0415 — keeps --help fast
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
+    from twinmatch.sessions import open_any  # noqa: PLC0415 — as above
 
     if not 0.0 <= options.rate <= 1000.0:
         options.parser.error(f"--rate is {options.rate:g}; it must be within 0 and 1000")
+    with Progress("reading") as progress:
+        session = open_any(options.session, progress=progress.advance, plant=options.plant)
     with page_of(options, options.parser, options.config) as page:
-        code = play(Replay(options.session, options.rate, options.candidates, options.config, options.plant))
+        plan = Replay(options.session, options.rate, options.candidates, options.config, options.plant)
+        code = play(plan, session)
         if code == 0:
             page.stay()
         return code

@@ -60,13 +60,17 @@ class Replay:
     """Whether all verdicts were received."""
 
 
-def play(replay: Replay) -> int:
+def play(replay: Replay, session: Session | None = None) -> int:
     """Run the graph until the last verdict or Ctrl-C; returns the exit code.
+
+    Args:
+        replay: what to play, and how.
+        session: its session, if it has been read already.
 
     Raises:
         TwinmatchError: the session or one of the files cannot be used.
     """
-    session = open_any(replay.session, plant=replay.plant)
+    session = session or open_any(replay.session, plant=replay.plant)
     held = read_settings(replay.config, session.plant, driven=not session.has_reference)
     settings = at_period(held, session.period, replay.config)
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:

@@ -63,6 +63,7 @@ def _make(options: argparse.Namespace) -> Report:
             candidates=options.candidates,
             plant=options.plant,
             watch=progress.advance,
+            progress=progress.reading,
             command=shlex.join(["twinmatch", *sys.argv[1:]]),
         )
 

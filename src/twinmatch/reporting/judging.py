@@ -13,6 +13,7 @@ from twinmatch.judging.judgement import judge as judge_on
 from twinmatch.judging.terms import Terms, recorded_terms, terms_from_files
 from twinmatch.judging.verification import compare, holds_verdicts
 from twinmatch.sessions import Session, open_any
+from twinmatch.sessions.files import ProgressCallback
 
 __all__ = ["Judged", "judge"]
 
@@ -40,6 +41,7 @@ def judge(
     candidates: Path | None = None,
     plant: str | None = None,
     watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Judged:
     """Judge a session, an `.mcap` file or a recording for a report.
 
@@ -49,7 +51,7 @@ def judge(
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    session = open_any(path, plant=plant)
+    session = open_any(path, progress=progress, plant=plant)
     terms, unlike = _terms(session, config, candidates)
     choices, (first, second) = Choices(), halves(watch)
     listener = Listener.to(session.samples, terms.settings.period, choices)

@@ -30,6 +30,7 @@ from twinmatch.reporting.page import render
 from twinmatch.reporting.pictures import Picture, pictures
 from twinmatch.reporting.provenance import Provenance, provenance
 from twinmatch.reporting.words import plain_words, session_facts
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.views import sentence
 from twinmatch.views.family import Member, family
 from twinmatch.views.standing import last_verdict
@@ -155,6 +156,7 @@ def make_report(
     candidates: Path | None = None,
     plant: str | None = None,
     watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
     command: str = "from Python",
 ) -> Report:
     """Judge a session, an `.mcap` file or a recording and build a report on it.
@@ -165,10 +167,11 @@ def make_report(
         candidates: file of initial candidates.
         plant: name or file of the plant, if the session does not name it or it is in a file.
         watch: called with the progress.
+        progress: called with the amount of the file read and the total.
         command: command line shown in the report.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    judged = judge(path, config=config, candidates=candidates, plant=plant, watch=watch)
+    judged = judge(path, config=config, candidates=candidates, plant=plant, watch=watch, progress=progress)
     return build_report(judged, path, command=command)

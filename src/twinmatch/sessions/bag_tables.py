@@ -21,6 +21,7 @@ from twinmatch.sampling.usual_units import usual_unit
 from twinmatch.sessions.bags import Bag, Series, open_bag
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.sessions.mapped import Mapped, by_signal, map_samples
 from twinmatch.sessions.resampling import Gaps, bridged_up_to
 from twinmatch.sessions.tables import Table
@@ -46,6 +47,7 @@ def map_bag(
     *,
     longest: float | None = None,
     gaps: Gaps = "refuse",
+    progress: ProgressCallback | None = None,
 ) -> Mapped:
     """The samples of a plant from a bag.
 
@@ -55,6 +57,7 @@ def map_bag(
         plant: the plant that the signals belong to.
         longest: longest step between readings that is interpolated, s; three usual ones if not given.
         gaps: treatment of longer steps.
+        progress: called with the number of messages read and their total.
 
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
@@ -67,7 +70,7 @@ def map_bag(
             msg = f"{path}: no topic is mapped to {name}; add --map {name}=TOPIC:FIELD (--list shows them)"
             raise RecordingError(msg)
     with open_bag(path) as bag:
-        signals, units, notes = _read(bag, sources)
+        signals, units, notes = _read(bag, sources, progress)
     columns, left_out = _rows(signals, longest)
     if columns[TIME].size < 2:
         msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} follow the first input; check --map"
@@ -81,10 +84,15 @@ def map_bag(
     return found._replace(sources=sources, notes=[*found.notes, *notes])
 
 
-def _read(bag: Bag, sources: Mapping[str, Source]) -> tuple[dict[str, _Signal], dict[str, str], list[str]]:
+def _read(
+    bag: Bag, sources: Mapping[str, Source], progress: ProgressCallback | None
+) -> tuple[dict[str, _Signal], dict[str, str], list[str]]:
     """Signals with their times, the units of their message types, and notes."""
     wires = {name: Wire.of(name, s.columns, s.unit, s.scale, s.offset) for name, s in sources.items()}
-    series = {name: bag.series(wire.channels) for name, wire in wires.items()}
+    series = {}
+    for number, (name, wire) in enumerate(wires.items()):
+        part = None if progress is None else _part(progress, number, len(wires))
+        series[name] = bag.series(wire.channels, progress=part)
     offsets = [
         f"{wires[name].channels[0].topic} by {off:.3g} s"
         for name, held in series.items()
@@ -100,6 +108,11 @@ def _read(bag: Bag, sources: Mapping[str, Source]) -> tuple[dict[str, _Signal], 
     bare = {name: (s.scale, s.offset) == (1.0, 0.0) for name, s in sources.items()}
     units = {n: usual_unit(held[0].kind, held[0].path) if bare[n] else "" for n, held in series.items()}
     return signals, units, notes
+
+
+def _part(progress: ProgressCallback, number: int, count: int) -> ProgressCallback:
+    """Report the reading of one signal as a part of the reading of `count` signals."""
+    return lambda done, total: progress(number * total + done, count * total)
 
 
 def _clock_offset(series: Series) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from twinmatch.errors import TwinmatchError
 from twinmatch.sampling import Channel, Field, SamplingError, check_path, fields_below, follow
 from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ _FILES: Final = (".mcap", ".db3", ".bag")
 _METADATA: Final = "metadata.yaml"
 _MANY: Final = 40
 """Topics that an error lists."""
+_EVERY: Final = 500
+"""Messages between two reports of progress."""
 
 
 class BagTopic(NamedTuple):
@@ -84,23 +87,33 @@ class Bag:
         """The fields of a message type."""
         return {name: _field(described) for name, described in self._reader.typestore.fielddefs[kind][1]}
 
-    def series(self, channels: Sequence[Channel], most: int | None = None) -> list[Series]:
+    def series(
+        self,
+        channels: Sequence[Channel],
+        most: int | None = None,
+        progress: ProgressCallback | None = None,
+    ) -> list[Series]:
         """The numbers of channels, each as recorded.
 
         Args:
             channels: topics and paths.
             most: most messages read per topic; all if not given.
+            progress: called with the number of messages read and their total.
 
         Raises:
             RecordingError: a topic or field is missing, or a topic has no messages or damaged ones.
         """
         found = [self._checked(channel) for channel in channels]
         rows: list[list[tuple[float, float, float]]] = [[] for _ in found]
+        done, total = 0, sum(self._reader.topics[name].msgcount for name in {c.topic for c, _ in found})
         for topic in dict.fromkeys(channel.topic for channel, _ in found):
             wanted = [k for k, (channel, _) in enumerate(found) if channel.topic == topic]
             for count, (logged, message) in enumerate(self._messages(topic)):
                 if most is not None and count == most:
                     break
+                done += 1
+                if progress is not None and done % _EVERY == 0:
+                    progress(done, total)
                 stamped = _stamp(message)
                 for k in wanted:
                     rows[k].append((logged, stamped, follow(message, found[k][0].path)))
