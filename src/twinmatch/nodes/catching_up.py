@@ -74,7 +74,7 @@ class CatchingUp:
         if now - self._since > PATIENCE:
             self._give_up(f"samples {missing.first} to {missing.last} are missing and cannot be fetched")
         elif self._pending is not None and now - self._requested_at > ANSWER:
-            self._pending = None  # the answer to a process that was suspended may be lost
+            self._drop_request()  # the answer to a process that was suspended may be lost
         elif self._pending is None and self._client.service_is_ready() and self._settled(now):
             if self._waiting() > MOST_WAITING:
                 self._since = now  # the worker is busy with what was fetched
@@ -95,8 +95,15 @@ class CatchingUp:
 
     def _give_up(self, why: str) -> None:
         self._node.health.flag("past", Level.WARN, why)
-        self._pending, self._since, self._fresh = None, None, False
+        self._drop_request()
+        self._since, self._fresh = None, False
         self._stream.skip()
+
+    def _drop_request(self) -> None:
+        """Expect no answer any longer; the client would keep the request for as long as it lives."""
+        if self._pending is not None:
+            self._client.remove_pending_request(self._pending)
+            self._pending = None
 
     def _on_answer(self, future: Any) -> None:
         if future is not self._pending:

@@ -93,7 +93,8 @@ class RecorderPast:
         if time.monotonic() - self._since > PATIENCE:
             self._release()
         elif self._pending is not None and time.monotonic() - self._requested_at > ANSWER:
-            self._pending = None  # the answer may be lost
+            self._client.remove_pending_request(self._pending)  # the answer may be lost
+            self._pending = None
         elif (
             self._pending is None
             and self._client.service_is_ready()
