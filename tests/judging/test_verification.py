@@ -229,7 +229,7 @@ def test_what_cannot_be_verified_is_said(
 
 def test_parameters_of_another_version_are_said(record: Callable[..., Path]) -> None:
     folder = record(unknown={"schedule.hurry": 3})
-    with pytest.raises(TermsError, match=r"are of another version: .*there is no parameter schedule.hurry"):
+    with pytest.raises(TermsError, match=r"cannot be used: .*there is no parameter schedule.hurry"):
         verify_session(folder)
 
 

@@ -81,7 +81,7 @@ def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
         values = recorded_values(f"{place}: {node}", recorded)
         return settings_from(values), str(values["candidates"])
     except TwinmatchError as error:
-        msg = f"{place}: the recorded parameters of {node} are of another version: {error}"
+        msg = f"{place}: the recorded parameters of {node} cannot be used: {error}"
         raise TermsError(msg) from error
 
 
