@@ -109,7 +109,7 @@ def with_value(row: int, column: int, value: float) -> np.ndarray:
         (lambda d: d / "absent.mat", ["absent.mat", "does not exist"]),
         (lambda d: mat(d, np.zeros((5, 3))), ["bad.mat", "simout"]),
         (lambda d: mat(d, with_value(7, 1, np.nan)), ["bad.mat", "nan"]),
-        (lambda d: mat(d, np.delete(table(), 9, axis=0)), ["bad.mat", "time"]),
+        (lambda d: mat(d, np.delete(table(), 9, axis=0)), ["bad.mat", "from row 9 to row 10"]),
         (lambda d: mat(d, with_value(3, 0, 300.0)), ["bad.mat", "300"]),
     ],
     ids=["missing", "columns", "nan", "gap", "range"],

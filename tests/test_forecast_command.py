@@ -160,7 +160,7 @@ def profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         (["--at", "500", "--reference", "absent.csv"], ["absent.csv: does not exist"]),
         (["--at", "500", "--reference", "past.csv"], ["past.csv", "row 1", "past"]),
-        (["--at", "500", "--reference", "back.csv"], ["back.csv", "row 2", "growing"]),
+        (["--at", "500", "--reference", "back.csv"], ["back.csv", "row 2", "increasing"]),
         (["--at", "500", "--reference", "hot.csv"], ["hot.csv", "row 1", "150 °C", "0 to 100 °C"]),
         (["--at", "500", "--reference", "words.csv"], ["words.csv", "line 1", "warm"]),
         (["--at", "500", "--reference", "empty.csv"], ["empty.csv", "no row"]),

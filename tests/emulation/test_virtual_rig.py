@@ -54,7 +54,6 @@ def test_a_loop_closed_through_port_and_stream_reaches_its_set_point(
     assert np.mean(last) == pytest.approx(32.0, abs=0.3)
     state = running.state()
     assert 0 < state["speed"] < 21
-    assert state["enabled"]
     # What the eye sees is the plate's mean, a little colder than its middle.
     assert state["plate"] == pytest.approx(32.0, abs=0.6)
     assert running.process.end() == 0

@@ -150,7 +150,7 @@ def test_a_sample_that_is_missing_is_named(tmp_path: Path) -> None:
     whole = samples_of(Window(reference, reference, reference / 2))
     session = stored(whole, tmp_path / "gap")
     session = replace(session, samples=[s for s in whole if s.index != 31])
-    with pytest.raises(ForecastError, match=r"has no sample 31 .* holds 0 to 59 without that one"):
+    with pytest.raises(ForecastError, match=r"has no sample 31 .* it has 0 to 59 without that one"):
         samples_at(session, [31])
 
 
@@ -165,4 +165,4 @@ def test_a_fault_is_in_the_notes(tmp_path: Path) -> None:
     session = stored(drive_lost(at=640), tmp_path / "fault")
     found = prospects(session, Terms(TwinSettings()), [630, 700])
     assert not [n for n in found[630].outlook.notes if "drive-lost" in n]
-    assert [n for n in found[700].outlook.notes if "shows drive-lost since sample 6" in n]
+    assert [n for n in found[700].outlook.notes if "has shown drive-lost since sample 6" in n]

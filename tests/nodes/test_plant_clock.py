@@ -64,7 +64,7 @@ def test_plant_time_becomes_the_clock_and_standing_is_an_error(
     assert begin < times[0] <= ticking.stamp
     ticking.stands = True
     listener.spin_until(
-        lambda: health[-1].status[0].level == b"\2" and "stands still" in health[-1].status[0].message,
+        lambda: health[-1].status[0].level == b"\2" and "stood still" in health[-1].status[0].message,
         "the warning",
     )
     ticking.stands = False

@@ -298,7 +298,7 @@ def test_a_board_that_does_something_else_than_it_was_sent_is_a_fault(
 
     monkeypatch.setattr(stand_in.link, "command", other)
     stand_in.until(lambda: stand_in.kind() is FaultKind.BOARD)
-    assert "applies 60 where 120 was sent" in str(stand_in.gate.fault)
+    assert "applies 60, but 120 was sent" in str(stand_in.gate.fault)
 
 
 def test_what_trips_while_the_board_is_woken_is_heeded(
