@@ -54,7 +54,7 @@ _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
     ("live", living, "run the twin beside a plant: bridges, controller, twin and recorder"),
     ("attach", attaching, "run the twin beside a rig that is already running; nothing is commanded"),
     ("play", playing, "play a recorded session through the ROS graph"),
-    ("import", importing, "turn a recording (.mat or .csv) into an MCAP session"),
+    ("import", importing, "turn a recording (.csv, .mat or a ROS bag) into an MCAP session"),
     ("replay", replaying, "judge recorded sessions offline, as fast as possible"),
     ("forecast", forecasting, "forecast from chosen samples of a session, with a prediction band"),
     ("verify", verifying, "judge a recorded session again and compare the verdicts, bit for bit"),
