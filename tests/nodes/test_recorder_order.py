@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.nodes.recorder_order import Fetched, InOrder
+from twinmatch.nodes.recorder_order import Copies, Fetched, InOrder
 
 SAMPLE, KINDS = "samples", ("matches", "verdicts")
 
@@ -46,3 +46,20 @@ def test_what_is_written_never_lacks_a_message_about_a_sample_before_its_last(
             found = [message for name, message in cut if name == kind]
             assert found[: len(messages[kind])] == messages[kind][: len(found)]
             assert len(found) >= sum(message.sample < last for message in messages[kind] if last >= 0)
+
+
+@given(messages=st.integers(1, 30), data=st.data())
+def test_no_message_is_written_twice_or_lost_wherever_fetched_and_live_ones_overlap(
+    messages: int, data: st.DataObject
+) -> None:
+    """The keeper's answers hold the first of a topic's messages, the live ones begin anywhere among them."""
+    fetched = data.draw(st.integers(0, messages))
+    begin = data.draw(st.integers(0, fetched))
+    copies = Copies()
+    stream = [str(number).encode() for number in range(messages)]
+    for message in stream[:fetched]:
+        copies.add("verdicts", message)
+    live = [m for m in stream[begin:] if not (copies.expected("verdicts") and copies.found("verdicts", m))]
+    assert stream[:fetched] + live == stream
+    assert not copies.expected("verdicts") or fetched == messages
+    assert not copies.found("matches", b"0")

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-__all__ = ["Fetched", "InOrder"]
+__all__ = ["Copies", "Fetched", "InOrder"]
 
 
 class Fetched(NamedTuple):
@@ -18,6 +18,32 @@ class Fetched(NamedTuple):
     data: bytes
     stamp: int
     """ns"""
+
+
+class Copies:
+    """Recognises live messages that were fetched from the keeper already.
+
+    A message that the keeper has received may reach the recorder only after the keeper's answer, even after
+    everything fetched is written. The messages of a topic come in order, so the first new one ends this.
+    """
+
+    def __init__(self) -> None:
+        self._fetched: dict[str, set[bytes]] = {}
+
+    def add(self, name: str, data: bytes) -> None:
+        """Take note of a fetched message of a topic."""
+        self._fetched.setdefault(name, set()).add(data)
+
+    def expected(self, name: str) -> bool:
+        """Whether copies of fetched messages of this topic may still arrive."""
+        return name in self._fetched
+
+    def found(self, name: str, data: bytes) -> bool:
+        """Whether this message was fetched; if not, no later one of its topic was."""
+        if data in self._fetched.get(name, ()):
+            return True
+        self._fetched.pop(name, None)
+        return False
 
 
 class InOrder:

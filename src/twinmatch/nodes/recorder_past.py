@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.nodes.catching_up import ANSWER, samples_of_answer
 from twinmatch.nodes.keeper import PAST
-from twinmatch.nodes.recorder_order import Fetched, InOrder
+from twinmatch.nodes.recorder_order import Copies, Fetched, InOrder
 from twinmatch.nodes.samples import nanoseconds
 from twinmatch.sessions.cdr import decode_sample, encode_sample
 from twinmatch_msgs.msg import Match, ModelScore
@@ -63,7 +63,8 @@ class RecorderPast:
         self._until: int | None = None  # index of the first sample that came live
         self._next = 0
         self._order = InOrder(self._write_fetched, SAMPLE, (MATCH, SCORE))
-        self._from_keeper: set[bytes] = set()
+        self._copies = Copies()
+        self._kinds = {self._names[MATCH]: Match, self._names[SCORE]: ModelScore}
         self._pending: Any = None
         self._requested_at = 0.0
         self._since = 0.0
@@ -71,8 +72,10 @@ class RecorderPast:
 
     def take(self, name: str, data: bytes, now: int) -> bool:
         """Whether a message may be written at once; otherwise it is held back and written later."""
-        if self._held is None or name not in self._names.values():
+        if name not in self._names.values():
             return True
+        if self._held is None:
+            return not self._is_copy(name, data)
         if not self._held:
             self._since = time.monotonic()
         self._held.append(_Held(name, bytes(data), now))
@@ -124,7 +127,8 @@ class RecorderPast:
             (SCORE, answer.score, answer.scores_heard),
         ):
             fetched = [_fetched(message) for message in messages]
-            self._from_keeper.update(message.data for message in fetched)
+            for message in fetched:
+                self._copies.add(self._names[name], message.data)
             self._order.add_messages(name, fetched, heard)
         self._order.write()
         progress = bool(samples or answer.match or answer.score)
@@ -148,10 +152,15 @@ class RecorderPast:
         held, self._held = self._held or [], None
         self._timer.cancel()
         for name, data, now in held:
-            kind = {self._names[MATCH]: Match, self._names[SCORE]: ModelScore}.get(name)
-            if kind is None or serialize_message(deserialize_message(data, kind)) not in self._from_keeper:
+            if not self._is_copy(name, data):
                 self._write(name, data, now)
-        self._from_keeper.clear()
+
+    def _is_copy(self, name: str, data: bytes) -> bool:
+        """Whether a message was fetched too; bytes are compared in the form that this process writes."""
+        kind = self._kinds.get(name)
+        if kind is None or not self._copies.expected(name):
+            return False
+        return self._copies.found(name, serialize_message(deserialize_message(bytes(data), kind)))
 
 
 def _fetched(message: Match | ModelScore) -> Fetched:
