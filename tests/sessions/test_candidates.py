@@ -44,7 +44,7 @@ def test_without_a_structure_the_values_say_which_parts_there_are() -> None:
         ("seebek: 0.1", "no parameter 'seebek' in this structure; it has seebeck, resistance"),
         ("seebeck: high", "seebeck is 'high'; give a number"),
         ("seebeck: -1.0", "seebeck is -1 V/K; it must be finite and at least 0"),
-        ("plant: oven", "plant 'oven': not known; choose from peltier"),
+        ("plant: kettle", "plant 'kettle': not known; choose from peltier"),
         ("structure: two sinks", "no structure 'two sinks'; it has held sink"),
         ("structure: held sink, sensor_lag: 1.0", "no parameter 'sensor_lag' in this structure"),
     ],
@@ -97,5 +97,5 @@ def test_a_sink_that_was_held_beside_a_lag_is_a_sink_that_hardly_moves() -> None
 
 
 def test_unknown_plants_are_named() -> None:
-    with pytest.raises(PlantError, match="plant 'oven': not known"):
-        parameters_from("oven", "", {"seebeck": 0.1})
+    with pytest.raises(PlantError, match="plant 'kettle': not known"):
+        parameters_from("kettle", "", {"seebeck": 0.1})
