@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from twinmatch.nodes.diagnostics import Level
-from twinmatch.nodes.keeper import PAST
 from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.past_requests import PastRequests, samples_of_answer
 from twinmatch.nodes.stream import Stream
-from twinmatch.signals import Sample
 from twinmatch_msgs.srv import Past
 
-__all__ = ["ANSWER", "CatchingUp", "samples_of_answer"]
+__all__ = ["CatchingUp"]
 
 LOOK = 0.05
 """Interval between two checks for missing samples, wall s."""
 PATIENCE = 6.0
 """Time without progress after which a node gives up on what is missing, wall s."""
-ANSWER = 2.0
-"""Time after which an unanswered request is repeated, wall s; the keeper needs milliseconds."""
 NONE = 2**64 - 1
 """More verdicts than there can be: requests none of them."""
 SETTLE = 1.0
@@ -53,9 +49,7 @@ class CatchingUp:
             learn: called with earlier results, before the first sample is passed on.
         """
         self._node, self._stream, self._waiting, self._learn = node, stream, waiting, learn
-        self._client = node.create_client(Past, PAST)
-        self._pending: Any = None  # future of the pending request
-        self._requested_at = 0.0
+        self._requests = PastRequests(node, self._on_answer)
         self._since: float | None = None  # start of the wait without progress
         self._fresh = True
         self._opened, self._connected = time.monotonic(), False
@@ -73,17 +67,13 @@ class CatchingUp:
             self._since = now
         if now - self._since > PATIENCE:
             self._give_up(f"samples {missing.first} to {missing.last} are missing and cannot be fetched")
-        elif self._pending is not None and now - self._requested_at > ANSWER:
-            self._drop_request()  # the answer to a process that was suspended may be lost
-        elif self._pending is None and self._client.service_is_ready() and self._settled(now):
+        elif self._requests.ready(now) and self._settled(now):
             if self._waiting() > MOST_WAITING:
                 self._since = now  # the worker is busy with what was fetched
                 return
             count = 0 if self._fresh else missing.last + 1 - missing.first
             request = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
-            self._pending = self._client.call_async(request)
-            self._requested_at = now
-            self._pending.add_done_callback(self._on_answer)
+            self._requests.send(request, now)
 
     def _settled(self, now: float) -> bool:
         """Whether the readers of this node are connected; results for fetched samples follow at once."""
@@ -95,22 +85,12 @@ class CatchingUp:
 
     def _give_up(self, why: str) -> None:
         self._node.health.flag("past", Level.WARN, why)
-        self._drop_request()
+        self._requests.drop()
         self._since, self._fresh = None, False
         self._stream.skip()
 
-    def _drop_request(self) -> None:
-        """Expect no answer any longer; the client would keep the request for as long as it lives."""
-        if self._pending is not None:
-            self._client.remove_pending_request(self._pending)
-            self._pending = None
-
-    def _on_answer(self, future: Any) -> None:
-        if future is not self._pending:
-            return  # too late
-        self._pending = None
-        answer = future.result()
-        if answer is None or self._stream.missing is None:
+    def _on_answer(self, answer: Past.Response) -> None:
+        if self._stream.missing is None:
             return
         if self._fresh:
             self._matches += len(answer.match)
@@ -128,13 +108,3 @@ class CatchingUp:
 def all_connected(node: Node) -> bool:
     """Whether every known reader of a node's topics is connected to it."""
     return all(p.get_subscription_count() >= node.count_subscribers(p.topic_name) for p in node.publishers)
-
-
-def samples_of_answer(answer: Past.Response) -> Iterator[Sample]:
-    """The samples in an answer."""
-    width = len(answer.disturbances) // max(1, len(answer.index))
-    columns = (answer.index, answer.stamp, answer.reference, answer.output, answer.input)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    for k, (index, stamp, reference, output, u) in enumerate(rows):
-        disturbances = answer.disturbances[k * width : (k + 1) * width].tolist()
-        yield Sample(index, stamp, reference, output, u, tuple(disturbances))

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from twinmatch.nodes.catching_up import ANSWER, samples_of_answer
-from twinmatch.nodes.keeper import PAST
+from twinmatch.nodes.past_requests import PastRequests, samples_of_answer
 from twinmatch.nodes.recorder_order import Copies, Fetched, InOrder
 from twinmatch.nodes.samples import nanoseconds
 from twinmatch.sessions.cdr import decode_sample, encode_sample
@@ -58,15 +56,14 @@ class RecorderPast:
         """
         self._write, self._known = write, known
         self._names = {short: node.resolve_topic_name(short) for short in (SAMPLE, MATCH, SCORE)}
-        self._client = node.create_client(Past, PAST)
+        self._requests = PastRequests(node, self._on_answer)
+        self._requested = 0  # samples in the pending request
         self._held: list[_Held] | None = []
         self._until: int | None = None  # index of the first sample that came live
         self._next = 0
         self._order = InOrder(self._write_fetched, SAMPLE, (MATCH, SCORE))
         self._copies = Copies()
         self._kinds = {self._names[MATCH]: Match, self._names[SCORE]: ModelScore}
-        self._pending: Any = None
-        self._requested_at = 0.0
         self._since = 0.0
         self._timer = node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -93,30 +90,18 @@ class RecorderPast:
     def _look(self) -> None:
         if self._held is None or self._until is None:
             return
-        if time.monotonic() - self._since > PATIENCE:
+        now = time.monotonic()
+        if now - self._since > PATIENCE:
             self._release()
-        elif self._pending is not None and time.monotonic() - self._requested_at > ANSWER:
-            self._client.remove_pending_request(self._pending)  # the answer may be lost
-            self._pending = None
-        elif (
-            self._pending is None
-            and self._client.service_is_ready()
-            and all(map(self._known, self._names.values()))
-        ):
+        elif self._requests.ready(now) and all(map(self._known, self._names.values())):
             count = 0 if self._order.waiting > MOST_WAITING else self._until - self._next
             matches, scores = self._order.counts[MATCH], self._order.counts[SCORE]
+            self._requested = count
             request = Past.Request(first=self._next, count=count, matches=matches, scores=scores)
-            self._requested_at = time.monotonic()
-            self._pending = self._client.call_async(request)
-            self._pending.add_done_callback(partial(self._on_answer, count))
+            self._requests.send(request, now)
 
-    def _on_answer(self, requested: int, future: Any) -> None:
-        """Take the answer to a request for `requested` samples."""
-        if future is not self._pending or self._held is None or self._until is None:
-            return
-        self._pending = None
-        answer = future.result()
-        if answer is None:
+    def _on_answer(self, answer: Past.Response) -> None:
+        if self._held is None or self._until is None:
             return
         samples = list(samples_of_answer(answer))
         self._order.add_samples(Fetched(s.index, encode_sample(s), s.stamp) for s in samples)
@@ -137,7 +122,7 @@ class RecorderPast:
         counts = self._order.counts
         all_fetched = counts[MATCH] >= answer.matches_heard and counts[SCORE] >= answer.scores_heard
         if all_fetched and (
-            self._next >= self._until or (requested > 0 and not samples and answer.heard > self._until)
+            self._next >= self._until or (self._requested > 0 and not samples and answer.heard > self._until)
         ):
             self._release()
         elif progress:
