@@ -21,12 +21,12 @@ from twinmatch.judging.interrupt import held_interrupts
 from twinmatch.judging.judgement import Judgement, Watch, judge
 from twinmatch.judging.terms import Terms, terms_from_files
 from twinmatch.sessions import Session, open_any
-from twinmatch.sessions.files import ProgressCallback
+from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin
 from twinmatch.twin.threads import one_thread
 
-__all__ = ["Listener", "backtest", "backtest_session", "graded", "halves"]
+__all__ = ["Listener", "backtest", "backtest_session", "graded"]
 
 
 class _Outlooks(NamedTuple):
@@ -111,19 +111,8 @@ def backtest(
     """Test the twin on a session with these settings; see `backtest_session`."""
     choices = choices or Choices()
     listener = Listener.to(session.samples, terms.settings.period, choices)
-    first, second = halves(watch)
-    judgement = judge(session, terms, watch=first, beside=listener)
-    return graded(judgement, listener, choices, watch=second)
-
-
-def halves(watch: Watch | None) -> tuple[Watch | None, Watch | None]:
-    """Split a progress callback between two tasks of equal length, one after the other."""
-    if watch is None:
-        return None, None
-    report = watch
-    return (lambda done, total: report(done, 2 * total)), (
-        lambda done, total: report(total + done, 2 * total)
-    )
+    judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
+    return graded(judgement, listener, choices, watch=part_of(watch, 1, 2))
 
 
 def graded(

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twinmatch.backtest import Backtest, Choices, Listener, graded
-from twinmatch.backtest.run import halves
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.judgement import Judgement, Watch
 from twinmatch.judging.judgement import judge as judge_on
 from twinmatch.judging.terms import Terms, recorded_terms, terms_from_files
 from twinmatch.judging.verification import compare, holds_verdicts
 from twinmatch.sessions import Session, open_any
-from twinmatch.sessions.files import ProgressCallback
+from twinmatch.sessions.files import ProgressCallback, part_of
 
 __all__ = ["Judged", "judge"]
 
@@ -53,10 +52,10 @@ def judge(
     """
     session = open_any(path, progress=progress, plant=plant)
     terms, unlike = _terms(session, config, candidates)
-    choices, (first, second) = Choices(), halves(watch)
+    choices = Choices()
     listener = Listener.to(session.samples, terms.settings.period, choices)
-    judgement = judge_on(session, terms, watch=first, beside=listener)
-    tested = graded(judgement, listener, choices, watch=second)
+    judgement = judge_on(session, terms, watch=part_of(watch, 0, 2), beside=listener)
+    tested = graded(judgement, listener, choices, watch=part_of(watch, 1, 2))
     recorded, identical = _compared(session, judgement, unlike)
     return Judged(session, judgement, tested, terms.source, recorded, identical)
 

@@ -21,7 +21,7 @@ from twinmatch.sampling.usual_units import usual_unit
 from twinmatch.sessions.bags import Bag, Series, open_bag
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.files import ProgressCallback
+from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.sessions.mapped import Mapped, by_signal, map_samples
 from twinmatch.sessions.resampling import Gaps, bridged_up_to
 from twinmatch.sessions.tables import Table
@@ -89,10 +89,10 @@ def _read(
 ) -> tuple[dict[str, _Signal], dict[str, str], list[str]]:
     """Signals with their times, the units of their message types, and notes."""
     wires = {name: Wire.of(name, s.columns, s.unit, s.scale, s.offset) for name, s in sources.items()}
-    series = {}
-    for number, (name, wire) in enumerate(wires.items()):
-        part = None if progress is None else _part(progress, number, len(wires))
-        series[name] = bag.series(wire.channels, progress=part)
+    series = {
+        name: bag.series(wire.channels, progress=part_of(progress, number, len(wires)))
+        for number, (name, wire) in enumerate(wires.items())
+    }
     offsets = [
         f"{wires[name].channels[0].topic} by {off:.3g} s"
         for name, held in series.items()
@@ -108,11 +108,6 @@ def _read(
     bare = {name: (s.scale, s.offset) == (1.0, 0.0) for name, s in sources.items()}
     units = {n: usual_unit(held[0].kind, held[0].path) if bare[n] else "" for n, held in series.items()}
     return signals, units, notes
-
-
-def _part(progress: ProgressCallback, number: int, count: int) -> ProgressCallback:
-    """Report the reading of one signal as a part of the reading of `count` signals."""
-    return lambda done, total: progress(number * total + done, count * total)
 
 
 def _clock_offset(series: Series) -> float:

@@ -15,7 +15,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["ProgressCallback", "lines_of", "open_regular", "read_bounded"]
+__all__ = ["ProgressCallback", "lines_of", "open_regular", "part_of", "read_bounded"]
 
 ProgressCallback = Callable[[int, int], None]
 """Called with the amount done and the total."""
@@ -45,6 +45,13 @@ def open_regular(path: Path) -> BinaryIO:
         file.close()
         raise
     return file
+
+
+def part_of(progress: ProgressCallback | None, number: int, count: int) -> ProgressCallback | None:
+    """The callback for one task, `number` from 0, of `count` equally long ones, one after the other."""
+    if progress is None:
+        return None
+    return lambda done, total: progress(number * total + done, count * total)
 
 
 def read_bounded(path: Path, most: int) -> bytes:
