@@ -80,7 +80,7 @@ def _recorded(session: Path) -> int:
     from twinmatch.sessions import open_any  # noqa: PLC0415
 
     found = open_any(session)
-    code = play(Replay(session, min(1000.0, max(50.0, found.duration / LONGEST))))
+    code = play(Replay(found, min(1000.0, max(50.0, found.duration / LONGEST))))
     if code:
         return code
     report = Path("out") / f"{found.name}.html"

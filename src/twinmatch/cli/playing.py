@@ -39,8 +39,7 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         session = open_any(options.session, progress=progress.advance, plant=options.plant)
     with page_of(options, options.parser, options.config) as page:
-        plan = Replay(options.session, options.rate, options.candidates, options.config, options.plant)
-        code = play(plan, session)
+        code = play(Replay(session, options.rate, options.candidates, options.config))
         if code == 0:
             page.stay()
         return code

@@ -21,7 +21,7 @@ from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import at_period, read_settings
 from twinmatch.plants import written_name
-from twinmatch.sessions import Session, open_any, samples_of, write_session
+from twinmatch.sessions import Session, samples_of, write_session
 from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch.views import Summary, summarise
 from twinmatch.views.line import Lines, closing_lines
@@ -45,13 +45,11 @@ STALLED = 120.0
 class Replay:
     """What to play, and the results."""
 
-    session: Path
+    session: Session
     rate: float = 50.0
     """Recorded seconds per second; 0: as fast as possible."""
     candidates: Path | None = None
     config: Path | None = None
-    plant: str | None = None
-    """Name or file of the plant, if the session does not name it or it is defined in a file."""
     console: Console = field(default_factory=lambda: Console(soft_wrap=True, highlight=False))
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
@@ -60,17 +58,13 @@ class Replay:
     """Whether all verdicts were received."""
 
 
-def play(replay: Replay, session: Session | None = None) -> int:
+def play(replay: Replay) -> int:
     """Run the graph until the last verdict or Ctrl-C; returns the exit code.
-
-    Args:
-        replay: what to play, and how.
-        session: its session, if it has been read already.
 
     Raises:
         TwinmatchError: the session or one of the files cannot be used.
     """
-    session = session or open_any(replay.session, plant=replay.plant)
+    session = replay.session
     held = read_settings(replay.config, session.plant, driven=not session.has_reference)
     settings = at_period(held, session.period, replay.config)
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
