@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from twinmatch.archive.sources import find_sessions
-from twinmatch.cli.files import check_writable
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.judging.options import add_terms
+from twinmatch.judging.outputs import check_writable
 from twinmatch.judging.progress import Progress
 
 if TYPE_CHECKING:

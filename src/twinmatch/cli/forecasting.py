@@ -7,9 +7,9 @@ import math
 from pathlib import Path
 from typing import Final
 
-from twinmatch.cli.files import check_writable
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.options import add_terms
+from twinmatch.judging.outputs import check_writable
 
 __all__ = ["HORIZON", "RECORDED", "add_arguments", "run"]
 

@@ -7,9 +7,9 @@ import gc
 from pathlib import Path
 
 from twinmatch.archive import program as archive
-from twinmatch.cli.files import check_writable
 from twinmatch.errors import TwinmatchError
 from twinmatch.judging.options import add_terms
+from twinmatch.judging.outputs import check_writable
 from twinmatch.judging.progress import Progress
 
 __all__ = ["add_arguments", "run"]

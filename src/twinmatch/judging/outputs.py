@@ -9,8 +9,8 @@ from twinmatch.errors import TwinmatchError
 __all__ = ["check_writable"]
 
 
-def check_writable(*outputs: Path | None) -> None:
-    """Check the output paths before a minute of work, not after.
+def check_writable(*outputs: Path | None, example: str = "") -> None:
+    """Check the output paths before a minute of work, not after; `example` is the name of such a file.
 
     Raises:
         TwinmatchError: the folder of an output does not exist, or the output is itself a folder.
@@ -22,5 +22,6 @@ def check_writable(*outputs: Path | None) -> None:
             msg = f"{output}: the folder {output.parent} does not exist; create it first"
             raise TwinmatchError(msg)
         if output.is_dir():
-            msg = f"{output}: is a folder; name the file to write"
+            such = f", such as {output / example}" if example else ""
+            msg = f"{output}: is a folder; give the file to write{such}"
             raise TwinmatchError(msg)

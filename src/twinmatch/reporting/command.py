@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twinmatch.errors import TwinmatchError
 from twinmatch.judging.interrupt import held_interrupts
 from twinmatch.judging.options import add_terms
+from twinmatch.judging.outputs import check_writable
 from twinmatch.judging.progress import Progress
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
         TwinmatchError: the session cannot be used, or a file cannot be written.
     """
     output: Path = options.output or Path(f"{_stem(options.session)}.html")
-    _check(output)
+    check_writable(output, example="report.html")
     with held_interrupts():
         report = _make(options)
     report.write(output)
@@ -71,13 +71,3 @@ def _make(options: argparse.Namespace) -> Report:
 def _stem(session: Path) -> str:
     resolved = session.resolve()
     return resolved.name if resolved.is_dir() else resolved.stem
-
-
-def _check(output: Path) -> None:
-    """Check the file to write before the work, which takes minutes."""
-    if not output.absolute().parent.is_dir():
-        msg = f"{output}: the folder {output.parent} does not exist; create it first"
-        raise TwinmatchError(msg)
-    if output.is_dir():
-        msg = f"{output}: is a folder; give the file to write, such as {output / 'report.html'}"
-        raise TwinmatchError(msg)
