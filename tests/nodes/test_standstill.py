@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -45,13 +44,6 @@ def test_an_end_lets_go_of_who_waits() -> None:
     assert still.remaining(time.monotonic()) > 0.0
 
 
-@pytest.fixture
-def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
-    made = Processes(tmp_path / "output")
-    yield made
-    made.end()
-
-
 @pytest.mark.ros
 def test_nothing_is_lost_around_a_standstill(processes: Processes) -> None:
     """Readers that forgot the process meanwhile receive every number, and each of them once."""
@@ -64,5 +56,6 @@ def test_nothing_is_lost_around_a_standstill(processes: Processes) -> None:
         process.thaw()
         before = heard[-1].data
         listener.spin_until(lambda: heard[-1].data > before + 30, lambda: process.text)
+        process.kill()
     numbers = [message.data for message in heard]
     assert numbers == list(range(numbers[0], numbers[-1] + 1))

@@ -7,7 +7,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -29,13 +29,6 @@ ATTACH = LAUNCH_SCRIPTS / "attach.py"
 FIRST = 4 * PATIENCE
 """Until the first verdict: the code of a plant's first match is compiled while the rig continues."""
 ENTRIES = [f"{name}={text}" for name, text in MAP.items()]
-
-
-@pytest.fixture
-def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
-    made = Processes(tmp_path / "output")
-    yield made
-    made.end()
 
 
 @pytest.fixture

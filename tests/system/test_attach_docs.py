@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,13 +26,6 @@ COMMANDS = [
     for block in re.findall(r"^```sh\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     for line in block.splitlines()
 ]
-
-
-@pytest.fixture
-def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
-    made = Processes(tmp_path / "output")
-    yield made
-    made.end()
 
 
 def shell(processes: Processes, folder: Path, line: str) -> Process:

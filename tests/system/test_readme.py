@@ -12,7 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -140,13 +140,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (made / name).symlink_to(PROJECT / name)
     (made / ".venv").symlink_to(sys.prefix)
     return made
-
-
-@pytest.fixture
-def processes(tmp_path: Path, ros: None) -> Iterator[Processes]:  # noqa: ARG001
-    made = Processes(tmp_path)
-    yield made
-    made.end()
 
 
 def run(command: str, how: Runs, folder: Path, processes: Processes) -> str:
