@@ -105,8 +105,8 @@ def plant_of(rates: str = "{p.x: p.u - p.a * p.x}", output: str = "p.x", start: 
     [
         ({"rates": "{}"}, "no state has a rate"),
         ({"rates": "{p.a: 1}"}, "no state has a rate|`rates` has a, which is not declared as a state"),
-        ({"rates": "{p.x: p.z}"}, "its rates use 'z', which is not declared"),
-        ({"rates": "{p.x: sympy.Symbol('w')}"}, "its rates use 'w', which is not declared"),
+        ({"rates": "{p.x: p.z}"}, "the rate of x uses z, which is the output or a state without a rate"),
+        ({"rates": "{p.x: sympy.Symbol('w')}"}, "the rate of x uses 'w', which is not declared"),
         ({"start": "{}"}, "state x has no start value"),
         ({"output": "p.x + p.u"}, "the output depends on the drive at the same instant"),
         ({"output": "sympy.Abs(p.x, evaluate=False)"}, "the output has a kink"),

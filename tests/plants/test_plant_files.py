@@ -5,14 +5,16 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 import sys
+from functools import partial
 from pathlib import Path
 from zlib import crc32
 
 import pytest
 
 from tests.support.plant_files import plant_file
-from twinmatch.dynamics import Plant, PlantError
-from twinmatch.plants import Peltier, find_plant, plant_named, written_name
+from twinmatch.dynamics import Plant, PlantError, equations
+from twinmatch.dynamics.patience import at_most
+from twinmatch.plants import Peltier, files, find_plant, plant_named, written_name
 from twinmatch.plants.installed import _declared
 
 
@@ -92,6 +94,15 @@ class Other(Plant):
             r"write \('gain',\)"),
         ("gain = Parameter(", "sensor = Parameter(", r"'sensor' is an attribute of every plant"),
         ("class Heated(Plant, ", "class Heated(object, ", r"TypeError: "),
+        ('unit="W/K"', "unit=3", r"unit of a quantity is 3; give a short text in quotes"),
+        ("default=0.5", "default=-0.5", r"default of a parameter is -0\.5; it must be finite and positive"),
+        ("noise=1.0", "noise=1.0, rest=500.0", r"rest of the drive is 500; give a value within its limits"),
+        ("noise=1.0", "noise=1.0, rest=float('nan')", r"rest of the drive is nan; give a finite number"),
+        ("120.0)", "120.0), set_points=(50.0, 10.0)", r"set_points of the output is \(50\.0, 10\.0\); give"),
+        ("120.0)", "120.0), absolute='K'", r"absolute of the output is 'K'; give a finite number"),
+        ("110.0)", "110.0), start_bounds=(5.0, 1.0)", r"start_bounds of a state is \(5\.0, 1\.0\); give two"),
+        ("class Heated", "raise SystemExit(0)\nclass Heated", "the file exits Python; remove that call"),
+        ("class Heated", "raise ValueError('a\\nb')\nclass Heated", "ValueError: a b$"),
         ("class Heated", f"{OTHER}class Heated", r"has 2 plants, Heated, Other; give each"),
     ],
 )  # fmt: skip
@@ -102,6 +113,56 @@ def test_a_mistake_is_reported_with_its_line(tmp_path: Path, old: str, new: str,
         find_plant(str(path))
     assert str(raised.value).startswith(f"{path}: " if new.startswith(OTHER) else f"{path}, line {line}: ")
     assert "\n" not in str(raised.value)
+
+
+STRUCTURES = 'structures = {"block": Structure(free=("gain", "capacity"))}'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (STRUCTURES, "structures = [Structure(free=())]", "`structures` is of type list; write a dictionary"),
+        (STRUCTURES, 'structures = {"a": "gain"}', r"is 'gain'; write Structure\(free="),
+        (
+            STRUCTURES,
+            "structures = {1: Structure(free=())}",
+            "name of a structure .* is 1; give a short text",
+        ),
+        ('("gain", "capacity")', '("gain", "gain")', "`free` names 'gain' twice; name it once"),
+        (
+            '("gain", "capacity")',
+            '("gain",), fixed={"loss": -1.0}',
+            "loss is -1.0; it must be finite and pos",
+        ),
+        ('("gain", "capacity")', '("gain",), starts=({"los": 1.0},)', "no parameter 'los'; the plant has"),
+        (STRUCTURES, f"{STRUCTURES}; typical = {{'gain': 'much'}}", "gain is 'much'; it must be finite and"),
+        (STRUCTURES, f"{STRUCTURES}; typical = ['gain']", r"is \['gain'\]; write a dictionary of names"),
+        (STRUCTURES, f"{STRUCTURES}; loop = 'pid'", r"`loop` is 'pid'; give a PidGains\(…\)"),
+        (STRUCTURES, f"{STRUCTURES}; sensor = 'camera'", r"`sensor` is 'camera'; give a Sensor\(…\)"),
+        (STRUCTURES, f"{STRUCTURES}; parts = 'lag'", r"`parts` is 'lag'; write texts in a tuple"),
+        (STRUCTURES, f"{STRUCTURES}; title = 3", "title of .* is 3; give a short text in quotes"),
+        ("def equations(self, parts)", "def equations(self)", r"write def equations\(self, parts\)"),
+        ("room", "reference", "a disturbance is called 'reference', like a signal of every recording"),
+        ('name="block_class_', 'name="../block_class_', "is not a valid name; use letters, digits and _"),
+    ],
+)
+def test_a_class_that_contradicts_itself_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    name = f"block_class_{crc32(repr((old, new)).encode())}"
+    with pytest.raises(PlantError, match=message) as raised:
+        find_plant(str(plant_file(tmp_path, name, (old, new))))
+    assert str(raised.value).startswith(f"{tmp_path / name}.py, line 6: ")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_never_ends_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (files, equations):
+        monkeypatch.setattr(module, "at_most", partial(at_most, 1.0))
+    ends = ('"""A heated', 'while True: pass\n"""A heated')
+    with pytest.raises(PlantError, match=r"line 1: the file was not loaded within .* look for a loop"):
+        find_plant(str(plant_file(tmp_path, "block_endless", ends)))
+    ends = ("        lost = ", "        while True: pass\n        lost = ")
+    with pytest.raises(PlantError, match="line 19: `equations` did not return within"):
+        _ = find_plant(str(plant_file(tmp_path, "block_endless_too", ends))).model().states
 
 
 def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Path) -> None:
@@ -181,12 +242,53 @@ def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch
             "no state has a rate",
         ),
         ("return Equations(", "return dict(", "returns dict; return Equations"),
+        ("self.loss * (", "math.sin(self.loss) * (", "line 19: a function of numbers .* use SymPy's"),
+        ("self.loss * (", "round(self.loss) * (", "line 19: a function of numbers .* use SymPy's"),
+        ("self.loss * (", "sympy.gamma(self.loss) * (", "uses gamma, which cannot be compiled; use only Abs"),
+        ("self.loss * (", "1j * (", "the rate of block is complex"),
+        (
+            "/ self.capacity",
+            "/ (self.gain - self.gain)",
+            "the rate of block is not finite .* divides by zero",
+        ),
+        ("output=self.block", "output=self.room", "the output depends on no state; write it in terms of"),
+        ("output=self.block", "output=self.temperature", "the output uses temperature, which is the output"),
+        ("output=self.block", "output='block'", "the output is 'block', of type str; write an expression"),
+        ("{self.block: self.temperature}", "{self.block: self.block}", "which is not known before the first"),
+        (
+            "{self.block: self.temperature}",
+            "{self.block: self.heater}",
+            "which is not known before the first",
+        ),
+        ("{self.block: self.temperature}", "{self.block: abs(self.room)}", "the start has a kink"),
+        (
+            "{self.block: self.temperature}",
+            "{'block': self.temperature}",
+            "`start` has 'block', .*self.block",
+        ),
+        ("- lost) / self.capacity", "- lost) > 0", "the rate of block is a condition; write an expression"),
+        ("self.loss *", "sympy.Piecewise((1, self.block > 0)) *", "give its last piece the condition True"),
     ],
 )
 def test_a_mistake_in_the_equations_is_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
     plant = find_plant(
-        str(plant_file(tmp_path, f"block_equations_{crc32(repr((old, new)).encode())}", (old, new)))
+        str(
+            plant_file(
+                tmp_path,
+                f"block_equations_{crc32(repr((old, new)).encode())}",
+                (old, new),
+                ("\n\n\nclass", "\n\nimport math, sympy\nclass"),
+            )
+        )
     )
     with pytest.raises(PlantError, match=message) as raised:
         _ = plant.model().states
     assert "\n" not in str(raised.value)
+
+
+def test_no_name_of_a_parameter_is_taken_for_a_kink(tmp_path: Path) -> None:
+    changes = (("gain", "switch_0"), ("self.loss * (", "abs(self.loss) * ("))
+    plant = find_plant(str(plant_file(tmp_path, "block_switch", *changes)))
+    derived = equations.derive(plant(), frozenset(), frozenset())
+    assert [str(symbol) for symbol in derived.parameters] == ["switch_0", "loss", "capacity"]
+    assert not {*derived.switches} & {*derived.parameters}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.numbers import require_number, require_range
+from twinmatch.dynamics.numbers import require_number, require_range, require_text
 
 if TYPE_CHECKING:
     from twinmatch.dynamics.elsewhere import Elsewhere
@@ -39,6 +39,10 @@ class Declaration:
     symbol: str = ""
     """The usual symbol; the name if empty."""
     name: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        for what in ("unit", "text", "symbol"):
+            require_text(f"{what} of a quantity", getattr(self, what))
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "name", name)
@@ -67,8 +71,11 @@ class State(Declaration):
     """Bounds of the search for an unknown initial value; default: `span`."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_range("span of a state", self.span)
         require_number("scale of a state", self.scale, above=0.0)
+        if self.start_bounds is not None:
+            require_range("start_bounds of a state", self.start_bounds)
 
 
 def _decimals(noise: float) -> int:
@@ -88,8 +95,13 @@ class Drive(Declaration):
     """Command at which the drive does nothing."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_range("limits of the drive", self.limits)
         require_number("noise of the drive", self.noise, above=0.0)
+        require_number("rest of the drive", self.rest)
+        if not self.limits[0] <= self.rest <= self.limits[1]:
+            msg = f"plant: rest of the drive is {self.rest:g}; give a value within its limits {self.limits}"
+            raise PlantError(msg)
 
     @property
     def least_step(self) -> float:
@@ -122,8 +134,14 @@ class Output(Declaration):
     """Name of the sensor: what to check if readings are wrong."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_range("span of the output", self.span)
         require_number("noise of the output", self.noise, above=0.0)
+        require_number("absolute of the output", self.absolute)
+        if self.set_points is not None:
+            require_range("set_points of the output", self.set_points)
+        require_range("safe of the output", self.safe, finite=False)
+        require_text("sensor of the output", self.sensor)
 
     @property
     def least_step(self) -> float:
@@ -144,6 +162,7 @@ class Disturbance(Declaration):
     """Its value where it is not measured."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_number("default of a disturbance", self.default)
 
 
@@ -172,8 +191,11 @@ class Parameter(Declaration):
     """Whether its error is judged relative to its value; False where its zero is arbitrary."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_number("default of a parameter", self.default)
         require_range("bounds of a parameter", self.bounds)
+        require_range("least and most of a parameter", (self.least, self.most), finite=False)
+        require_number("scale of a parameter", self.scale)
         if not self.scale > 0:
             object.__setattr__(self, "scale", abs(self.default) or 1.0)
         low, high = self.bounds
@@ -181,6 +203,9 @@ class Parameter(Declaration):
             msg = (
                 f"plant: bounds {self.bounds} of a parameter ({self.text}); give possible values, lower first"
             )
+            raise PlantError(msg)
+        if not self.possible(self.default):
+            msg = f"plant: default of a parameter is {self.default:g}; it must be {self.requirement}"
             raise PlantError(msg)
         if self.role not in ROLES:
             msg = f"plant: role {self.role!r} of a parameter ({self.text}) must be one of {ROLES}"

@@ -10,17 +10,20 @@ changes sign. The equations must be continuous there, like those of a limiter.
 from __future__ import annotations
 
 import difflib
+import re
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.patience import PATIENCE, TooLongError, at_most
+from twinmatch.dynamics.returned import require_usable
 
 if TYPE_CHECKING:
     from twinmatch.dynamics.plant import Plant
 
-__all__ = ["Derived", "Equations", "derive", "written_equations"]
+__all__ = ["Derived", "Equations", "derive", "error_words", "written_equations"]
 
 Expression = Any
 """A SymPy expression; SymPy has no types of its own for mypy."""
@@ -73,15 +76,14 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     Tangents are computed for the parameters `unknown`, if the equations depend on them.
 
     Raises:
-        PlantError: a state without rate or start, an unknown symbol, or an output with a kink.
+        PlantError: the equations cannot be used, or the output has a kink.
     """
     import sympy  # noqa: PLC0415
 
     title = f"plant {plant.name}"
     written = written_equations(plant, parts)
     declared = {name: getattr(plant, name) for name in plant.declarations}
-    states = tuple(symbol for name, symbol in declared.items() if symbol in written.rates)
-    _require_states(title, states, written, [declared[name] for name in plant.states])
+    states = tuple(declared[name] for name in plant.states if declared[name] in written.rates)
     drive, measured = declared[plant.drive.name], declared[plant.output.name]
     disturbances = tuple(declared[name] for name in plant.disturbances)
 
@@ -90,24 +92,12 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     quantities = {name: kinks.resolved(sympy.sympify(e)) for name, e in written.quantities.items()}
     output = sympy.sympify(written.output)
     start = tuple(sympy.sympify(written.start[s]) for s in states)
-    if _Kinks().resolved(output) != output:
-        raise PlantError(f"{title}: the output has a kink; put it into the sensor or into a state")
+    for what, expressions in (("output", [output]), ("start", start)):
+        if any(_Kinks().resolved(expression) != expression for expression in expressions):
+            raise PlantError(f"{title}: the {what} has a kink; put it into the sensor or into a rate")
 
     used = set().union(*(e.free_symbols for e in (*rates, output, *start, *kinks.conditions)))
     parameters = tuple(declared[name] for name in plant.parameters if declared[name] in used)
-    known = {*states, drive, *disturbances, *parameters, *kinks.switches}
-    for what, expressions, more in (
-        ("rates", rates, set()),
-        ("output", (output,), set()),
-        ("start", start, {measured}),
-        ("quantities", tuple(quantities.values()), set()),
-    ):
-        undeclared = sorted(str(s) for e in expressions for s in e.free_symbols - known - more)
-        if undeclared:
-            msg = f"{title}: its {what} use {undeclared[0]!r}, which is not declared (or has no rate)"
-            raise PlantError(msg)
-    if output.free_symbols & {drive, *kinks.switches}:
-        raise PlantError(f"{title}: the output depends on the drive at the same instant; add a state between")
     return Derived(
         states, drive, disturbances, parameters, tuple(s for s in parameters if str(s) in unknown), measured,
         tuple(kinks.switches), tuple(kinks.conditions), rates, output, start, quantities,
@@ -115,45 +105,47 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
 
 
 def written_equations(plant: Plant, parts: frozenset[str]) -> Equations:
-    """Call the plant's `equations`; a mistake in it is reported with file and line."""
+    """Call the plant's `equations`.
+
+    Raises:
+        PlantError: a mistake in it, with file and line, or a result that cannot be used.
+    """
     try:
-        written = plant.equations(parts)
+        with at_most():
+            written = plant.equations(parts)
     except PlantError:
         raise
-    except Exception as error:
-        frame = traceback.extract_tb(error.__traceback__)[-1]
+    except (Exception, SystemExit) as error:
         lines = [f for f in traceback.extract_tb(error.__traceback__) if f.name == "equations"]
-        place = lines[-1] if lines else frame
-        msg = f"plant {plant.name}, {place.filename}, line {place.lineno}: {_mistake(plant, error)}"
+        place = f", {lines[-1].filename}, line {lines[-1].lineno}" if lines else ""
+        msg = f"plant {plant.name}{place}: {_mistake(plant, error)}"
         raise PlantError(msg) from error
     if not isinstance(written, Equations):
         kind = type(written).__name__
         msg = f"plant {plant.name}: its method `equations` returns {kind}; return Equations(rates=…, …)"
         raise PlantError(msg)
+    require_usable(plant, written)
     return written
 
 
-def _mistake(plant: Plant, error: Exception) -> str:
+def _mistake(plant: Plant, error: BaseException) -> str:
     if isinstance(error, AttributeError) and error.obj is plant:
         near = difflib.get_close_matches(error.name or "", plant.declarations, n=1)
         hint = f"did you mean {near[0]}?" if near else "declare it as a State, Parameter or Disturbance"
         return f"self.{error.name} is not declared; {hint}"
     if isinstance(error, TypeError) and "truth value" in str(error):
         return "equations cannot branch on a value; use limited, minimum or maximum instead"
-    return f"{type(error).__name__}: {error}"
+    if isinstance(error, TypeError) and re.search("to float|to int|loop of ufunc|round symbolic", str(error)):
+        return "a function of numbers (of math or numpy, float, round) is given an expression; use SymPy's"
+    if isinstance(error, TooLongError):
+        return f"`equations` did not return within {PATIENCE:g} s; look for a loop without end"
+    return error_words(error)
 
 
-def _require_states(
-    title: str, states: Sequence[Expression], written: Equations, declared: Sequence[Expression]
-) -> None:
-    if not states:
-        raise PlantError(f"{title}: no state has a rate; a plant without memory needs no twin")
-    for symbol in written.rates:
-        if symbol not in declared:
-            raise PlantError(f"{title}: `rates` has {symbol}, which is not declared as a state; declare it")
-    for state in states:
-        if state not in written.start:
-            raise PlantError(f"{title}: state {state} has no start value; give one in `start`")
+def error_words(error: BaseException) -> str:
+    """A Python error in a plant's file, in one line."""
+    text = " ".join(str(error).replace(".__init__()", "()").split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 class _Kinks:
@@ -188,6 +180,9 @@ class _Kinks:
         import sympy  # noqa: PLC0415
 
         pieces = list(expression.args)
+        if pieces[-1][1] is not sympy.true:
+            msg = f"plant: {expression} has no value elsewhere; give its last piece the condition True"
+            raise PlantError(msg)
         result = self.resolved(pieces[-1][0])
         for value, condition in reversed(pieces[:-1]):
             if not isinstance(condition, sympy.StrictGreaterThan | sympy.GreaterThan):
@@ -204,7 +199,7 @@ class _Kinks:
 
         if condition in self.conditions:
             return self.switches[self.conditions.index(condition)]
-        switch = sympy.Symbol(f"switch_{len(self.switches)}", real=True)
+        switch = sympy.Symbol(f"switch {len(self.switches)}", real=True)  # not the name of a quantity
         self.switches.append(switch)
         self.conditions.append(condition)
         return switch

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
+from twinmatch.dynamics.consistent import require_consistent, require_structure
 from twinmatch.dynamics.declarations import (
     Declaration,
     Disturbance,
@@ -71,7 +72,7 @@ class Plant(metaclass=PlantType):
 
     def __init_subclass__(cls, *, name: str | None = None, **rest: Any) -> None:
         super().__init_subclass__(**rest)
-        cls.name = name or cls.__name__.lower()
+        cls.name = cls.__name__.lower() if name is None else name
         cls.title = cls.title or cls.__name__
         found: dict[str, Declaration] = {}
         for base in reversed(cls.__mro__):
@@ -82,8 +83,7 @@ class Plant(metaclass=PlantType):
         cls.disturbances = cls._of(Disturbance)
         cls.drive = cls._one(Drive)
         cls.output = cls._one(Output)
-        cls._check_names()
-        cls._check_structures()
+        require_consistent(cls, Plant)
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
         """Rates, output and start, in terms of the plant's own symbols (`self.name_of_a_quantity`)."""
@@ -114,7 +114,7 @@ class Plant(metaclass=PlantType):
         if structure.elsewhere is None or (before is not None and before.elsewhere is None):
             msg = f"plant {cls.name}: its file declares a structure {name!r}; give the new one another name"
             raise PlantError(msg)
-        cls._check_structure(name, structure)
+        require_structure(cls, name, structure)
         cls.structures = {**cls.structures, name: structure}
         _MODELS.pop((cls, name), None)
         return cls.model(name)
@@ -137,44 +137,6 @@ class Plant(metaclass=PlantType):
             msg = f"plant {cls.name}: declares {len(held)} of {kind.__name__}; declare exactly one"
             raise PlantError(msg)
         return held[0]
-
-    @classmethod
-    def _check_names(cls) -> None:
-        own = {**vars(Plant), **Plant.__annotations__}
-        for name in cls.declarations:
-            if name in own and cls.declarations[name] not in (cls.output, cls.drive):
-                msg = f"plant {cls.name}: {name!r} is an attribute of every plant; rename this quantity"
-                raise PlantError(msg)
-
-    @classmethod
-    def _check_structures(cls) -> None:
-        if not cls.structures:
-            raise PlantError(f"plant {cls.name}: has no structure; declare at least one in `structures`")
-        if cls.followed and cls.followed not in cls.structures:
-            raise PlantError(f"plant {cls.name}: `followed` is {cls.followed!r}; name one of its structures")
-        for name, structure in cls.structures.items():
-            cls._check_structure(name, structure)
-
-    @classmethod
-    def _check_structure(cls, name: str, structure: Structure) -> None:
-        elsewhere = structure.elsewhere
-        own_parameters, own_states = (elsewhere.parameters, elsewhere.states) if elsewhere else ({}, {})
-        for kind, names, known in (
-            ("part", structure.parts, cls.parts),
-            (
-                "parameter",
-                (*structure.free, *structure.fixed, *cls.typical),
-                (*cls.parameters, *own_parameters),
-            ),
-            ("state", structure.free_starts, (*cls.states, *own_states)),
-        ):
-            unknown = sorted(set(names) - set(known))
-            if unknown:
-                msg = (
-                    f"plant {cls.name}, structure {name!r}: no {kind} {unknown[0]!r}; the plant has "
-                    f"{', '.join(known) or 'none'}"
-                )
-                raise PlantError(msg)
 
 
 _MODELS: dict[tuple[type[Plant], str], Model] = {}

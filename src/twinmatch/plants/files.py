@@ -16,6 +16,8 @@ from types import ModuleType
 from typing import Final
 
 from twinmatch.dynamics import Plant, PlantError
+from twinmatch.dynamics.equations import error_words
+from twinmatch.dynamics.patience import PATIENCE, TooLongError, at_most
 from twinmatch.dynamics.plant import PlantType
 
 __all__ = ["is_plant_file", "load_plant", "loaded", "source_of"]
@@ -84,8 +86,9 @@ def _run(path: Path, name: str) -> ModuleType:
     beside = str(path.parent)
     sys.path.append(beside)  # a plant may import tables and functions from files beside it
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
+        with at_most():
+            spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
         del sys.modules[spec.name]
         raise PlantError(f"{_place(name, path, error)}: {_words(error)}") from error
     finally:
@@ -108,7 +111,7 @@ def _plant_in(module: ModuleType, name: str) -> type[Plant]:
     return last[0][1]
 
 
-def _place(name: str, path: Path, error: Exception) -> str:
+def _place(name: str, path: Path, error: BaseException) -> str:
     """File and line of a mistake."""
     if isinstance(error, SyntaxError) and error.lineno is not None:
         return f"{name}, line {error.lineno}"
@@ -117,13 +120,16 @@ def _place(name: str, path: Path, error: Exception) -> str:
     return name if line is None else f"{name}, line {line}"
 
 
-def _words(error: Exception) -> str:
+def _words(error: BaseException) -> str:
     if isinstance(error, PlantError):
         return str(error)
     if isinstance(error, SyntaxError):
         return f"invalid Python: {error.msg}"
-    text = str(error).replace(".__init__()", "()")
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    if isinstance(error, SystemExit):
+        return "the file exits Python; remove that call"
+    if isinstance(error, TooLongError):
+        return f"the file was not loaded within {PATIENCE:g} s; look for a loop without end"
+    return error_words(error)
 
 
 def _reduced(plant: type[Plant]) -> str | tuple[object, ...]:
