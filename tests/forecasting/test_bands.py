@@ -60,6 +60,72 @@ def test_with_equal_weights_it_is_the_empirical_quantile(values: list[float]) ->
     assert calibration.widths[0, 0] == everything[rank - 1]
 
 
+MEMORY = float(np.exp(-1 / 60))
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 4.0])
+def test_scaled_by_past_errors_it_soon_holds(size: float) -> None:
+    """300 twins whose errors are so many times what they expect, forecasts 20 to 60 of each.
+
+    The share is known to 0.3 %; a prior that still counts costs up to 6 % (without scaling 10 %).
+    """
+    random = np.random.default_rng(4)
+    inside, wide = [], []
+    for _ in range(300):
+        calibration = Calibration((1,), MEMORY, 1, 1)
+        for k, quotient in enumerate(np.abs(size * random.normal(size=60))):
+            if k >= 20:
+                inside.append(quotient <= calibration.widths[0, 0])
+            calibration.add(0, np.array([quotient]))
+        wide.append(calibration.widths[0, 0] / size)
+    assert 0.89 < np.mean(inside) < 0.97
+    assert np.median(wide) == pytest.approx(norm.ppf(0.95), rel=0.2)
+
+
+def test_unscaled_it_stays_wide_much_longer() -> None:
+    """Errors are a tenth of what the twin expects: after 20 forecasts, and after 60."""
+    quotients = np.abs(0.1 * np.random.default_rng(5).normal(size=60))
+    plain, scaled = Calibration((1,), MEMORY, 1), Calibration((1,), MEMORY, 1, 1)
+    for k, quotient in enumerate(quotients):
+        plain.add(0, np.array([quotient]))
+        scaled.add(0, np.array([quotient]))
+        if k == 19:
+            assert scaled.widths[0, 0] < 0.6
+            assert plain.widths[0, 0] > 1.2
+    assert scaled.widths[0, 0] < 0.25
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.floats(0.0, 100.0), max_size=60), st.sampled_from([1, 2, 20]))
+def test_the_scale_is_a_mean_of_past_quotients_and_three_forecasts_as_expected(
+    values: list[float], lead: int
+) -> None:
+    """With equal weights; of forecasts that reach over `lead` of their intervals each counts a `lead`-th."""
+    calibration = Calibration((lead,), 1.0, 1, 1)
+    for value in values:
+        calibration.add(0, np.array([value]))
+    weights = np.array([3.0, *[1.0 / lead] * len(values)])
+    scale = np.average([norm.expect(abs), *values], weights=weights) / norm.expect(abs)
+    prior = norm.ppf(0.5 + 0.5 * (np.arange(12) + 0.5) / 12) * scale
+    everything = np.sort([*prior, *values])
+    rank = min(int(np.ceil(CONFIDENCE * (everything.size + 1) - 1e-9)), everything.size)
+    assert calibration.widths[0, 0] == pytest.approx(everything[rank - 1], rel=1e-9)
+
+
+def test_a_copy_learns_on_its_own() -> None:
+    first = Calibration((1,), MEMORY, 1, 1)
+    for _ in range(500):  # until the prior is forgotten
+        first.add(0, np.array([0.3]))
+    second = first.copy()
+    second.add(0, np.array([9.0]))
+    assert first.widths[0, 0] == pytest.approx(0.3)
+    for _ in range(30):
+        second.add(0, np.array([9.0]))
+        first.add(0, np.array([0.3]))
+    assert second.widths[0, 0] == pytest.approx(9.0)
+    assert first.widths[0, 0] == pytest.approx(0.3)
+
+
 def test_leads_fit_the_sample_time() -> None:
     assert leads_of(1.0, 300) == (1, 3, 10, 30, 60, 120, 300)
     assert leads_of(3.0, 20) == (1, 3, 10, 20)

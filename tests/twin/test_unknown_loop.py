@@ -81,8 +81,8 @@ def test_the_band_holds_what_it_promises(judged: Judgement) -> None:
 def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
     """Forecasts of the leader five minutes ahead, against the same plant on another day.
 
-    For the first hour bands are too wide, since a twin that has not been held against anything yet is not
-    trusted; then they hold about nine readings in ten.
+    A twin that has been held against little yet is trusted less: in the first half hour bands are too wide,
+    then they hold about nine readings in ten, and are as narrow as the noise allows.
     """
     fresh = step_test(4000, 12) if kind == "step test" else switched(4000, 11)
     twin, held = Twin(SETTINGS), []

@@ -286,9 +286,11 @@ class Forecaster:
 
     def _built(self, entrant: Entrant, before: _Twin | None) -> _Twin:
         """Build a twin and run it over the newest samples, as far back as they are kept."""
-        calibration = (
-            before.calibration.copy() if before else Calibration(self._leads, self._kept, self._signals)
-        )
+        if before:
+            calibration = before.calibration.copy()
+        else:
+            stride = self._stride if self._gains is None else None
+            calibration = Calibration(self._leads, self._kept, self._signals, stride)
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
             states = entrant.states_at(recent[0].index) if recent else None
