@@ -32,6 +32,35 @@ def test_without_noise_least_squares_forecast_exactly() -> None:
     assert np.isnan(forecast.reference).all()
 
 
+def test_what_else_was_measured_is_taken_into_account() -> None:
+    """A room that moves the output: without noise the forecast is exact, given the room that came.
+
+    If the room is assumed to stay, or was not measured, errors are about as large as what the room does.
+    """
+    rng = np.random.default_rng(5)
+    u, y = second_order(400, 0.0, 1)
+    room = 21.0 + np.cumsum(rng.normal(0.0, 0.05, 400))
+    room[300:] += 2.0
+    y = y + lfilter([0.0, 0.02], [1.0, -0.9], room - 21.0)
+    past = Window(np.zeros(300), y[:300], u[:300], disturbances=room[:300, None])
+    told = InputArx(Lag).forecast(past, u[300:], room[300:, None])
+    np.testing.assert_allclose(told.output.mean, y[300:], atol=2e-3)
+    untold = InputArx(Lag).forecast(past, u[300:])  # the room stays: as good until it jumps
+    assert abs(untold.output.mean[0] - y[300]) < 2e-3
+    assert np.abs(untold.output.mean - y[300:]).max() > 0.2
+    blind = InputArx(Lag).forecast(Window(np.zeros(300), y[:300], u[:300]), u[300:])
+    assert np.abs(blind.output.mean - y[300:]).max() > 0.2
+
+
+def test_a_room_that_never_moved_changes_nothing() -> None:
+    u, y = second_order(400, 0.05, 2)
+    with_room = Window(np.zeros(300), y[:300], u[:300], disturbances=np.full((300, 1), 21.1))
+    forecast = InputArx(Lag).forecast(with_room, u[300:], np.full((100, 1), 21.1))
+    same = InputArx(Lag).forecast(Window(np.zeros(300), y[:300], u[:300]), u[300:])
+    np.testing.assert_array_equal(forecast.output.mean, same.output.mean)
+    np.testing.assert_array_equal(forecast.output.high, same.output.high)
+
+
 def test_the_band_holds_nine_in_ten() -> None:
     """Of 40 sessions, 60 samples ahead; errors last, so that the share is known to some per cent."""
     held = []

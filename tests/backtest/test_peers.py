@@ -78,6 +78,24 @@ def test_set_points_change_only_what_comes_after_them(peer: Peer, loop: Window) 
     np.testing.assert_array_equal(one[:, :60], other[:, :60])
 
 
+def test_a_loop_with_a_measured_disturbance_is_forecast_exactly_without_noise() -> None:
+    """y[k] = 0.9 y[k−1] + 0.1 u[k−1] + 0.2 d[k−1], u[k] = 0.8 (r[k] − y[k])."""
+    rng = np.random.default_rng(9)
+    r, d = np.repeat(rng.uniform(-20.0, 20.0, 8), 50), np.repeat(rng.uniform(-3.0, 3.0, 10), 40)
+    y, u = np.zeros(400), np.zeros(400)
+    for k in range(400):
+        if k:
+            y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1] + 0.2 * d[k - 1]
+        u[k] = 0.8 * (r[k] - y[k])
+    y, u, r = y + 50.0, u + 100.0, r + 50.0
+    past = Window(r[:300], y[:300], u[:300], disturbances=d[:300, None])
+    forecast = Arx(Peltier).forecast(past, r[300:], d[300:, None])
+    np.testing.assert_allclose(forecast.output.mean, y[300:], atol=0.02)
+    np.testing.assert_allclose(forecast.input.mean, u[300:], atol=0.05)
+    stays = Arx(Peltier).forecast(past, r[300:])
+    assert np.abs(stays.output.mean - y[300:]).max() > 0.3
+
+
 @pytest.mark.parametrize("kind", [Arx, VectorAutoregression])
 def test_models_find_a_linear_loop(kind: Callable[[type[Peltier]], Peer]) -> None:
     """Over 40 futures of one past: the mean is theirs, and the band holds nine in ten of their samples.

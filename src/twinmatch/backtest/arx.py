@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from twinmatch.backtest.arx_fit import Equation, equations
-from twinmatch.backtest.peer import banded, enough
+from twinmatch.backtest.peer import banded, enough, with_disturbances
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast
 from twinmatch.signals import FloatArray, Window
@@ -48,7 +48,8 @@ class _Loop(NamedTuple):
 
 
 class Arx:
-    """Output and input regressed on their past and the set-point's, refitted to all samples so far.
+    """Output and input regressed on the past of both, of the set-point and of the measured disturbances,
+    refitted to all samples so far.
 
     The order is the one of least BIC among those with a stable loop. The loop is simulated ahead with the
     future set-points and the drive's limits. The band is Gaussian: the variance of the residuals, propagated
@@ -61,7 +62,7 @@ class Arx:
     def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
         self._plant, self._confidence = plant, confidence
 
-    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast one sample for each set-point ahead; see `Peer`.
 
         Raises:
@@ -74,10 +75,14 @@ class Arx:
         entry = (past.input - level[1]) / noise[1]
         limits = (np.array(self._plant.drive.limits) - level[1]) / noise[1]
         span = (np.array(self._plant.output.span) - level[0]) / noise[0]
-        highest = min(HIGHEST, len(past) // PER_ORDER)
-        loop = _chosen([_Loop(*pair) for pair in equations(reference, output, entry, highest)])
+        others, n = with_disturbances(past, ahead.size, disturbances), len(past)
+        found = equations(reference, output, entry, min(HIGHEST, n // PER_ORDER), *(d[:n] for d in others.T))
         mean, spread = _simulated(
-            loop, (reference, output, entry), (ahead - level[0]) / noise[0], limits, span
+            _chosen([_Loop(*pair) for pair in found]),
+            (reference, output, entry),
+            (ahead - level[0]) / noise[0],
+            others,
+            (span, limits),
         )
         reach = ndtri((1.0 + self._confidence) / 2.0) * spread
         bands = [
@@ -108,11 +113,16 @@ def _simulated(
     loop: _Loop,
     past: tuple[FloatArray, FloatArray, FloatArray],
     ahead: FloatArray,
-    limits: FloatArray,
-    span: FloatArray,
+    others: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Means and standard deviations of y and u ahead, shape (N, 2) each; u before the limiter."""
-    order = len(loop.plant.past)
+    """Means and standard deviations of y and u ahead, shape (N, 2) each; u before the limiter.
+
+    `others` are the disturbances of the past and the future samples, one row per sample; `bounds` are the
+    output's span and the drive's limits.
+    """
+    span, limits = bounds
+    order, known = len(loop.plant.past), len(others) - ahead.size
     reference, output, entry = (signal[: -order - 1 : -1] for signal in past)
     rows, transition = loop.rows, loop.transition
     direct, variances = loop.controller.direct, (loop.plant.variance, loop.controller.variance)
@@ -121,7 +131,7 @@ def _simulated(
     covariance = np.zeros((2 * order, 2 * order))
     means, spreads = np.empty((ahead.size, 2)), np.empty((ahead.size, 2))
     for k, wanted in enumerate(ahead):
-        lags = np.column_stack([output, entry, reference])
+        lags = np.column_stack([output, entry, reference, others[known + k - order : known + k][::-1]])
         y = np.clip(loop.plant.constant + np.sum(loop.plant.past * lags), *span)
         u = loop.controller.constant + direct @ (wanted, y) + np.sum(loop.controller.past * lags)
         spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows) + load[[0, order]] ** 2 @ variances)

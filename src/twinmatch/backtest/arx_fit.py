@@ -1,7 +1,9 @@
 """Least squares for the two equations of a sampled loop: plant and controller, each on its past.
 
-    y[k] = a₀ + Σ (a y[k−i] + b u[k−i] + c r[k−i]) + e           i = 1 … p
+    y[k] = a₀ + Σ (a y[k−i] + b u[k−i] + c r[k−i] + h d[k−i]) + e           i = 1 … p
     u[k] = d₀ + f r[k] + g y[k] + Σ (the same of the past) + v
+
+with the measured disturbances d, if there are any.
 
 A drive at its limit violates the controller's equation. Those samples are kept nevertheless: without them the
 fit has the least data on steps, and forecasts these worse. All orders up to the highest are fitted at once:
@@ -31,7 +33,8 @@ class Equation(NamedTuple):
     direct: FloatArray
     """Coefficients of r[k] and y[k]; empty in the plant's equation."""
     past: FloatArray
-    """Coefficients of past y, u and, in closed loop, r, one row per lag, shape (p, signals)."""
+    """Coefficients of past y, u, in closed loop r, and the disturbances, one row per lag, shape
+    (p, signals)."""
     variance: float
     """Variance of the residuals."""
     bic: float
@@ -39,7 +42,7 @@ class Equation(NamedTuple):
 
 
 def equations(
-    reference: FloatArray, output: FloatArray, entry: FloatArray, highest: int
+    reference: FloatArray, output: FloatArray, entry: FloatArray, highest: int, *others: FloatArray
 ) -> list[tuple[Equation, Equation]]:
     """The plant's and the controller's equation at every order from 1 to `highest`.
 
@@ -48,30 +51,37 @@ def equations(
         output: outputs y, shape (N,).
         entry: inputs u, shape (N,), in units of the drive's noise.
         highest: highest order, at least 1 and less than N.
+        others: measured disturbances, shape (N,) each, in any unit and relative to a level.
     """
-    count = output.size - highest
-    lags = [
-        signal[highest - lag :][:count]
-        for lag in range(1, highest + 1)
-        for signal in (output, entry, reference)
-    ]
+    past = (output, entry, reference, *others)
     y, u, r = (signal[highest:] for signal in (output, entry, reference))
-    plant = np.column_stack([np.ones(count), *lags])
-    controller = np.column_stack([np.ones(count), r, y, *lags])
-    found = _nested(plant, y, highest, direct=0), _nested(controller, u, highest, direct=2)
+    lags, one = _lags(past, highest), np.ones(y.size)
+    plant, controller = np.column_stack([one, lags]), np.column_stack([one, r, y, lags])
+    found = (
+        _nested(plant, y, highest, direct=0, signals=len(past)),
+        _nested(controller, u, highest, direct=2, signals=len(past)),
+    )
     return list(zip(*found, strict=True))
 
 
-def input_equations(output: FloatArray, entry: FloatArray, highest: int) -> list[Equation]:
-    """The equation of a plant whose loop is not known, y on the past of y and u alone; see `equations`."""
-    count = output.size - highest
-    lags = [signal[highest - lag :][:count] for lag in range(1, highest + 1) for signal in (output, entry)]
-    columns = np.column_stack([np.ones(count), *lags])
-    return _nested(columns, output[highest:], highest, direct=0, signals=2)
+def input_equations(
+    output: FloatArray, entry: FloatArray, highest: int, *others: FloatArray
+) -> list[Equation]:
+    """The equation of a plant whose loop is not known: y on the past of y, u and the disturbances; see
+    `equations`."""
+    past = (output, entry, *others)
+    columns = np.column_stack([np.ones(output.size - highest), _lags(past, highest)])
+    return _nested(columns, output[highest:], highest, direct=0, signals=len(past))
+
+
+def _lags(signals: tuple[FloatArray, ...], highest: int) -> FloatArray:
+    """The signals' past, lag by lag, shape (N − highest, highest · signals)."""
+    count = signals[0].size - highest
+    return np.column_stack([s[highest - lag :][:count] for lag in range(1, highest + 1) for s in signals])
 
 
 def _nested(
-    columns: FloatArray, target: FloatArray, highest: int, direct: int, signals: int = 3
+    columns: FloatArray, target: FloatArray, highest: int, direct: int, signals: int
 ) -> list[Equation]:
     count = columns.shape[1]
     held = np.vstack([np.column_stack([columns, target]), _RIDGE * np.eye(count, count + 1)])

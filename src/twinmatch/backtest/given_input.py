@@ -7,7 +7,7 @@ from scipy.special import ndtri
 
 from twinmatch.backtest.arx import HIGHEST, LEAST, PER_ORDER
 from twinmatch.backtest.arx_fit import Equation, input_equations
-from twinmatch.backtest.peer import enough
+from twinmatch.backtest.peer import enough, with_disturbances
 from twinmatch.backtest.persistence import Persistence
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast
@@ -24,18 +24,19 @@ class OutputPersistence:
     def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
         self._whole = Persistence(plant, confidence)
 
-    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast one sample for each input ahead; see `Peer`.
 
         Raises:
             ForecastError: the past has too few samples.
         """
-        found = self._whole.forecast(past, ahead)
+        found = self._whole.forecast(past, ahead, disturbances)
         return _under_inputs(self.name, past, ahead, found.output, found.confidence)
 
 
 class InputArx:
-    """The output regressed on its past and the input's, refitted to all samples so far.
+    """The output regressed on its past, the input's and the measured disturbances', refitted to all samples
+    so far.
 
     The order is the one of least BIC among those that are stable. The band is Gaussian: the propagated
     variance of the residuals.
@@ -46,7 +47,7 @@ class InputArx:
     def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
         self._plant, self._confidence = plant, confidence
 
-    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast one sample for each input ahead; see `Peer`.
 
         Raises:
@@ -57,8 +58,11 @@ class InputArx:
         levels = float(past.output.mean()), float(past.input.mean())
         y, u = (past.output - levels[0]) / noise, (past.input - levels[1]) / self._plant.drive.noise
         later = (ahead - levels[1]) / self._plant.drive.noise
-        chosen = _chosen(input_equations(y, u, min(HIGHEST, len(past) // PER_ORDER)))
-        mean = levels[0] + noise * _mean(chosen, y, np.concatenate([u, later]), ahead.size)
+        others, n = with_disturbances(past, ahead.size, disturbances), len(past)
+        highest = min(HIGHEST, n // PER_ORDER)
+        chosen = _chosen(input_equations(y, u, highest, *(d[:n] for d in others.T)))
+        given = np.column_stack([np.concatenate([u, later]), others])
+        mean = levels[0] + noise * _mean(chosen, y, given, ahead.size)
         reach = ndtri((1.0 + self._confidence) / 2.0) * noise * _spread(chosen, ahead.size)
         low, high = self._plant.output.span
         band = Band(np.clip(mean, low, high), mean - reach, mean + reach)
@@ -72,15 +76,18 @@ def _chosen(found: list[Equation]) -> Equation:
     return min(stable, key=lambda e: e.bic) if stable else found[int(np.argmin(radii))]
 
 
-def _mean(equation: Equation, output: FloatArray, entry: FloatArray, count: int) -> FloatArray:
-    """The future output, shape (count,); `entry` holds past and future inputs."""
+def _mean(equation: Equation, output: FloatArray, given: FloatArray, count: int) -> FloatArray:
+    """The future output, shape (count,); `given` holds past and future inputs and disturbances, shape
+    (N + count, 1 + d)."""
     order = len(equation.past)
     held = output[-order:].tolist()
     known = output.size
     for k in range(count):
-        given = entry[known + k - order : known + k][::-1]
+        others = given[known + k - order : known + k][::-1]
         own = np.array(held[-order:][::-1])
-        held.append(float(equation.constant + own @ equation.past[:, 0] + given @ equation.past[:, 1]))
+        held.append(
+            float(equation.constant + own @ equation.past[:, 0] + np.sum(others * equation.past[:, 1:]))
+        )
     return np.array(held[order:], dtype=np.float64)
 
 

@@ -98,9 +98,10 @@ def origins(
 
 def ask(peer: Peer, origin: Origin) -> Forecast | None:
     """A peer's forecast; None if its past is too short."""
+    rows = origin.disturbances
     try:
         with one_thread():
-            return peer.forecast(origin.past, origin.ahead)
+            return peer.forecast(origin.past, origin.ahead, None if rows is None else rows[1:])
     except ForecastError:
         return None
 

@@ -10,7 +10,10 @@ from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Peer", "banded", "enough"]
+__all__ = ["Peer", "banded", "enough", "with_disturbances"]
+
+_EQUAL = 1e-9
+"""Relative spread up to which values count as equal."""
 
 
 class Peer(Protocol):
@@ -21,12 +24,14 @@ class Peer(Protocol):
         """Name in tables and figures."""
         ...
 
-    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast the samples after a window.
 
         Args:
             past: all samples up to and including the newest; nothing else is known.
             ahead: future set-points, or inputs if the loop is not known, shape (N,).
+            disturbances: those measured at these samples, shape (N, d), as the twin is given them; default:
+                they keep their last value.
 
         Raises:
             ForecastError: the past is too short.
@@ -40,6 +45,21 @@ def enough(name: str, past: Window, least: int) -> None:
     """
     if len(past) < least:
         raise ForecastError(f"{name}: {len(past)} samples are too few for a forecast; give at least {least}")
+
+
+def with_disturbances(past: Window, count: int, ahead: FloatArray | None) -> FloatArray:
+    """The measured disturbances of the N past and the next `count` samples, shape (N + count, d).
+
+    They are relative to the mean of the past and in units of its spread; those that never changed are left
+    out.
+    """
+    if ahead is None:
+        ahead = np.tile(past.disturbances[-1:], (count, 1))
+    level, spread = past.disturbances.mean(axis=0), past.disturbances.std(axis=0)
+    # The mean of equal values may be off by their rounding.
+    moved = spread > _EQUAL * np.maximum(np.abs(level), 1.0)
+    both = np.concatenate([past.disturbances, ahead])[:, moved]
+    return np.asarray((both - level[moved]) / spread[moved], dtype=np.float64)
 
 
 def banded(

@@ -30,7 +30,12 @@ class Persistence:
     def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
         self._plant, self._confidence = plant, confidence
 
-    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+    def forecast(
+        self,
+        past: Window,
+        ahead: FloatArray,
+        disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
+    ) -> Forecast:
         """Forecast one sample for each set-point ahead; see `Peer`.
 
         Raises:

@@ -47,7 +47,12 @@ class VectorAutoregression:
             return ""
         return "statsmodels is not installed; run pip install 'twinmatch[backtest]'"
 
-    def forecast(self, past: Window, ahead: FloatArray) -> Forecast:
+    def forecast(
+        self,
+        past: Window,
+        ahead: FloatArray,
+        disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
+    ) -> Forecast:
         """Forecast one sample for each set-point ahead; see `Peer`.
 
         Raises:
