@@ -55,6 +55,11 @@ SUMMARY = Summary(
             "mass.",
         ),
         (
+            {"leader": "50 °C", "closed": False},
+            "Leader: match near 50 °C; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: match "
+            "near 70 °C, orders 22221.",
+        ),
+        (
             {"level": TrustLevel.DOUBTFUL},
             "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: measurements lie "
             "outside the bands (it held between 25 and 92 °C).",

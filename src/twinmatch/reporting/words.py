@@ -148,7 +148,7 @@ def _nothing(judgement: Judgement) -> str:
 
 def _leader(last: Verdict, shown: Shown) -> str:
     count = len(last.forecasts)
-    what = f"structure “{shown.name}”" if shown.words == shown.name else f"match at {shown.name}"
+    what = f"structure “{shown.name}”" if shown.is_structure else f"match at {shown.name}"
     if count <= 1:
         return f"The twin to ask what comes next, the leader, is the {what}, the only one with forecasts."
     return (

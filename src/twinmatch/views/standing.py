@@ -18,9 +18,9 @@ class Shown(NamedTuple):
     parameters: Parameters
 
     @property
-    def words(self) -> str:
-        """Its name in sentences: a match by its set-point, a structure by its name."""
-        return self.name if self.name == self.parameters.model.structure_name else f"{self.name} set"
+    def is_structure(self) -> bool:
+        """Whether it is a structure under its own name, and not a match named after an operating point."""
+        return self.name == self.parameters.model.structure_name
 
 
 def last_verdict(verdicts: Sequence[Verdict]) -> Verdict | None:

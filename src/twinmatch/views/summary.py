@@ -165,8 +165,10 @@ def sentence(summary: Summary) -> str:
 def _who(summary: Summary) -> str:
     """The leader, or the nominal candidate without one."""
     if summary.leader is None:
-        return f"Nominal: {summary.nominal} set{_order(summary, '; ')}"
-    name = Shown(summary.leader, summary.parameters).words if summary.parameters else summary.leader
+        return f"Nominal: {_match(summary, str(summary.nominal))}{_order(summary, '; ')}"
+    shown = Shown(summary.leader, summary.parameters) if summary.parameters else None
+    known = shown is None or shown.is_structure
+    name = summary.leader if known else _match(summary, summary.leader)
     if summary.leader == summary.nominal:
         return f"Leader and nominal: {name}{_order(summary, '; ')}"
     return f"Leader: {name}"
@@ -178,8 +180,13 @@ def _center(summary: Summary) -> str:
         return ""
     if summary.nominal is None:
         return " Nominal: none, no valid match."
-    set_there = " set" if summary.order else ""
-    return f" Nominal: {summary.nominal}{set_there}{_order(summary, ', ')}."
+    name = _match(summary, summary.nominal) if summary.order else summary.nominal
+    return f" Nominal: {name}{_order(summary, ', ')}."
+
+
+def _match(summary: Summary, name: str) -> str:
+    """A match in words: by its set-point, or, if the loop is not known, by the output it was near."""
+    return f"{name} set" if summary.closed else f"match near {name}"
 
 
 def _order(summary: Summary, before: str) -> str:
