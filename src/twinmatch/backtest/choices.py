@@ -8,7 +8,7 @@ from typing import Final
 from twinmatch.backtest.errors import BacktestError
 from twinmatch.backtest.peers import PEERS
 from twinmatch.backtest.scoring import samples_within
-from twinmatch.forecasting import HORIZONS
+from twinmatch.forecasting import horizons_for
 
 __all__ = ["Choices"]
 
@@ -27,7 +27,7 @@ class Choices:
     every: float | None = None
     """Time between two forecasts, s, besides those at every verdict; None: a minute, at least a sample."""
     horizons: tuple[float, ...] | None = None
-    """Horizons, s; None: `HORIZONS`, except those shorter than a sample."""
+    """Horizons, s; None: those at which the twin's forecasts are scored."""
     peers: tuple[str, ...] = tuple(PEERS)
     """Names of the peers."""
 
@@ -49,7 +49,7 @@ class Choices:
             BacktestError: a requested horizon is shorter than a sample.
         """
         if self.horizons is None:
-            return tuple(h for h in HORIZONS if h >= period) or (period,)
+            return horizons_for(period)
         for horizon in self.horizons:
             samples_within(horizon, period)
         return tuple(sorted(set(self.horizons)))

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_seconds,
         nargs="+",
         metavar="S",
-        help="forecast horizons, in seconds (default: 10 60 300)",
+        help="forecast horizons, in seconds (default: 10 60 300; 2, 12 and 60 samples if those are longer)",
     )
     parser.add_argument(
         "--peers",

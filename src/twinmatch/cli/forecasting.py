@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import Final
 
@@ -11,12 +10,11 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.judging.options import add_terms
 from twinmatch.judging.outputs import check_writable
 
-__all__ = ["HORIZON", "RECORDED", "add_arguments", "run"]
+__all__ = ["LONGEST", "RECORDED", "add_arguments", "run"]
 
-HORIZON: Final = 300.0
-"""Default forecast horizon, s."""
 LONGEST: Final = 86_400.0
-"""Longest horizon, s; a longer one is a typing error: bands are learned up to five minutes ahead."""
+"""Longest horizon, s; for samples more than 5 s apart in proportion to the sample time. A longer one is a
+typing error: bands are learned up to a 288th of that."""
 RECORDED: Final = "recorded"
 
 
@@ -47,7 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point to hold ahead")
     parser.add_argument("--candidate", metavar="NAME", help="candidate that forecasts (default: the leader)")
     parser.add_argument(
-        "--horizon", type=float, default=HORIZON, metavar="S", help="forecast horizon, s (default: 300)"
+        "--horizon",
+        type=float,
+        metavar="S",
+        help="forecast horizon, s (default: 300, or 60 samples if that is longer)",
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the forecasts to this file")
     parser.add_argument("--figure", type=Path, metavar="OUT", help="draw them (.png, .svg or .pdf)")
@@ -71,12 +72,6 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     if options.reference is not None and options.hold is not None:
         msg = "forecast: --reference and --hold exclude each other; give only one of them"
-        raise TwinmatchError(msg)
-    if not (math.isfinite(options.horizon) and 0 < options.horizon <= LONGEST):
-        msg = (
-            f"forecast: the horizon is {options.horizon:g} s; give a positive number of seconds, at most "
-            f"{LONGEST:g}"
-        )
         raise TwinmatchError(msg)
     if options.candidate is not None and not options.candidate.strip():
         raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from twinmatch.cli.forecasting import RECORDED
+from twinmatch.cli.forecasting import LONGEST, RECORDED
 from twinmatch.cli.set_points import Asked, asked_of, planned_rows
 from twinmatch.errors import TwinmatchError
+from twinmatch.forecasting import horizons_for, stretched
 from twinmatch.judging.interrupt import held_interrupts
 from twinmatch.judging.outlooks import Prospect, prospects, samples_at
 from twinmatch.judging.progress import Progress
@@ -89,8 +91,15 @@ def show(found: Foretold, options: argparse.Namespace) -> None:
         save(draw_forecasts(found.fans, found.settings.plant), options.figure)
 
 
-def _size(horizon: float, period: float) -> int:
-    """Samples within the horizon."""
+def _size(horizon: float | None, period: float) -> int:
+    """Samples within the horizon; without one, within the longest at which forecasts are scored."""
+    horizon = horizons_for(period)[-1] if horizon is None else horizon
+    longest = LONGEST * stretched(period)
+    if not (math.isfinite(horizon) and 0 < horizon <= longest):
+        msg = (
+            f"forecast: the horizon is {horizon:g} s; give a positive number of seconds, at most {longest:g}"
+        )
+        raise TwinmatchError(msg)
     size = int(horizon / period * (1 + 1e-9))
     if size < 1:
         msg = f"forecast: the horizon of {horizon:g} s is shorter than one sample, {period:g} s; give more"

@@ -10,7 +10,7 @@ from twinmatch.forecasting.answers import Moment, Peak, largest_input, time_held
 from twinmatch.forecasting.bands import Calibration, leads_of
 from twinmatch.forecasting.errors import ForecastError
 from twinmatch.forecasting.follower import Follower
-from twinmatch.forecasting.forecast import CONFIDENCE, HORIZONS, Band, Forecast
+from twinmatch.forecasting.forecast import CONFIDENCE, HORIZONS, Band, Forecast, horizons_for, stretched
 from twinmatch.forecasting.ledger import PERSISTENCE, Ledger
 from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.profile import SetPoints
@@ -33,8 +33,10 @@ __all__ = [
     "Peak",
     "Question",
     "SetPoints",
+    "horizons_for",
     "largest_input",
     "leads_of",
+    "stretched",
     "time_held",
     "time_to_reach",
     "what_if",

@@ -9,12 +9,29 @@ import numpy as np
 
 from twinmatch.signals import FloatArray
 
-__all__ = ["CONFIDENCE", "HORIZONS", "Band", "Forecast"]
+__all__ = ["CONFIDENCE", "HORIZONS", "Band", "Forecast", "horizons_for", "stretched"]
 
 CONFIDENCE: Final = 0.9
 """Share of future samples that a band is to hold."""
 HORIZONS: Final = (10.0, 60.0, 300.0)
-"""Horizons at which forecasts are made and scored, s."""
+"""Horizons at which forecasts are made and scored, s, for samples up to `_LONGEST_PERIOD` apart."""
+_LONGEST_PERIOD: Final = 5.0
+"""Sample time from which the horizons grow with it, s: at 5 s the longest one is 60 samples, as many as a
+verdict compares with the forecasts made for them."""
+
+
+def stretched(period: float) -> float:
+    """Factor on the horizons and intervals of forecasts for a sample time, s.
+
+    In a plant that is sampled every minute, nothing can be seen ten seconds ahead, and five minutes are only
+    five samples. Windows are counted in samples; for slow samples horizons are, too.
+    """
+    return max(period / _LONGEST_PERIOD, 1.0)
+
+
+def horizons_for(period: float) -> tuple[float, ...]:
+    """The horizons for a sample time, s."""
+    return tuple(horizon * stretched(period) for horizon in HORIZONS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check,
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
-from twinmatch.twin import TrustLimits, TwinError, TwinSettings
+from twinmatch.twin import ForecastSettings, TrustLimits, TwinError, TwinSettings
 
 __all__ = [
     "at_period",
@@ -231,7 +231,12 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
         msg = f"{config}: the period is {settings.period:g} s, but that of the samples is {period:g} s"
         raise TwinError(msg)
     gains = settings.gains
-    return replace(settings, period=period, gains=gains and replace(gains, period=period))
+    return replace(
+        settings,
+        period=period,
+        gains=gains and replace(gains, period=period),
+        forecasts=ForecastSettings.of(period),
+    )
 
 
 def _plant(model: Model) -> tuple[Parameter, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 from twinmatch.discrimination import Candidate
 from twinmatch.dynamics import Model, PidGains
 from twinmatch.errors import TwinmatchError
+from twinmatch.forecasting import stretched
 from twinmatch.matching import Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.history import History
@@ -23,7 +24,7 @@ from twinmatch.twin.history import History
 __all__ = ["Contender", "Contenders"]
 
 LONGEST_S: Final = 2400.0
-"""Length of the newest stretch that is fitted, s."""
+"""Length of the newest stretch that is fitted, s; slow samples get more, as in forecasts."""
 EVERY_S: Final = 600.0
 """Age after which a fit is repeated even without excitation, s."""
 
@@ -60,8 +61,9 @@ class Contenders:
         """
         self._models, self._noise, self._gains = models, noise, gains
         period = gains.period if gains is not None else period
-        self._history = History(max(round(LONGEST_S / period), 1))
-        self._every = round(EVERY_S / period)
+        pace = stretched(period) / period
+        self._history = History(max(round(LONGEST_S * pace), 1))
+        self._every = round(EVERY_S * pace)
         self._held: dict[str, Contender] = {}
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from twinmatch.discrimination import Candidate
 from twinmatch.dynamics import Parameters
-from twinmatch.forecasting import HORIZONS, ForecastError
+from twinmatch.forecasting import HORIZONS, ForecastError, horizons_for, stretched
 from twinmatch.signals import FloatArray
 
 __all__ = ["Entrant", "ForecastSettings"]
@@ -34,6 +34,12 @@ class ForecastSettings:
     """Time between two forecasts of all candidates, s."""
     memory: float = 1800.0
     """Time after which the weight of a forecast has fallen to 1/e, s."""
+
+    @classmethod
+    def of(cls, period: float) -> ForecastSettings:
+        """Settings for a sample time, s: slow samples get longer horizons, with intervals in proportion."""
+        factor = stretched(period)
+        return cls(horizons_for(period), cls.every * factor, cls.memory * factor)
 
     def __post_init__(self) -> None:
         for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):

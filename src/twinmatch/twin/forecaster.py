@@ -19,6 +19,7 @@ from twinmatch.forecasting import (
     Ledger,
     Outlook,
     leads_of,
+    stretched,
 )
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin.entrant import Entrant, ForecastSettings
@@ -30,7 +31,7 @@ __all__ = ["Forecaster"]
 
 _RUN_IN: Final = (60.0, 300.0)
 """Newest stretch over which a new candidate tracks the plant before use, s: if its states are known, and if
-the hidden ones have to be estimated."""
+the hidden ones have to be estimated. Slow samples need longer, as their horizons do."""
 _OTHERS_EVERY: Final = 3
 """The bands of candidates that do not lead learn from every third forecast only."""
 
@@ -77,14 +78,14 @@ class Forecaster:
         self._longest = max(self.horizons)
         self._stride = max(round(self.settings.every / period), 1)
         self._kept = float(np.exp(-self.settings.every / self.settings.memory))
-        self._leads = leads_of(period, self._longest)
+        self._leads = leads_of(period / stretched(period), self._longest)
         self._twins: dict[str, _Twin] = {}
         self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
         self._hindsight = Hindsight(self._kept)
         self._departures: dict[int, Snapshot] = {}
-        self._run_in = tuple(round(stretch / period) for stretch in _RUN_IN)
-        self._recent: deque[Sample] = deque(maxlen=max(self._longest, *self._run_in) + 1)
+        self._run_in = tuple(round(stretch * stretched(period) / period) for stretch in _RUN_IN)
+        self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
         self._pid = None if gains is None else Pid(gains)
         self.notes: tuple[str, ...] = ()
@@ -169,7 +170,8 @@ class Forecaster:
             departure = self._departures.get(sample.index - ahead)
             if departure is not None:
                 self._learn(departure, sample.index - ahead, place)
-        self._departures.pop(sample.index - self._longest, None)
+        # One forecast more is kept: `promise` needs one that is old enough at every sample.
+        self._departures.pop(sample.index - self._longest - self._stride, None)
 
     def enter(self, entrants: Sequence[Entrant], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.

@@ -112,6 +112,7 @@ class TwinSettings:
             decimals=plant.output.decimals + 1,
             regime_width=_REGIME * noise,
             health=HealthSettings.of(plant, period),
+            forecasts=ForecastSettings.of(period),
         )
 
     @property

@@ -9,11 +9,11 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import (
-    HORIZONS,
     NEAR,
     Band,
     Forecast,
     Moment,
+    horizons_for,
     largest_input,
     time_held,
     time_to_reach,
@@ -134,7 +134,7 @@ def _work(forecast: Forecast, plant: type[Plant]) -> str:
 
 def _widths(forecast: Forecast, plant: type[Plant]) -> str:
     words, widths = words_of(plant), []
-    for horizon in HORIZONS:
+    for horizon in horizons_for(float(forecast.time[0])):
         if horizon > forecast.time[-1] + 1e-9 * horizon or horizon < forecast.time[0]:
             continue
         k = int((forecast.time <= horizon * (1 + 1e-9)).sum()) - 1

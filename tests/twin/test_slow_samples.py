@@ -1,0 +1,61 @@
+"""A plant of which a sample comes every half minute, and later."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.plants import Lag
+from twinmatch.discrimination import TrustLevel
+from twinmatch.forecasting import HORIZONS, horizons_for, leads_of, stretched
+from twinmatch.judging.judgement import judge_samples
+from twinmatch.signals import Sample
+from twinmatch.twin import ForecastSettings, TwinSettings
+
+PERIOD = 30.0
+LAG, GAIN = 45.0, 2.0
+
+
+def recording(size: int = 1400, shift: float = 0.0) -> list[Sample]:
+    """Steps of the input, 100 samples each; from sample 1000 on the output is shifted."""
+    rng = np.random.default_rng(7)
+    levels = (0.0, 6.0, -3.0, 8.0, 2.0, -7.0, 5.0)
+    x, kept, samples = 0.0, np.exp(-PERIOD / LAG), []
+    for k in range(size):
+        u = levels[k // 100 % len(levels)]
+        y = x + rng.normal(0.0, Lag.output.noise) + (shift if k >= 1000 else 0.0)
+        samples.append(Sample(k, round(k * PERIOD * 1e9), 0.0, float(y), u))
+        x = kept * x + (1.0 - kept) * GAIN * u  # exact for a constant input
+    return samples
+
+
+def test_forecasts_are_compared_and_a_change_is_noticed() -> None:
+    """The longest horizon has to reach over the samples between two verdicts, or none can be compared."""
+    settings = TwinSettings.of(Lag, period=PERIOD)
+    judged = judge_samples("slow", recording(shift=1.0), settings)
+    before = [v for v in judged.verdicts if 600 <= v.sample < 1000]
+    assert before
+    assert all(v.level is TrustLevel.TRUSTED for v in before)
+    assert all(v.miss_y < 1.0 for v in before)  # 0.6 is usual
+    after = [v for v in judged.verdicts if v.sample >= 1050]
+    assert any(v.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT} for v in after)
+
+
+@given(st.floats(0.01, 1e5))
+def test_the_longest_horizon_is_never_shorter_than_sixty_samples(period: float) -> None:
+    horizons = horizons_for(period)
+    assert horizons[-1] >= 60 * period * (1 - 1e-12)
+    assert horizons[0] / horizons[-1] == pytest.approx(HORIZONS[0] / HORIZONS[-1])
+    settings = ForecastSettings.of(period)
+    assert settings.every / settings.memory == pytest.approx(1 / 60)
+    assert settings.every >= period or period <= 5.0
+    longest = round(horizons[-1] / period)
+    assert leads_of(period / stretched(period), longest)[-1] == longest
+
+
+@given(st.floats(0.01, 5.0))
+def test_fast_samples_keep_the_horizons_in_seconds(period: float) -> None:
+    assert horizons_for(period) == HORIZONS
+    assert ForecastSettings.of(period) == ForecastSettings()
