@@ -61,6 +61,7 @@ def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
             "start={self.block: self.temperature**2}",
             "the start of block",
         ),
+        ("self.gain * self.heater", "self.gain * self.room**100000", "added to or compared"),
         ("output=self.block", "output=self.block * self.loss", "the output: has the unit W, but needs °C"),
         ("self.loss * (self.block - self.room)", "self.loss * (self.block**4 - self.room**4)", "a power of"),
         (
@@ -76,6 +77,11 @@ def test_units_that_are_wrong_are_reported(tmp_path: Path, old: str, new: str, m
 
     found = told(find_plant(str(plant_file(tmp_path, name, (old, new)))))
     assert any(re.search(message, what) for what in found), found
+
+
+def test_the_size_of_a_high_power_is_not_judged(tmp_path: Path) -> None:
+    change = ("self.gain * self.heater", "self.gain * self.heater**100000")  # (0.01)**100000 underflows
+    assert told(find_plant(str(plant_file(tmp_path, "units_high", change)))) == []
 
 
 def test_what_a_number_hides_is_not_judged_but_noted(tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from tests.support.processes import run_twinmatch
 from twinmatch.adding import AddingError, Proposal, example, files_of, propose
 from twinmatch.adding.proposal import noise_of
 from twinmatch.sessions import RecordingError
-from twinmatch.sessions.column_map import parse_map
-from twinmatch.sessions.tables import read_table
+from twinmatch.sessions.column_map import ColumnMap, Source, parse_map
+from twinmatch.sessions.tables import Table, read_table
 
 
 @given(st.floats(1e-3, 1e2), st.integers(0, 1000))
@@ -69,8 +69,45 @@ def test_gain_and_lag_are_in_reach_of_the_truth(
 def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no column is mapped to input"):
         propose(read_table(lagged(tmp_path, 1.0, 20.0, 1.0)), parse_map(MAP[:2]))
-    with pytest.raises(AddingError, match="not a valid name; use small letters"):
-        files_of("My Plant", example())
+    for name in ("My Plant", "class", "../tank", "", "1tank", "t" * 100):
+        with pytest.raises(AddingError, match="not a valid name; use up to 60 small letters"):
+            files_of(name, example())
+    with pytest.raises(AddingError, match="there is a plant of this name"):
+        files_of("peltier", example())
+    with pytest.raises(AddingError, match="there is a Python module of this name"):
+        files_of("numpy", example())
+
+
+TITLES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\n\r\0"), max_size=12)
+
+
+@settings(max_examples=25)
+@given(TITLES, TITLES, TITLES, TITLES, st.sampled_from(["tank", "state", "equations", "plant"]))
+def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: str, name: str) -> None:
+    """Titles in any script, with quotes, braces and backslashes."""
+    seconds = np.arange(400.0)
+    columns = {
+        "t": seconds,
+        f"{y} y ({unit})".strip(): 20 + np.sin(seconds / 30),
+        f"{u} u ({unit})".strip(): seconds // 100,
+        f"{room} r ({unit})".strip(): 20 + 0.01 * seconds,
+    }
+    table = Table(Path('a"b\\{{c}}.csv'), columns, range(1, 401))
+    sources = zip(("time", "output", "input", "on"), columns, strict=True)
+    held = propose(table, ColumnMap({signal: Source((title,)) for signal, title in sources}))
+    files = files_of(f"my_{name}" if name == "plant" else name, held)
+    plant, test, config, columns_map = files.values()
+    compile(test, "test", "exec")
+    yaml.safe_load(config)
+    read = yaml.safe_load(columns_map)["columns"]
+    assert list(read) == list(held.sources)
+    module: dict[str, object] = {"__name__": "written"}
+    exec(compile(plant, "plant", "exec"), module)
+    made = next(v for v in module.values() if isinstance(v, type) and v.__module__ == "written")
+    assert [made.output.name, made.drive.name, *made.disturbances] == [
+        held.output.name, held.input.name, *(d.name for d in held.disturbances),
+    ]  # fmt: skip
+    assert made().equations(frozenset()).rates
 
 
 def written(folder: Path, held: Proposal, name: str) -> list[Path]:

@@ -292,3 +292,59 @@ def test_the_command_refuses_a_recording_of_nobodys_plant(tmp_path: Path) -> Non
     assert done.returncode == 2
     assert "the plant is missing; give --plant" in done.stderr
     assert not (tmp_path / "session").exists()
+
+
+PLAIN = "t,T (°C),on\n" + "".join(f"{k},{20 + k % 7},{k % 2}\n" for k in range(9))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        PLAIN.encode(),
+        PLAIN.encode("utf-8-sig"),
+        PLAIN.encode("utf-16"),
+        PLAIN.encode("cp1252"),
+        PLAIN.replace(",", ";").encode(),
+        ("sep=|\n" + PLAIN.replace(",", "|")).encode(),
+        PLAIN.replace("T (°C),on\n", "T,on\ns,°C,-\n").encode(),
+        PLAIN.replace(",on\n", ",on\ns,°C,\n").encode(),
+    ],
+)
+def test_a_table_is_read_however_it_is_written(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "log.csv").write_bytes(content)
+    table = read_table(tmp_path / "log.csv")
+    temperature = table.find("T")
+    assert table.unit(temperature) == "°C"
+    assert table.values(temperature).tolist() == [20 + k % 7 for k in range(9)]
+
+
+def test_a_row_with_words_is_not_taken_for_units(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("day,T\n2021-01-01 10:00,m\n2021-01-01 10:01,2\n2021-01-01 10:02,3\n")
+    with pytest.raises(RecordingError, match="line 2: 'T' is 'm', which is not a number"):
+        read_table(tmp_path / "log.csv").values("T")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (PLAIN.encode("utf-16-le"), "is not text in a known encoding; save it as UTF-8"),
+        (bytes(range(256)) * 9, "is not text in a known encoding; save it as UTF-8"),
+        (b"PK\x03\x04" + bytes(99), "is a ZIP archive, such as an Excel workbook; save the table as CSV"),
+        (b"sep=;\nt;T\n", "give column names and at least two rows; the file has 1 lines of a table"),
+    ],
+)
+def test_what_is_not_a_table_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "log.csv").write_bytes(content)
+    with pytest.raises(RecordingError, match=message):
+        read_table(tmp_path / "log.csv")
+
+
+def test_times_that_are_infinite_do_not_change_the_unit(tmp_path: Path) -> None:
+    table = read_table(written(tmp_path, "t,a\n0,1\n1,2\ninf,3\n3,4\n"))
+    assert read_times(table, "t").seconds[[0, 1, 3]].tolist() == [0.0, 1.0, 3.0]
+
+
+def test_separators_of_thousands_are_refused_in_words(tmp_path: Path) -> None:
+    table = read_table(written(tmp_path, 't;P\n0;"1,000.5"\n1;"2,000.5"\n'))
+    with pytest.raises(RecordingError, match="write numbers without separators of thousands"):
+        table.values("P")

@@ -208,8 +208,13 @@ def _times(one: _Unit, other: _Unit, power: Fraction) -> _Unit:
     powers = dict(one.powers)
     for name, value in other.powers.items():
         powers[name] = powers.get(name, Fraction(0)) + value * power
-    factor = None if one.factor is None or other.factor is None else one.factor * other.factor ** float(power)
-    return _Unit({n: p for n, p in powers.items() if p}, factor)
+    try:
+        factor = (
+            None if one.factor is None or other.factor is None else one.factor * other.factor ** float(power)
+        )
+    except OverflowError:
+        factor = None
+    return _Unit({n: p for n, p in powers.items() if p}, factor or None)
 
 
 def _divided(one: _Unit, other: _Unit) -> _Unit:
@@ -223,7 +228,7 @@ def _alike(one: _Unit, other: _Unit) -> bool:
 def _scaled(one: _Unit, other: _Unit) -> bool:
     if one.factor is None or other.factor is None:
         return False
-    return abs(one.factor / other.factor - 1.0) > _SAME
+    return abs(one.factor - other.factor) > _SAME * abs(other.factor)
 
 
 def _plain(number: Any) -> bool:

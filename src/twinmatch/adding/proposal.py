@@ -11,6 +11,7 @@ from __future__ import annotations
 import keyword
 import math
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -102,7 +103,8 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     missing = [signal for signal in ("time", "output", "input") if signal not in given.sources]
     if missing:
         msg = (
-            f"{table.path}: no column is mapped to {' and none to '.join(missing)}; add --map {missing[0]}=…"
+            f"{table.path}: no column is mapped to {' and none to '.join(missing)}; add --map {missing[0]}=… "
+            "(twinmatch import --list shows the columns)"
         )
         raise RecordingError(msg)
     done = _on_one_clock(table, given)
@@ -193,9 +195,11 @@ def _unit(table: Table, given: ColumnMap, signal: str) -> str:
 
 def _word(title: str, taken: list[str]) -> str:
     """A valid Python name that does not yet occur in the file."""
-    plain = re.sub(r"\W+", "_", split_title(title)[0].strip().lower()).strip("_") or "signal"
-    plain = f"n{plain}" if plain[0].isdigit() else plain
-    own = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "sensor_lag"}
+    text = unicodedata.normalize("NFKC", split_title(title)[0].strip().lower())  # as Python reads names
+    plain = "".join(c if f"_{c}".isidentifier() else " " for c in text)
+    plain = re.sub(r"[\s_]+", "_", plain).strip("_") or "signal"
+    plain = plain if plain.isidentifier() else f"n{plain}"
+    own = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "seen", "sensor_lag"}
     while keyword.iskeyword(plain) or plain in taken or plain in own - {"output"}:
         plain += "_"
     taken.append(plain)

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import keyword
 import re
 from pathlib import Path
 from typing import Any, Final
 
+import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from twinmatch.adding.errors import AddingError
 from twinmatch.adding.proposal import Proposal
+from twinmatch.plants import PLANTS
+from twinmatch.plants.installed import installed_names
 from twinmatch.sessions.column_map import Source
 
 __all__ = ["files_of"]
 
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
+_LONGEST: Final = 60
+_TAKEN: Final = ("Disturbance", "Drive", "Equations", "Output", "Parameter", "Plant", "State", "Structure")
+"""Classes that the file of a plant imports."""
 _ABSOLUTE: Final = {"°C": 273.15}
 
 
@@ -26,34 +34,48 @@ def files_of(name: str, held: Proposal) -> dict[str, str]:
     Raises:
         AddingError: the name is not valid for a plant.
     """
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        msg = f"new-plant {name!r}: not a valid name; use small letters, digits and _, starting with a letter"
-        raise AddingError(msg)
+    _require_name(name)
     # The output is Python and YAML, which need no HTML escaping.
     pages = Environment(  # noqa: S701
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, keep_trailing_newline=True
     )
-    words = {"name": name, "table": held.table, **_plant(name, held)}
+    pages.filters["text"] = _quoted
+    table = re.sub(r"[^\w .()+-]", "_", held.table)  # stands in comments
+    words = {"name": name, "table": table, **_plant(name, held)}
     files = {
         f"{name}.py": pages.get_template("plant.jinja").render(words),
         f"test_{name}.py": pages.get_template("test.jinja").render(words | _test(held)),
         f"{name}.yaml": pages.get_template("config.jinja").render(name=name, period=held.period),
     }
     if held.sources:
-        sources = [(signal, _source(source)) for signal, source in held.sources.items()]
+        sources = [(_key(signal), _source(source)) for signal, source in held.sources.items()]
         files[f"{name}_map.yaml"] = pages.get_template("map.jinja").render(
             words, period=held.period, sources=sources
         )
     return files
 
 
+def _require_name(name: str) -> None:
+    what = ""
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or len(name) > _LONGEST or keyword.iskeyword(name):
+        what = "not a valid name"
+    elif name in {*PLANTS, *installed_names()}:
+        what = "there is a plant of this name"
+    elif (spec := importlib.util.find_spec(name)) and Path(spec.origin or "").parent != Path.cwd():
+        what = "there is a Python module of this name, which the plant's file would hide"
+    if what:
+        todo = f"use up to {_LONGEST} small letters, digits and _, starting with a letter, such as my_tank"
+        raise AddingError(f"new-plant {name[:80]!r}: {what}; {todo}")
+
+
 def _plant(name: str, held: Proposal) -> dict[str, Any]:
     y, u = held.output, held.input
+    title = "".join(part.capitalize() for part in name.split("_"))
     measured = held.disturbances[0].name if held.disturbances else "rest"
     free = ["gain", "lag", *([] if held.disturbances else ["rest"])]
     low, high = sorted((held.gain / _WIDE, held.gain * _WIDE))
     return {
-        "title": "".join(part.capitalize() for part in name.split("_")),
+        "title": f"{title}Plant" if title in _TAKEN else title,
         "y": y,
         "u": u,
         "noise": held.noise,
@@ -89,14 +111,25 @@ def _test(held: Proposal) -> dict[str, Any]:
     }
 
 
+def _key(signal: str) -> str:
+    """A name as a key in YAML, where `on` would be a truth value."""
+    return signal if yaml.safe_load(signal) == signal else _quoted(signal)
+
+
+def _quoted(value: Any) -> str:
+    """A text, or a list or table of texts, as Python, JSON and YAML write it."""
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in text)
+
+
 def _source(source: Source) -> str:
-    """A source as JSON, which is valid YAML."""
+    """A source as YAML, in one line."""
     columns: Any = list(source.columns) if len(source.columns) > 1 else source.columns[0]
     entry: dict[str, Any] = {"column": columns}
     entry |= {"unit": source.unit} if source.unit else {}
     entry |= {"scale": source.scale} if source.scale != 1.0 else {}
     entry |= {"offset": source.offset} if source.offset else {}
-    return json.dumps(entry if len(entry) > 1 else columns, ensure_ascii=False)
+    return _quoted(entry if len(entry) > 1 else columns)
 
 
 def _per(above: str, below: str) -> str:

@@ -67,18 +67,21 @@ def read_bounded(path: Path, most: int) -> bytes:
     return content
 
 
-def lines_of(path: Path, progress: ProgressCallback | None = None) -> Iterator[str]:
-    """The lines of a UTF-8 text file, without line ends.
+def lines_of(
+    path: Path, progress: ProgressCallback | None = None, *, encoding: str = "utf-8-sig"
+) -> Iterator[str]:
+    """The lines of a text file, without line ends.
 
     Args:
         path: a regular file.
+        encoding: UTF-8, with or without a byte-order mark, if not given.
         progress: called every `LINES_BETWEEN` lines with the bytes read so far and the total.
 
     Raises:
         OSError: it is not a regular file, cannot be read, or has a line of more than `MOST_LINE` characters.
-        UnicodeDecodeError: it is not UTF-8 text.
+        UnicodeDecodeError: it is not text in that encoding.
     """
-    with open_regular(path) as file, TextIOWrapper(file, encoding="utf-8-sig") as text:
+    with open_regular(path) as file, TextIOWrapper(file, encoding=encoding) as text:
         size = os.fstat(file.fileno()).st_size
         number = 0
         while line := text.readline(MOST_LINE):

@@ -1,7 +1,8 @@
 """Tables of other programs, with any columns: `.csv` and MATLAB `.mat`.
 
-A **.csv** file has a line of column names, then a line per row. Columns are separated by commas, semicolons
-or tabs; lines that begin with `#` are ignored. Where commas do not separate columns, they may be decimal
+A **.csv** file has a line of column names, perhaps a line of their units, then a line per row. Columns are
+separated by commas, semicolons or tabs, or by what a first line `sep=…` says; lines that begin with `#` are
+ignored. Where commas do not separate columns, they may be decimal
 separators. `true`, `on` and `yes` are 1, `false`, `off` and `no` 0; an empty cell, `nan` and `null` have no
 value.
 
@@ -23,8 +24,10 @@ from typing import Any
 import numpy as np
 
 from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.files import lines_of, open_regular
+from twinmatch.sessions.files import open_regular
+from twinmatch.sessions.table_text import table_text
 from twinmatch.signals import FloatArray
+from twinmatch.units import measure
 
 __all__ = ["Table", "number", "read_table", "split_title"]
 
@@ -60,9 +63,13 @@ class Table:
         wanted = name.strip()
         if wanted in self.columns:
             return wanted
-        low = wanted.lower()
-        for form in (str.lower, lambda title: split_title(title)[0].lower()):
-            found = [title for title in self.columns if form(title) == low]
+        names = {title: split_title(title)[0] for title in self.columns}
+        for lowered, of in (
+            (False, names.get),
+            (True, str),
+            (True, names.get),
+        ):  # t and T (°C) are two columns
+            found = [title for title in names if _same(str(of(title)), wanted, lowered=lowered)]
             if len(found) == 1:
                 return found[0]
             if found:
@@ -81,11 +88,17 @@ class Table:
         column = self.columns[title]
         if isinstance(column, np.ndarray):
             return column
+        try:  # a column of plain numbers, as most are
+            return np.fromiter(map(float, column), dtype=np.float64, count=len(column))
+        except ValueError:
+            pass
         values = np.empty(len(column))
         for k, text in enumerate(column):
             value = number(text, self.decimal)
             if value is None:
                 msg = f"{self.place(k)}: {title!r} is {text.strip()[:40]!r}, which is not a number"
+                if re.fullmatch(r"[-+\d.,'\s]+", text):
+                    msg += "; write numbers without separators of thousands"
                 raise RecordingError(msg)
             values[k] = value
         return values
@@ -97,6 +110,10 @@ class Table:
     def place(self, k: int) -> str:
         """Place of the k-th row, for messages."""
         return f"{self.path}, {self.row} {self.lines[k]}"
+
+
+def _same(one: str, other: str, *, lowered: bool) -> bool:
+    return one.lower() == other.lower() if lowered else one == other
 
 
 def split_title(title: str) -> tuple[str, str]:
@@ -143,17 +160,7 @@ def read_table(path: Path) -> Table:
 
 
 def _read_csv(path: Path) -> Table:
-    try:
-        text = list(lines_of(path))
-    except UnicodeDecodeError:
-        msg = f"{path}: is not UTF-8 text; save it as UTF-8"
-        raise RecordingError(msg) from None
-    held = [(k, line) for k, line in enumerate(text, 1) if line.strip(" ,;\t") and line.lstrip()[:1] != "#"]
-    if len(held) < 3:
-        msg = f"{path}: has {len(held)} lines; give column names and at least two rows"
-        raise RecordingError(msg)
-    lines, rows = zip(*held, strict=True)
-    divider = max(",;\t", key=rows[0].count)
+    lines, rows, divider = table_text(path)
     try:
         titles, *cells = csv.reader(rows, delimiter=divider, skipinitialspace=True)
     except csv.Error as error:
@@ -173,8 +180,27 @@ def _read_csv(path: Path) -> Table:
     if all(number(title, ".") is not None for title in titles):
         msg = f"{path}, line {lines[0]}: has numbers; the first line must name the columns"
         raise RecordingError(msg)
+    titles, skipped = _with_units(titles, cells)
+    cells, lines = cells[skipped:], lines[skipped:]
     columns = dict(zip(_distinct(titles), zip(*cells, strict=True), strict=True))
     return Table(path, columns, lines[1:], decimal="." if divider == "," else _decimal(cells))
+
+
+def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], int]:
+    """Titles with the units of a line below the names, and the number of such lines, 0 or 1.
+
+    Its cells begin with letters or symbols, some are known units, and the next line has numbers there.
+    """
+    units = [cell.strip() for cell in cells[0]]
+    given = [k for k, unit in enumerate(units) if unit.lower() not in _WORDS]
+    known = [bool(unit) and measure(unit).known for unit in units]
+    texts = all(number(units[k], ",") is None and not units[k][0].isdigit() for k in given)
+    if not texts or not any(known) or not any(number(cells[1][k], ",") is not None for k in given):
+        return titles, 0
+    both = zip(titles, units, known, strict=True)
+    return [
+        f"{title} ({unit})" if use and not split_title(title)[1] else title for title, unit, use in both
+    ], 1
 
 
 def _decimal(rows: Sequence[Sequence[str]]) -> str:

@@ -19,7 +19,7 @@ from twinmatch.sessions.tables import Table, number
 from twinmatch.signals import FloatArray
 from twinmatch.units import conversion
 
-__all__ = ["Times", "is_date", "read_times"]
+__all__ = ["Times", "read_times"]
 
 _COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
 """Size from which a number is a count since 1970, and its units per second."""
@@ -32,11 +32,6 @@ class Times(NamedTuple):
     """Seconds since `origin`, shape (N,); nan for rows without a time."""
     origin: float | None
     """Seconds since 1970; None if the table has no absolute time."""
-
-
-def is_date(text: str) -> bool:
-    """Whether a cell is a date with time."""
-    return _date(text) is not None
 
 
 def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> Times:
@@ -58,7 +53,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
             return _since(_dates(table, title, column))
     values = table.values(title) * scale
     unit = unit or table.unit(title)
-    size = float(np.nanmax(np.abs(values), initial=0.0))
+    size = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
     if unit:
         try:
             per_second = 1.0 / conversion(unit, "s").scale
