@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from twinmatch.dynamics import SKIPPED, Parameters, PidGains, simulate_window
+from twinmatch.dynamics import SKIPPED, Parameters, PidGains
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.signals import FloatArray, Window
+from twinmatch.twin import response_on
 
 __all__ = ["with_constant_band"]
 
@@ -28,7 +29,7 @@ def with_constant_band(
         past: all samples up to the forecast, at least four.
         gains: gains of its controller; None if the loop is not known.
     """
-    twin = simulate_window(parameters, past, gains=gains)
+    twin = response_on(parameters, past, gains)
     output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)
     if gains is None:
         return replace(forecast, output=output)

@@ -19,7 +19,7 @@ from twinmatch.twin.entrant import ForecastSettings
 from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest, answer
 from twinmatch.twin.mirror import Mirror, MirrorState
-from twinmatch.twin.residuals import Residuals, nrmse, residuals, window_fit
+from twinmatch.twin.residuals import Residuals, nrmse, residuals, response_on, window_fit
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
 from twinmatch.twin.settings import TrustLimits, TwinError, TwinSettings
 from twinmatch.twin.snapshot import Snapshot
@@ -54,6 +54,7 @@ __all__ = [
     "choose_structure",
     "nrmse",
     "residuals",
+    "response_on",
     "watched",
     "window_fit",
 ]

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import SKIPPED, Parameters, PidGains, begin, simulate_driven, simulate_window
+from twinmatch.dynamics import (
+    SKIPPED,
+    Experiment,
+    Parameters,
+    PidGains,
+    Response,
+    begin,
+    simulate_driven,
+    simulate_window,
+)
+from twinmatch.matching.bounds import unknown_starts
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Residuals", "nrmse", "residuals", "window_fit"]
+__all__ = ["Residuals", "nrmse", "residuals", "response_on", "window_fit"]
+
+_EVALUATIONS: Final = 100
+"""Limit on the runs with which initial states are estimated; a handful is usual."""
 
 
 class Residuals(NamedTuple):
@@ -42,9 +55,41 @@ def window_fit(parameters: Parameters, window: Window, gains: PidGains | None) -
 
     Without gains: that of the driven twin's output, and NaN.
     """
-    twin = simulate_window(parameters, window, gains=gains)
+    twin = response_on(parameters, window, gains)
     of_output = nrmse(window.output[SKIPPED:], twin.output)
     return of_output, float("nan") if gains is None else nrmse(window.input[SKIPPED:], twin.input)
+
+
+def response_on(parameters: Parameters, window: Window, gains: PidGains | None) -> Response:
+    """The twin over a whole window, from its third sample on, as it is shown beside the measurements.
+
+    A driven twin has no controller that brings it back to the measurements, so initial states that no sensor
+    shows would be off for as long as the plant remembers: those that matches estimate are estimated from the
+    window, with these parameters.
+
+    Raises:
+        PlantError: as `simulate_window`.
+    """
+    starts = hidden_starts(parameters, window) if gains is None else None
+    return simulate_window(parameters, window, gains=gains, starts=starts)
+
+
+def hidden_starts(parameters: Parameters, window: Window) -> dict[str, float]:
+    """Initial values of the hidden states with which a driven twin is nearest to a window's output.
+
+    Empty, so that the plant file's apply, without such states, if the search does not converge, or if the
+    equations run elsewhere.
+    """
+    model = parameters.model
+    unknown = unknown_starts(model)
+    if not unknown or model.is_elsewhere or len(window) <= SKIPPED + len(unknown):
+        return {}
+    runs = Experiment(parameters, (), window, free_starts=[u.name for u in unknown], gains=None)
+    low, high = np.array([u.bounds for u in unknown]).T
+    scales = np.array([u.scale for u in unknown])
+    begun = np.clip(runs.values_of(parameters), low, high)
+    found = runs.descend(begun, low, high, scales, _EVALUATIONS)
+    return runs.starts_at(found.values) if found.converged else {}
 
 
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, PidGains, Response, begin, simulate_driven, simulate_window
+from twinmatch.dynamics import Parameters, PidGains, Response, begin, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
+from twinmatch.twin import response_on
 
 __all__ = ["Comparison", "compare", "rolling_rms", "root_mean_square"]
 
@@ -52,7 +53,8 @@ class Comparison:
 def compare(
     samples: Sequence[Sample], parameters: Parameters, gains: PidGains | None, period: float = 1.0
 ) -> tuple[Comparison, ...]:
-    """Run the twins over every unbroken stretch of at least four samples, from its measured initial values.
+    """Run the twins over every unbroken stretch of at least four samples, from its measured initial values,
+    or, where the loop is not known, from estimated ones.
 
     `period`, s, is used where the loop is not known; a known loop has the period of its controller.
     """
@@ -61,6 +63,9 @@ def compare(
         if len(stretch) < SKIPPED + 2:
             continue
         window = Window.from_samples(stretch, period if gains is None else gains.period)
+        if gains is None:
+            found.append(Comparison(window, None, response_on(parameters, window, None).output))
+            continue
         disturbances = window.disturbances[SKIPPED:]
         driven = simulate_driven(
             parameters,
@@ -69,7 +74,7 @@ def compare(
             period=window.period,
             disturbances=disturbances,
         )
-        closed = None if gains is None else simulate_window(parameters, window, gains=gains)
+        closed = response_on(parameters, window, gains)
         found.append(Comparison(window, closed, driven.output))
     return tuple(found)
 

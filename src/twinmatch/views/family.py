@@ -18,11 +18,11 @@ from twinmatch.discrimination import (
     twin_response,
 )
 from twinmatch.discrimination.models import ahead, deviations, operating_level
-from twinmatch.dynamics import Response, simulate_window
+from twinmatch.dynamics import Response
 from twinmatch.errors import TwinmatchError
 from twinmatch.matching import Match
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import MatchReport, TwinSettings
+from twinmatch.twin import MatchReport, TwinSettings, response_on
 from twinmatch.twin.threads import one_thread
 
 __all__ = ["Member", "family"]
@@ -62,7 +62,7 @@ class Member:
     @property
     def quiet_twin(self) -> Response:
         """The same response without sensor noise, from the window's third sample."""
-        return simulate_window(self.score.parameters, self.window, gains=self.settings.gains)
+        return response_on(self.score.parameters, self.window, self.settings.gains)
 
     def simulated(self, order: str) -> Window:
         """The measured window as simulated by the model of this order: B/F alone, as for the gain."""

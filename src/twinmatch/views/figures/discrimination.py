@@ -119,7 +119,7 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     axes.set_yticks(range(len(names)), rows)
     for label, name in zip(axes.get_yticklabels(), names, strict=True):
         label.set_fontweight("bold" if name == verdict.nominal else "normal")
-    axes.set_title("ν-gap between the plants (smallest Σ: nominal, bold)")
+    axes.set_title("ν-gap between the plants\n(smallest Σ: nominal, bold)")
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.figure.colorbar(image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: entirely different)")

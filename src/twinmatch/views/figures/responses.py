@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twinmatch.dynamics import simulate_window
 from twinmatch.signals import FloatArray, Window
+from twinmatch.twin import response_on
 from twinmatch.views.family import Member
 from twinmatch.views.figures.drawing import new_figure, stack, styled
 from twinmatch.views.style import CLOSED, FAMILY_MAP, MODEL, PLANT, SET_POINT
@@ -75,7 +75,7 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     """The twins of all candidates on the nominal one's window; their spread is the uncertainty."""
     nominal = next((m for m in members if m.nominal), members[0])
     window = nominal.window
-    answers = [simulate_window(m.score.parameters, window, gains=m.settings.gains) for m in members]
+    answers = [response_on(m.score.parameters, window, m.settings.gains) for m in members]
     figure = new_figure(10, 6.2)
     axes = stack(figure, (3, 2, 1.5, 1.5))
     time = window.time[_SKIPPED:]

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinmatch.discrimination import CandidateScore, Verdict
-from twinmatch.dynamics import simulate_window
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import TwinSettings
+from twinmatch.twin import TwinSettings, response_on
 from twinmatch.views.figures.discrimination import draw_gains, fill_matrix
 from twinmatch.views.figures.drawing import new_figure, save, styled, time_axis
 from twinmatch.views.figures.health import draw_levels
@@ -73,7 +72,7 @@ def _draw_signals(
     control.plot(time, window.input, color=PLANT, lw=0.9)
     if shown is None or len(window) < 4:
         return
-    twin = simulate_window(shown.parameters, window, gains=settings.gains)
+    twin = response_on(shown.parameters, window, settings.gains)
     name = f"twin of {shown.name}" if label else hidden
     temperature.plot(time[2:], twin.output, color=CLOSED, lw=1, label=name)
     if settings.gains is not None:
