@@ -44,6 +44,11 @@ STEP = 1e-3
 """Change of a parameter for a difference quotient, in units of its scale: the response of a plant is smooth
 over it, and the point at which the plant is held is accurate to a millionth."""
 
+_OFF = 1e-6
+"""The response of an integrator is infinite at frequency zero. If a pole lies within a tenth of this distance
+of a frequency, the response is computed this far beside it, radians per sample: it is then so large that only
+its phase matters."""
+
 
 class Held(NamedTuple):
     """The loop in which twins are held; hashable, so that results can be cached."""
@@ -111,7 +116,9 @@ def held_slopes(
 
 def _response(parameters: Parameters, set_point: float, terms: Held) -> NDArray[np.complex128]:
     linear = held(parameters, set_point, terms)
-    z = np.exp(1j * ANGLES)
+    poles = np.linalg.eigvals(linear.A)
+    singular = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=1) < _OFF / 10
+    z = np.exp(1j * np.where(singular, ANGLES + _OFF, ANGLES))
     resolvent = z[:, None, None] * np.eye(len(linear.A)) - linear.A
     states = np.linalg.solve(resolvent, np.broadcast_to(linear.B, (z.size, *linear.B.shape)))
     return np.asarray(terms.scales.ratio * (linear.C @ states)[:, 0, 0], dtype=np.complex128)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from twinmatch.dynamics.errors import PlantError
 from twinmatch.dynamics.patience import PATIENCE, TooLongError, at_most
 from twinmatch.dynamics.returned import require_usable
+from twinmatch.dynamics.roots import Roots
 
 if TYPE_CHECKING:
     from twinmatch.dynamics.plant import Plant
@@ -87,11 +88,13 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     drive, measured = declared[plant.drive.name], declared[plant.output.name]
     disturbances = tuple(declared[name] for name in plant.disturbances)
 
-    kinks = _Kinks()
-    rates = tuple(kinks.resolved(sympy.sympify(written.rates[s])) for s in states)
-    quantities = {name: kinks.resolved(sympy.sympify(e)) for name, e in written.quantities.items()}
+    kinks, roots = _Kinks(), Roots(plant)
+    rates = tuple(kinks.resolved(roots.smooth(sympy.sympify(written.rates[s]))) for s in states)
+    quantities = {
+        name: kinks.resolved(roots.smooth(sympy.sympify(e))) for name, e in written.quantities.items()
+    }
     output = sympy.sympify(written.output)
-    start = tuple(sympy.sympify(written.start[s]) for s in states)
+    start = tuple(roots.smooth(sympy.sympify(written.start[s])) for s in states)
     for what, expressions in (("output", [output]), ("start", start)):
         if any(_Kinks().resolved(expression) != expression for expression in expressions):
             raise PlantError(f"{title}: the {what} has a kink; put it into the sensor or into a rate")

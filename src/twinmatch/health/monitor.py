@@ -75,10 +75,13 @@ class Monitor:
         """Judge the drive's effect by the settings' twin."""
         twin, period = settings.reference, settings.period
         self._balance = Balance(twin, period)
+        late = answers_late(twin, period)
         # On a plant that is switched elsewhere, an open lid looks like a dead heater for half a minute.
-        asked = twin.model.plant.loop is not None and answers_late(twin, period)
-        self._late = Answer(twin, period) if asked else None
+        self._late = Answer(twin, period) if late and twin.model.plant.loop is not None else None
         """For a plant whose output the drive moves only after many samples."""
+        self._prompt = not late
+        """Whether what the drive does within a sample is its effect; otherwise it is a small part of it, and
+        smaller than the errors of the states that the output does not show."""
         self._effect: Effect | Answer = self._late or Effect(period, self._balance.noise)
         self._slow = Slow(settings, self._words)
 
@@ -177,7 +180,7 @@ class Monitor:
             self._restart_traces()
             return None
         self._lag.push(movement)
-        if isinstance(self._effect, Effect):
+        if self._prompt and isinstance(self._effect, Effect):
             self._effect.push(movement, self._balance.roughness)
         self._learn()
         self._track(sample)
