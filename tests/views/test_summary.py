@@ -83,6 +83,10 @@ SUMMARY = Summary(
             "degrees, some minutes apart.",
         ),
         (
+            {"nominal": None, "level": TrustLevel.UNKNOWN, "refusal": "match refused: C ended on 5 J/K"},
+            "No nominal twin: 5 verdicts, but no valid match. Match refused: C ended on 5 J/K.",
+        ),
+        (
             {"nominal": None, "level": TrustLevel.FAULT, "fault": "drive-lost"},
             "No nominal twin: the plant shows drive-lost. Look at the plant first.",
         ),

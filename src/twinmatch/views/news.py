@@ -17,11 +17,12 @@ class News:
         self._last: tuple[TrustLevel, str, str | None, str | None, bool] | None = None
 
     def is_new(self, verdict: Verdict) -> bool:
-        """True if models were identified, or level, fault, leader, nominal or `decided` changed."""
+        """True if models were identified, a match was refused, or level, fault, leader, nominal or `decided`
+        changed."""
         content = (verdict.level, verdict.fault, verdict.leader, verdict.nominal, verdict.decided)
         changed = content != self._last
         self._last = content
-        return changed or not verdict.stands
+        return changed or not verdict.stands or bool(verdict.match)
 
 
 def news(verdicts: Iterable[Verdict]) -> list[Verdict]:

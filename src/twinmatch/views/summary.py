@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.discrimination import REFUSED, TrustLevel, Verdict
 from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import window_fit
@@ -51,6 +51,8 @@ class Summary:
     """The twin to ask what comes next."""
     leader_confidence: float = math.nan
     """How often its error was within 3 % of the best candidate's, 0 to 1."""
+    refusal: str = ""
+    """Why no match came of the last excited window that gave none; empty without one."""
     closed: bool = True
     """Whether the loop is known; otherwise the fit is that of the driven twin."""
 
@@ -62,6 +64,7 @@ class Tally:
         """Start with these verdicts."""
         self.last: Verdict | None = None
         self.verdicts = self.identified = 0
+        self.refusal = ""
         self._matches: Counter[str] = Counter()
         for verdict in verdicts:
             self.push(verdict)
@@ -73,6 +76,8 @@ class Tally:
         self.identified += not verdict.stands
         if verdict.match:
             self._matches[verdict.match] += 1
+        if verdict.match == REFUSED:
+            self.refusal = verdict.reason
 
     @property
     def matches(self) -> dict[str, int]:
@@ -140,6 +145,7 @@ def conclude(
         fault=last.fault if last else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
+        refusal=tally.refusal,
         closed=gains is not None,
     )
 
@@ -149,6 +155,9 @@ def sentence(summary: Summary) -> str:
     if summary.leader is None and summary.nominal is None:
         if summary.level is TrustLevel.FAULT:
             return f"No nominal twin: {_trouble(summary)}. Look at the plant first."
+        if summary.refusal:
+            last = f"{summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
+            return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {last}"
         needed = (
             "The loop needs set-point steps of a few degrees, some minutes apart."
             if summary.closed
