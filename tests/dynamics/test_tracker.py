@@ -32,7 +32,7 @@ def tracker() -> Tracker:
 
 
 def first(of: Tracker) -> Belief:
-    return of.begin(0.0, np.zeros(0), 0)
+    return of.begin(0.0, 0.0, np.zeros(0), 0)
 
 
 @settings(max_examples=15)
@@ -105,7 +105,7 @@ def test_with_known_parameters_it_is_the_kalman_filter_of_the_textbook() -> None
 def test_what_is_opened_is_found() -> None:
     of = tracker()
     learned, _ = of.run(first(of), stretch(1, 300), 0)
-    later = of.again(learned, 0.0, np.zeros(0))
+    later = of.again(learned, 0.0, 0.0, np.zeros(0))
     weak, saved = of.run(later.opened(of.share, 0.0, 0.3), stretch(2, 100, share=0.7), 0)
     _, plain = of.run(later, stretch(2, 100, share=0.7), 0)
     assert weak.values[of.share] == pytest.approx(-0.3, abs=0.02)
@@ -119,7 +119,7 @@ def test_traces_forecast_what_a_jump_leaves_in_the_surprises() -> None:
     """The gain they promise is the one that following the jump for itself brings."""
     of = tracker()
     learned, _ = of.run(first(of), stretch(1, 300), 0)
-    later = of.again(learned, 0.0, np.zeros(0))
+    later = of.again(learned, 0.0, 0.0, np.zeros(0))
     record = stretch(2, 100, rate=0.0)._replace()
     record.output[2:] += 0.05
     traces = no_traces(of.size)._replace(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from twinmatch.dynamics import (
+    DeadTime,
     Disturbance,
     Drive,
     Equations,
@@ -16,7 +17,7 @@ from twinmatch.dynamics import (
     magnitude,
 )
 
-__all__ = ["Box", "Lag", "Motor", "Tank"]
+__all__ = ["Box", "Exchanger", "Lag", "Motor", "Tank"]
 
 
 class Lag(Plant, name="lag"):
@@ -123,4 +124,34 @@ class Box(Plant, name="box"):
             },
             output=self.air,
             start={self.air: self.temperature, self.bed: self.temperature},
+        )
+
+
+class Exchanger(Plant, name="exchanger"):
+    """A heat exchanger at the end of a pipe that the heated liquid has to pass first."""
+
+    parts = ("pipe",)
+    temperature = Output(unit="°C", noise=0.1, span=(0.0, 150.0))
+    heater = Drive(unit="%", limits=(0.0, 100.0), noise=0.5)
+    inlet = Disturbance(unit="°C", default=20.0)
+    outlet = State(unit="°C", span=(0.0, 150.0))
+    pipe = DeadTime(unit="%", span=(0.0, 100.0), text="heat on its way")
+    gain = Parameter(unit="K/%", default=1.0, bounds=(0.05, 5.0), positive=True)
+    lag = Parameter(unit="s", default=20.0, bounds=(2.0, 300.0), positive=True)
+    delay = Parameter(unit="s", default=5.0, bounds=(2.0, 60.0), positive=True)
+    structures = {  # noqa: RUF012
+        "with pipe": Structure(free=("gain", "lag", "delay"), parts=frozenset({"pipe"})),
+        "without": Structure(free=("gain", "lag")),
+    }
+    loop = PidGains(0.6, 0.03, 0.0, 0.1, 0.0, 100.0)
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """What heats now left the heater some time ago."""
+        came = self.pipe.after(self.heater, self.delay)
+        rates, start = (came.rates, came.start) if "pipe" in parts else ({}, {})
+        power = came.value if "pipe" in parts else self.heater
+        return Equations(
+            rates={self.outlet: (self.inlet + self.gain * power - self.outlet) / self.lag, **rates},
+            output=self.outlet,
+            start={self.outlet: self.temperature, **start},
         )

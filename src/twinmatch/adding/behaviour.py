@@ -54,7 +54,7 @@ def ranges(model: Model) -> list[Finding]:
         found.append(
             Finding(what, "widen `span` of the output, or check default values and units of the parameters")
         )
-    states = begin(parameters, trial.output)
+    states = begin(parameters, trial.output, input=float(trial.input[0]))
     least, most = states.copy(), states.copy()
     for u, row in zip(trial.input, trial.disturbances, strict=True):
         states = advance(parameters, states, float(u), trial.period, row)

@@ -89,7 +89,7 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
     Raises:
         PlantError: the plant is too fast for the period, or its output is not finite.
     """
-    states = begin(parameters, trial.output)
+    states = begin(parameters, trial.output, input=float(trial.input[0]))
     run = simulate_driven(
         parameters, trial.input, states=states, period=trial.period, disturbances=trial.disturbances
     )

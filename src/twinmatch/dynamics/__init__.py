@@ -11,6 +11,7 @@ from there, with variances. `Pid` is the controller, `Sensor` the model from out
 
 from twinmatch.dynamics.ahead import Foretold, foretell
 from twinmatch.dynamics.closing import FILED, Closing, Filed, gains_for, gains_of
+from twinmatch.dynamics.dead_time import DeadTime
 from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Parameter, State, Structure
 from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.elsewhere import Elsewhere
@@ -31,6 +32,7 @@ from twinmatch.dynamics.simulation import (
     Response,
     advance,
     begin,
+    begin_window,
     quantities,
     read,
     simulate_closed_loop,
@@ -42,6 +44,7 @@ __all__ = [
     "FILED",
     "SKIPPED",
     "Closing",
+    "DeadTime",
     "Descended",
     "Disturbance",
     "Drive",
@@ -73,6 +76,7 @@ __all__ = [
     "Wander",
     "advance",
     "begin",
+    "begin_window",
     "box_step",
     "controller_state",
     "descend",

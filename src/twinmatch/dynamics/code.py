@@ -73,8 +73,8 @@ class _Writer:
                 {f"hx[{j}]": d.output.diff(s) for j, s in enumerate(d.states)}
                 | {f"hp[{j}]": d.output.diff(s) for j, s in enumerate(d.unknown)},
             ),
-            self._function("start(y, d, p, c, x)", {f"x[{i}]": e for i, e in enumerate(d.start)}),
-            self._function("start_slopes(y, d, p, c, xy, xp)", start_slopes),
+            self._function("start(y, u, d, p, c, x)", {f"x[{i}]": e for i, e in enumerate(d.start)}),
+            self._function("start_slopes(y, u, d, p, c, xy, xp)", start_slopes),
             self._function(
                 f"quantities({known}, q)", {f"q[{i}]": e for i, e in enumerate(d.quantities.values())}
             ),

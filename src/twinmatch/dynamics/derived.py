@@ -69,12 +69,12 @@ def output_slopes(x: Any, d: Any, p: Any, c: Any, hx: Any, hp: Any) -> Any:
 
 
 @compiled(innermost=True)
-def start(y: Any, d: Any, p: Any, c: Any, x: Any) -> Any:
+def start(y: Any, u: Any, d: Any, p: Any, c: Any, x: Any) -> Any:
     x[0] = y
 
 
 @compiled(innermost=True)
-def start_slopes(y: Any, d: Any, p: Any, c: Any, xy: Any, xp: Any) -> Any:
+def start_slopes(y: Any, u: Any, d: Any, p: Any, c: Any, xy: Any, xp: Any) -> Any:
     xy[0] = 1.0
 
 

@@ -39,7 +39,7 @@ class Equations:
     output: Expression
     """The quantity that the sensor measures; a smooth function of states and parameters."""
     start: Mapping[Expression, Expression]
-    """Initial value of each state, from the output (its symbol), disturbances and parameters."""
+    """Initial value of each state, from the output, the drive until then, disturbances and parameters."""
     quantities: Mapping[str, Expression] = field(default_factory=dict)
     """Other quantities of interest, by name: currents, heat flows."""
 

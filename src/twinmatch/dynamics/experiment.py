@@ -128,6 +128,7 @@ class Experiment:
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
             first=float(window.output[SKIPPED]),
+            driven=float(window.input[SKIPPED - 1]),
             closed=self.closed,
             gains=self.gains.constants,
             reference=np.array(window.reference[SKIPPED:]),
@@ -250,7 +251,7 @@ class Experiment:
 
     def _initial(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         initial: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
-            vector, self._posed.first, self._posed.disturbances[0]
+            vector, self._posed.first, self._posed.driven, self._posed.disturbances[0]
         )
         return initial
 

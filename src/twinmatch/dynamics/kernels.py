@@ -175,15 +175,15 @@ def advance(
 
 
 @compiled
-def begin(vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Initial states, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
+def begin(vector: FloatArray, y: float, u: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Initial states after a drive u, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
     x = np.zeros(N_STATES)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
     p = held(vector)
     c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
-    start(y, given, p, c, x)
-    start_slopes(y, given, p, c, xy, xp)
+    start(y, u, given, p, c, x)
+    start_slopes(y, u, given, p, c, xy, xp)
     return x, xy, xp
 
 
@@ -221,8 +221,8 @@ def parts(
     p = held(vector)
     c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
-    start(y, given, p, c, x)
-    start_slopes(y, given, p, c, xy, xp)
+    start(y, u, given, p, c, x)
+    start_slopes(y, u, given, p, c, xy, xp)
     output_slopes(packed(x), given, p, c, shown, shown_by)
     if not np.isnan(before[0]):
         off = y - output(packed(before), given, p, c)

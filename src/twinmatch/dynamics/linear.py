@@ -49,7 +49,7 @@ def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | Non
     """
     model = parameters.model
     row, drive = model.disturbance_row(disturbances), model.plant.drive
-    states, _, _ = model.kernels.begin(parameters.vector, float(output), row)
+    states, _, _ = model.kernels.begin(parameters.vector, float(output), float(drive.rest), row)
     low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
     scales = np.append(high - low, drive.limits[1] - drive.limits[0])
     u = drive.rest

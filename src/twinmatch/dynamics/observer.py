@@ -41,6 +41,7 @@ class Observer:
         period: float,
         drift: ArrayLike,
         start: ArrayLike | None = None,
+        input: float | None = None,
         disturbances: ArrayLike | None = None,
         states: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
@@ -55,6 +56,7 @@ class Observer:
             period: sample time, s.
             drift: standard deviation of the drift of each state from the equations per second, shape (n,).
             start: initial standard deviation of each state, shape (n,); or give the covariance.
+            input: drive until the first sample; default: at rest.
             disturbances: those at the first sample.
             states: initial states, shape (n,), instead of those computed from the output.
             covariance: that of the states, shape (n, n), or of states and wandering parameters,
@@ -92,7 +94,7 @@ class Observer:
         if states is None:
             if output is None:
                 raise PlantError(f"{model.title}: an observer starts from an output or from states; give one")
-            states = begin(parameters, output, disturbances=self._row)
+            states = begin(parameters, output, input=input, disturbances=self._row)
         self.states = states
         self._joint = self._first_covariance(start, covariance, [w.start for w in wandering.values()])
         self._columns = np.zeros((n, m + n + 1))

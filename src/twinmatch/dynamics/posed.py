@@ -27,6 +27,8 @@ class Posed(NamedTuple):
     """Indices of the states with unknown initial value."""
     first: float
     """Output measured at the start."""
+    driven: float
+    """Input until the start."""
     closed: bool
     gains: Gains
     reference: FloatArray

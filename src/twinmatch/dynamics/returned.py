@@ -40,7 +40,7 @@ def require_usable(plant: Plant, written: Equations) -> None:
     known = {*states, *inputs}
     for state in states:
         _require(f"{title}: the rate of {state}", written.rates[state], {*known, drive}, declared)
-        _require(f"{title}: the start of {state}", written.start[state], {*inputs, measured}, declared)
+        _require(f"{title}: the start of {state}", written.start[state], {*inputs, drive, measured}, declared)
     if _symbols(written.output) & {drive}:
         raise PlantError(f"{title}: the output depends on the drive at the same instant; add a state between")
     _require(f"{title}: the output", written.output, known, declared)
@@ -94,7 +94,7 @@ def _require(place: str, expression: Any, allowed: Iterable[Any], declared: Mapp
 def _reason(place: str) -> str:
     """Why a declared quantity cannot be used there."""
     if ": the start of" in place:
-        return "is not known before the first sample; use the output, disturbances and parameters"
+        return "is not known before the first sample; use the output, the drive, disturbances and parameters"
     return "is the output or a state without a rate; use a state, or give it a rate"
 
 

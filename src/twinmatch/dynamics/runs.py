@@ -161,7 +161,7 @@ def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, 
     for j in range(n):
         p[posed.places[j]] = values[j]
     given = posed.disturbances[0]
-    x, _, by_parameters = begin(p, posed.first, given)
+    x, _, by_parameters = begin(p, posed.first, posed.driven, given)
     columns = np.zeros((N_STATES, values.size))
     for i in range(N_STATES):
         for j in range(n):

@@ -25,6 +25,7 @@ __all__ = [
     "Response",
     "advance",
     "begin",
+    "begin_window",
     "quantities",
     "read",
     "simulate_closed_loop",
@@ -54,16 +55,20 @@ def begin(
     parameters: Parameters,
     output: float,
     *,
+    input: float | None = None,
     disturbances: FloatArray | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> FloatArray:
-    """Initial states, shape (n,), of a plant of which only the output and `starts` are known.
+    """Initial states, shape (n,), of a plant of which only the output, the input until then (default: the
+    drive at rest) and `starts` are known.
 
     Raises:
         PlantError: a name in `starts` is not a state, or a value is not finite.
     """
     model = parameters.model
-    states, _, _ = model.kernels.begin(parameters.vector, float(output), model.disturbance_row(disturbances))
+    before = model.plant.drive.rest if input is None else input
+    row = model.disturbance_row(disturbances)
+    states, _, _ = model.kernels.begin(parameters.vector, float(output), float(before), row)
     for name, value in (starts or {}).items():
         if name not in model.states:
             msg = f"{model.title}: no state {name!r}; it has {', '.join(model.states)}"
@@ -74,6 +79,23 @@ def begin(
             f"{model.title}: its initial states are {states.tolist()}; only finite values can be used"
         )
     return np.asarray(states, dtype=np.float64)
+
+
+def begin_window(
+    parameters: Parameters, window: Window, starts: Mapping[str, float] | None = None
+) -> FloatArray:
+    """Initial states, shape (n,), at the third sample of a window, where its simulations start.
+
+    Raises:
+        PlantError: as `begin`.
+    """
+    return begin(
+        parameters,
+        float(window.output[SKIPPED]),
+        input=float(window.input[SKIPPED - 1]),
+        disturbances=window.disturbances[SKIPPED],
+        starts=starts,
+    )
 
 
 def advance(
@@ -191,7 +213,7 @@ def simulate_window(
         raise PlantError(msg)
     reference, disturbances = window.reference[SKIPPED:], window.disturbances[SKIPPED:]
     held = gains_for(parameters.model.plant, window.period, gains)
-    states = begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0], starts=starts)
+    states = begin_window(parameters, window, starts)
     seen = None if sensor is None else sensor.realise(reference.size, window.period, seed)
     if held is None:
         return simulate_driven(

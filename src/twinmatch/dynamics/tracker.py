@@ -156,20 +156,20 @@ class Tracker:
         self._none = no_traces(self.size)
         self._levels = levels
 
-    def begin(self, output: float, disturbances: FloatArray, level: int) -> Belief:
-        """The belief at the first reading."""
+    def begin(self, output: float, input: float, disturbances: FloatArray, level: int) -> Belief:
+        """The belief at the first reading, after a given input."""
         values = np.zeros(self.size)
         n = len(self.parameters.model.states)
-        values[:n] = begin(self.parameters, output, disturbances=disturbances)
+        values[:n] = begin(self.parameters, output, input=input, disturbances=disturbances)
         spread = np.zeros(self.size)
         spread[: self._first.size] = self._first
         spread[self.fading] = self._levels[level] * self._fading
         return Belief(values, np.diag(spread**2))
 
-    def again(self, belief: Belief, output: float, disturbances: FloatArray) -> Belief:
+    def again(self, belief: Belief, output: float, input: float, disturbances: FloatArray) -> Belief:
         """The belief after a gap: parameters are kept, states restart from a reading."""
         n = len(self.parameters.model.states)
-        start = self.begin(output, disturbances, 0)
+        start = self.begin(output, input, disturbances, 0)
         values, covariance = belief.values.copy(), belief.covariance.copy()
         values[:n] = np.where(self._shown, start.values[:n], values[:n])
         values[self.passing] = values[self.fading] = 0.0

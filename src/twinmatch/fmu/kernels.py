@@ -41,9 +41,11 @@ class FmuKernels:
         self.UNKNOWN = self.PARAMETERS
         self._counts: dict[tuple[bytes, float, float], int] = {}
 
-    def begin(self, vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Initial states at an output y, and their derivatives by y and by the parameters."""
-        return self._places.begin(vector, y, d)
+    def begin(
+        self, vector: FloatArray, y: float, u: float, d: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Initial states at an output y after a drive u, and their derivatives by y and by the parameters."""
+        return self._places.begin(vector, y, u, d)
 
     def advance(
         self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
@@ -61,7 +63,7 @@ class FmuKernels:
         period: float, steps: int,
     ) -> tuple[float, float, FloatArray]:  # fmt: skip
         """Change of the output over one period due to the drive, change due to all else, and the states."""
-        x, by_y, _ = self.begin(vector, y, d)
+        x, by_y, _ = self.begin(vector, y, u, d)
         x = np.where((by_y == 0.0) & ~np.isnan(before), before, x)
         both = np.tile(np.append(vector, x), (2, 1))
         at, after = self._runner.ticks(both, np.array([u, rest]), np.tile(d, (2, 1)), period, steps)
@@ -159,7 +161,7 @@ class FmuKernels:
         n, started = posed.which.size, posed.started
         vector = posed.base.copy()
         vector[posed.places] = values[:n]
-        x, _, by_parameters = self.begin(vector, posed.first, posed.disturbances[0])
+        x, _, by_parameters = self.begin(vector, posed.first, posed.driven, posed.disturbances[0])
         columns = np.zeros((x.size, values.size))
         columns[:, :n] = by_parameters[:, posed.which]
         x[started] = values[n:]

@@ -161,7 +161,7 @@ def _check(of: FmuMap) -> None:
         msg = f"{of.place}: starts has no entry for {missing[0]}; give its initial value at a known output"
         raise FmuError(msg)
     for name, formula in of.starts.items():
-        known = (of.plant.output.name, *of.plant.disturbances, *parameters)
+        known = (of.plant.output.name, of.plant.drive.name, *of.plant.disturbances, *parameters)
         _subset(f"{of.place}, start of {name}", repr(formula.text), formula.names, known)
 
 

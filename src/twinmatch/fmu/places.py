@@ -48,7 +48,11 @@ class Places:
     ) -> None:
         """Set up for a structure with these parameters and states."""
         self._parameters, self._states, self._starts = tuple(parameters), tuple(states), starts
-        self._output, self._others = plant.output.name, tuple(plant.disturbances)
+        self._output, self._drive, self._others = (
+            plant.output.name,
+            plant.drive.name,
+            tuple(plant.disturbances),
+        )
         self.rest = float(plant.drive.rest)
         self.period = 1.0 if plant.loop is None else float(plant.loop.period)
         """Time over which the rate of a co-simulation FMU is taken, s."""
@@ -56,11 +60,14 @@ class Places:
         self._drive_step = STEP * (high - low)
         self._spans = STEP * np.array([state.span[1] - state.span[0] for state in states])
 
-    def begin(self, vector: FloatArray, y: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Initial states at an output y, shape (nx,), and their derivatives by y and parameters, (nx, n)."""
+    def begin(
+        self, vector: FloatArray, y: float, u: float, d: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Initial states at an output y after a drive u, (nx,); their derivatives by y and parameters."""
         names = [parameter.name for parameter in self._parameters]
         values = {
             self._output: float(y),
+            self._drive: float(u),
             **dict(zip(self._others, np.asarray(d, dtype=np.float64).tolist(), strict=True)),
             **dict(zip(names, vector.tolist(), strict=True)),
         }

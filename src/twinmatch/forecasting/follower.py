@@ -67,6 +67,7 @@ class Follower:
                 period=self.period,
                 drift=drift_of(self.parameters.model),
                 start=UNKNOWN * _spans(self.parameters.model),
+                input=sample.input,
                 disturbances=row,
                 states=self._states,
                 limit=LIMIT,

@@ -143,6 +143,7 @@ class Answer:
                 period=self._period,
                 drift=_DRIFT * scales,
                 start=scales,
+                input=sample.input,
                 disturbances=given,
                 wandering=self._wandering,
             )

@@ -131,9 +131,11 @@ class Past:
         self._samples.clear()
         if not self._beliefs:
             levels = range(len(LEVELS))
-            self._beliefs = tuple(self.tracker.begin(first.output, row, level) for level in levels)
+            self._beliefs = tuple(
+                self.tracker.begin(first.output, first.input, row, level) for level in levels
+            )
         elif self._gap:
-            beliefs = (self.tracker.again(b, first.output, row) for b in self._beliefs)
+            beliefs = (self.tracker.again(b, first.output, first.input, row) for b in self._beliefs)
             at, spread = self._opening or (0, 0.0)
             self._beliefs = tuple(b.opened(at, 0.0, spread) for b in beliefs)
             self._opening = None

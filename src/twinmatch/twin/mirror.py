@@ -123,7 +123,8 @@ class Mirror:
         return state
 
     def _restart(self, sample: Sample) -> None:
-        start = begin(self._parameters, sample.output, disturbances=_disturbances(sample))
+        row = _disturbances(sample)
+        start = begin(self._parameters, sample.output, input=sample.input, disturbances=row)
         self._closed = start if self._gains is not None else np.full(start.size, np.nan)
         self._driven = start
         self._pid = None if self._gains is None else Pid(self._gains)

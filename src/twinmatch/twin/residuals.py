@@ -12,7 +12,7 @@ from twinmatch.dynamics import (
     Parameters,
     PidGains,
     Response,
-    begin,
+    begin_window,
     simulate_driven,
     simulate_window,
 )
@@ -39,7 +39,7 @@ def residuals(parameters: Parameters, window: Window, gains: PidGains | None) ->
     if len(window) < 4:
         return Residuals(float("nan"), float("nan"))
     disturbances = window.disturbances[SKIPPED:]
-    states = begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0])
+    states = begin_window(parameters, window)
     driven = simulate_driven(
         parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, PidGains, Response, begin, simulate_driven
+from twinmatch.dynamics import Parameters, PidGains, Response, begin_window, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import response_on
@@ -70,7 +70,7 @@ def compare(
         driven = simulate_driven(
             parameters,
             window.input[SKIPPED:],
-            states=begin(parameters, float(window.output[SKIPPED]), disturbances=disturbances[0]),
+            states=begin_window(parameters, window),
             period=window.period,
             disturbances=disturbances,
         )

@@ -1,0 +1,195 @@
+"""Dead times, against the tables of a control library and against plants with an exact delay."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.plants import Exchanger
+from twinmatch.dynamics import (
+    DeadTime,
+    Drive,
+    Equations,
+    Experiment,
+    Output,
+    Parameter,
+    Plant,
+    PlantError,
+    State,
+    Structure,
+    advance,
+    begin,
+    linearised,
+    read,
+    simulate_closed_loop,
+    simulate_driven,
+    simulate_window,
+)
+from twinmatch.dynamics.dead_time import DelayLine
+from twinmatch.matching import match
+from twinmatch.signals import Window
+
+PERIOD = 1.0
+FINE = 100
+PIPE = Exchanger.model("with pipe")
+
+
+def delayed_plant(u: np.ndarray, gain: float, lag: float, delay: float) -> np.ndarray:
+    """The exchanger with an exact delay, at rest before, its inlet at 20 °C."""
+    fine = np.repeat(u, FINE)
+    shift = round(delay * FINE / PERIOD)
+    came = np.concatenate([np.full(shift, u[0]), fine])[: fine.size]
+    decay = np.exp(-PERIOD / FINE / lag)
+    y, x = np.empty(u.size), gain * u[0]
+    for k, value in enumerate(came):
+        if k % FINE == 0:
+            y[k // FINE] = 20.0 + x
+        x = decay * x + (1.0 - decay) * gain * value
+    return y
+
+
+def recorded(gain: float, lag: float, delay: float, seed: int = 3) -> Window:
+    """Ten minutes with twelve random levels of the heater."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.uniform(5.0, 80.0, 12), 50)
+    y = delayed_plant(u, gain, lag, delay) + random.normal(0.0, 0.1, u.size)
+    return Window(np.zeros(u.size), y, u, period=PERIOD, disturbances=np.full((u.size, 1), 20.0))
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 6, 8])
+def test_it_is_the_pade_approximation_of_the_tables(order: int) -> None:
+    theta = 3.0
+    states, u = sympy.symbols(f"z:{order}"), sympy.Symbol("u")
+    line = DelayLine(tuple(states)).after(u, theta)
+    a = np.array([[float(line.rates[x].diff(z)) for z in states] for x in states])
+    b = np.array([[float(line.rates[x].diff(u))] for x in states])
+    c = np.array([[float(sympy.sympify(line.value).diff(z)) for z in states]])
+    ours = control.ss(a, b, c, [[0.0]])
+    theirs = control.tf(*control.pade(theta, order, numdeg=order - 1))
+    at = np.logspace(-2, 1, 30) / theta
+    # `control.pade` works with factorials in floating point: nine digits are left at order 8.
+    np.testing.assert_allclose(ours(1j * at), theirs(1j * at), rtol=1e-8)
+
+
+@pytest.mark.parametrize(("lag", "delay"), [(30.0, 8.0), (12.0, 5.5), (20.0, 20.0), (60.0, 3.0)])
+def test_a_delay_is_found_in_data_with_an_exact_one(lag: float, delay: float) -> None:
+    window = recorded(0.8, lag, delay)
+    found = match(window, start=PIPE.parameters(), gains=None)
+    assert found.status.value == "accepted"
+    # One per cent: the order of the approximation costs less than that while the delay is below the lag.
+    assert found.parameters["gain"] == pytest.approx(0.8, rel=0.005)
+    assert found.parameters["lag"] == pytest.approx(lag, rel=0.02)
+    assert found.parameters["delay"] == pytest.approx(delay, rel=0.01)
+    without = match(window, start=Exchanger.model("without").parameters(), gains=None)
+    assert without.status.value != "accepted" or without.parameters["lag"] > lag + 0.5 * delay
+
+
+def test_the_loop_with_a_delay_is_matched() -> None:
+    truth = PIPE.parameters(gain=0.8, lag=30.0, delay=9.0)
+    reference = np.repeat([30.0, 30.0, 50.0, 40.0, 60.0], 200)
+    run = simulate_closed_loop(truth, reference, states=begin(truth, 30.0, input=12.5), gains=Exchanger.loop)
+    # From where the loop has come to rest, since what was in the pipe before is taken to be constant.
+    window = Window(reference[300:], run.output[300:], run.input[300:], period=PERIOD)
+    found = match(window, start=PIPE.parameters(gain=1.0, lag=20.0, delay=5.0))
+    for name in ("gain", "lag", "delay"):
+        assert found.parameters[name] == pytest.approx(truth[name], rel=1e-3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    u=st.floats(0.0, 100.0), delay=st.floats(2.0, 60.0), lag=st.floats(2.0, 300.0), gain=st.floats(0.1, 1.0)
+)
+def test_a_constant_signal_is_not_changed(u: float, delay: float, lag: float, gain: float) -> None:
+    p = PIPE.parameters(gain=gain, lag=lag, delay=delay)
+    start = begin(p, 20.0 + gain * u, input=u)
+    run = simulate_driven(p, np.full(50, u), states=start)
+    np.testing.assert_allclose(run.output, 20.0 + gain * u, atol=1e-9 * (1.0 + u))
+
+
+@settings(max_examples=20, deadline=None)
+@given(delay=st.floats(4.0, 30.0), lag=st.floats(5.0, 100.0))
+def test_tangents_are_exact(delay: float, lag: float) -> None:
+    window = recorded(0.8, 30.0, 8.0)
+    experiment = Experiment(PIPE.parameters(), ("gain", "lag", "delay"), window, gains=None)
+    values = np.array([0.8, lag, delay])
+    by = experiment.tangents(values).by[0]
+    for j, step in enumerate((1e-5, 1e-3, 1e-3)):
+        high, low = values.copy(), values.copy()
+        high[j] += step
+        low[j] -= step
+        slope = (experiment.simulate(high).output - experiment.simulate(low).output) / (2 * step)
+        np.testing.assert_allclose(by[:, j], slope, atol=2e-4 * (1.0 + np.abs(slope).max()))
+
+
+def test_the_pipe_holds_what_was_commanded_before_the_start() -> None:
+    p = PIPE.parameters(delay=20.0)
+    before, at_rest = begin(p, 60.0, input=40.0), begin(p, 60.0)
+    places = [p.model.states.index(f"pipe_{i}") for i in range(4)]
+    np.testing.assert_array_equal(before[places], [40.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(at_rest[places], np.zeros(4))
+    # With the heater just switched off, the outlet stays warm until the pipe has run empty.
+    after = before
+    for _ in range(5):
+        after = advance(p, after, 0.0, PERIOD)
+    assert read(p, after) == pytest.approx(60.0, abs=0.8)
+    window = recorded(0.8, 30.0, 20.0)
+    run = simulate_window(p.replace(gain=0.8, lag=30.0), window, gains=None)
+    assert abs(run.output[0] - window.output[2]) < 1e-9
+    assert np.abs(run.output[:40] - window.output[2:42]).max() < 0.5  # noise, not a pipe that was empty
+
+
+def test_its_linearisation_turns_the_phase() -> None:
+    p = PIPE.parameters(gain=0.8, lag=30.0, delay=12.0)
+    a, b, c, period = linearised(p, 50.0, PERIOD)[:4]
+    ours = control.ss(a, b, c, [[0.0]], period)
+    w = np.logspace(-3, -1, 10)
+    exact = 0.8 / (30.0j * w + 1.0) * np.exp(-12.0j * w) * (1 - np.exp(-1j * w)) / (1j * w)
+    np.testing.assert_allclose(ours(np.exp(1j * w)), exact, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("order", "span", "words"),
+    [
+        (0, (0.0, 1.0), r"order 0 of a dead time \(flow\); choose 1 to 8"),
+        (9, (0.0, 1.0), "order 9 of a dead time"),
+        (2.0, (1.0, 0.0), "span of a dead time"),
+    ],
+)
+def test_mistakes_are_named(order: int, span: tuple[float, float], words: str) -> None:
+    with pytest.raises(PlantError, match=words):
+        DeadTime(span=span, order=order, text="flow")
+
+
+def test_a_state_cannot_take_the_name_of_one_of_its_own() -> None:
+    with pytest.raises((PlantError, RuntimeError)) as caught:
+
+        class Clash(Plant):
+            pipe_1 = State(unit="V", span=(0.0, 1.0))
+            pipe = DeadTime(unit="V", span=(0.0, 1.0))
+
+    error = caught.value if isinstance(caught.value, PlantError) else caught.value.__cause__
+    assert "'pipe_1' is a state of the dead time 'pipe'" in str(error)
+
+
+def test_a_start_that_uses_a_state_is_refused_in_words() -> None:
+    class Early(Plant, name="early"):
+        y = Output(unit="V", noise=0.01, span=(0.0, 10.0))
+        u = Drive(unit="V", limits=(0.0, 10.0), noise=0.1)
+        x = State(unit="V", span=(0.0, 10.0))
+        z = State(unit="V", span=(0.0, 10.0))
+        lag = Parameter(unit="s", default=5.0, bounds=(1.0, 50.0), positive=True)
+        structures = {"one": Structure(free=("lag",))}  # noqa: RUF012
+
+        def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+            return Equations(
+                rates={self.x: (self.u - self.x) / self.lag, self.z: (self.x - self.z) / self.lag},
+                output=self.z,
+                start={self.z: self.y, self.x: self.z},
+            )
+
+    with pytest.raises(PlantError, match="its start use"):
+        begin(Early.model().parameters(), 1.0)
