@@ -191,5 +191,5 @@ def test_a_start_that_uses_a_state_is_refused_in_words() -> None:
                 start={self.z: self.y, self.x: self.z},
             )
 
-    with pytest.raises(PlantError, match="its start use"):
+    with pytest.raises(PlantError, match="the start of x uses z, which is not known before the first sample"):
         begin(Early.model().parameters(), 1.0)

@@ -255,11 +255,6 @@ def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch
         ("output=self.block", "output=self.temperature", "the output uses temperature, which is the output"),
         ("output=self.block", "output='block'", "the output is 'block', of type str; write an expression"),
         ("{self.block: self.temperature}", "{self.block: self.block}", "which is not known before the first"),
-        (
-            "{self.block: self.temperature}",
-            "{self.block: self.heater}",
-            "which is not known before the first",
-        ),
         ("{self.block: self.temperature}", "{self.block: abs(self.room)}", "the start has a kink"),
         (
             "{self.block: self.temperature}",
