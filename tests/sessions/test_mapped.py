@@ -74,14 +74,37 @@ def test_means_switches_and_disturbances_are_taken_as_the_map_says(
         CSV.replace("t,", "t (min),").replace("\n1,", "\n0.0166666666667,").replace(
             "\n2,", "\n0.0333333333333,").replace("\n3,", "\n0.05,"),
         CSV.replace("\n1,", "\n0.5,,,,\n1,"),
+        CSV.replace("\n0,", "\n03.04.2021 14:48:58,").replace("\n1,", "\n3.4.2021 14:48:59.0,").replace(
+            "\n2,", "\n03.04.2021 14:49:00.000,").replace("\n3,", "\n03.04.2021T14:49:01+00:00,"),
+        "".join(2 * line if line.startswith("2,") else line for line in CSV.splitlines(keepends=True)),
     ],
-    ids=["comma decimals", "tabs", "units", "windows", "ns since 1970", "dates", "minutes", "empty cells"],
+    ids=["comma decimals", "tabs", "units", "windows", "ns since 1970", "dates", "minutes", "empty cells",
+         "dotted dates", "a row twice"],
 )  # fmt: skip
 def test_a_table_may_be_written_in_several_ways(tmp_path: Path, heated: type[Plant], text: str) -> None:
     found = mapped(tmp_path, heated, text)
     np.testing.assert_allclose([s.output for s in found.samples], [21, 22, 23, 24], atol=1e-9)
     assert [s.input for s in found.samples] == [0, 100, 100, 0]
     assert found.period == 1.0
+
+
+def test_rows_of_one_time_that_differ_are_refused(tmp_path: Path, heated: type[Plant]) -> None:
+    row = next(line for line in CSV.splitlines(keepends=True) if line.startswith("2,"))
+    other = row.replace(",23,", ",23.5,").replace(",24,", ",24.5,")
+    assert other != row
+    with pytest.raises(RecordingError, match=r"time does not advance from 2 s in line 4 to 2 s in line 5"):
+        mapped(tmp_path, heated, CSV.replace(row, row + other))
+
+
+def test_a_time_column_may_repeat_a_few_stamps(tmp_path: Path) -> None:
+    """And a counter that stands still most of the time is not a time, whatever the first column is called."""
+    stamps = [10 * k for k in range(100)]
+    stamps[50] = stamps[49]
+    path = tmp_path / "log.csv"
+    path.write_text("time (ms),speed,pwm\n" + "".join(f"{t},{(t * 7) % 11},{t % 3}\n" for t in stamps))
+    assert proposed(look(read_table(path)))["time"].columns == ("time (ms)",)
+    path.write_text("timer,speed,pwm\n" + "".join(f"{t // 300},{(t * 7) % 11},{t % 3}\n" for t in stamps))
+    assert "time" not in proposed(look(read_table(path)))
 
 
 def test_a_recording_that_knows_its_date_keeps_it(tmp_path: Path, heated: type[Plant]) -> None:

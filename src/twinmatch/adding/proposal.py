@@ -22,7 +22,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
 from twinmatch.sessions.resampled import Resampled
-from twinmatch.sessions.resampling import resample
+from twinmatch.sessions.resampling import repeated, resample
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import read_times
 from twinmatch.signals import FloatArray
@@ -153,6 +153,7 @@ def _on_one_clock(table: Table, given: ColumnMap) -> Resampled:
     columns = {name: _values(table, s) for name, s in given.sources.items() if name != "time"}
     whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in columns.values()], axis=0)
     kept = np.flatnonzero(whole)
+    kept = np.setdiff1d(kept, repeated(kept, times.seconds, *columns.values()))
     return resample(
         times.seconds[kept],
         {name: values[kept] for name, values in columns.items()},

@@ -30,6 +30,9 @@ _TIME: Final = re.compile(r"^t$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
 _FEW: Final = 12
 """A column with at most so many different values looks commanded rather than measured."""
 
+_TWICE: Final = 0.05
+"""Largest share of rows that may repeat the time before in a column that is a time by its title."""
+
 
 class Column(NamedTuple):
     """Summary of a column."""
@@ -44,7 +47,7 @@ class Column(NamedTuple):
     empty: int
     """Rows without a value."""
     kind: str
-    """`time` (strictly increasing), `numbers`, `on or off`, `constant` or `text`."""
+    """`time` (increasing), `numbers`, `on or off`, `constant` or `text`."""
 
 
 def look(table: Table) -> list[Column]:
@@ -66,10 +69,14 @@ def _column(table: Table, title: str) -> Column:
     if not held.size:
         return Column(title, unit, np.nan, np.nan, 0, values.size, "text")
     different = int(np.unique(held).size)
-    grows = held.size > 2 and bool((np.diff(held) > 0).all())
+    steps = np.diff(held)
+    grows = held.size > 2 and bool((steps > 0).all())
+    # A logger may write a row twice; more repeats are those of another quantity, such as a counter.
+    few = held.size > 2 and bool((steps >= 0).all()) and float(np.mean(steps == 0)) < _TWICE
+    repeats = few and _TIME.search(split_title(title)[0]) is not None
     if different == 1:
         kind = "constant"
-    elif grows:
+    elif grows or repeats:
         kind = "time"
     else:
         kind = "on or off" if set(np.unique(held)) <= {0.0, 1.0} else "numbers"

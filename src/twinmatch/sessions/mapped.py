@@ -14,7 +14,7 @@ from twinmatch.sessions.between_rows import Kind
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
 from twinmatch.sessions.resampled import Resampled
-from twinmatch.sessions.resampling import Gaps, resample
+from twinmatch.sessions.resampling import Gaps, repeated, resample
 from twinmatch.sessions.store import EPOCH
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import Times, read_times
@@ -99,6 +99,11 @@ def map_samples(
         where = f"{table.row} {table.lines[int(lost[0])]}"
         notes.append(f"{lost.size} rows lack a value and are left out, the first in {where}.")
     kept = np.flatnonzero(whole)
+    twice = repeated(kept, times.seconds, *values.values())
+    if twice.size:
+        where = f"{table.row} {table.lines[int(twice[0])]}"
+        notes.append(f"{twice.size} rows repeat the row before and are left out, the first in {where}.")
+        kept = np.setdiff1d(kept, twice)
     for signal, known in signals.items():
         notes += _check_range(table, signal, known, values[signal], kept)
     done = resample(

@@ -30,7 +30,7 @@ from twinmatch.sessions.errors import RecordingError
 from twinmatch.sessions.resampled import Resampled
 from twinmatch.signals import FloatArray
 
-__all__ = ["Gaps", "bridged_up_to", "resample"]
+__all__ = ["Gaps", "bridged_up_to", "repeated", "resample"]
 
 Gaps = Literal["refuse", "split"]
 """Treatment of a gap that is too long to interpolate."""
@@ -47,6 +47,12 @@ _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
 _CROWDED: Final = 0.5
 """Shortest period that can be requested, in usual steps, so that most ticks have their own row."""
+
+
+def repeated(rows: NDArray[np.intp], *columns: FloatArray) -> NDArray[np.intp]:
+    """Those of the rows that repeat the row before in every column: loggers write some rows twice."""
+    same = np.all([np.diff(column[rows]) == 0.0 for column in columns], axis=0)
+    return np.asarray(rows[1:][same])
 
 
 def resample(

@@ -2,11 +2,13 @@
 
 Numbers far beyond any recording's length are counts since 1970, and their size gives the unit: seconds from
 1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates are ISO 8601
-(`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`); without a time zone they are taken as UTC.
+(`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`), or day, month and year with dots (`22.01.2021 14:48:58`);
+without a time zone they are taken as UTC.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import NamedTuple
@@ -23,6 +25,8 @@ __all__ = ["Times", "read_times"]
 
 _COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
 """Size from which a number is a count since 1970, and its units per second."""
+_DOTTED = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]\s*")
+"""Day, month and year: with dots the day comes first everywhere, with slashes it may be the month."""
 
 
 class Times(NamedTuple):
@@ -82,7 +86,7 @@ def _dates(table: Table, title: str, column: Sequence[str]) -> FloatArray:
         if stamp is None:
             msg = (
                 f"{table.place(k)}: {title!r} is {text.strip()[:40]!r}, neither a number nor a date such as "
-                "2021-01-22 14:48:58.7"
+                "2021-01-22 14:48:58.7 or 22.01.2021 14:48:58"
             )
             raise RecordingError(msg)
         seconds[k] = stamp
@@ -90,7 +94,8 @@ def _dates(table: Table, title: str, column: Sequence[str]) -> FloatArray:
 
 
 def _date(text: str) -> float | None:
-    plain = text.strip().replace("/", "-").replace(",", ".")
+    plain = _DOTTED.sub(lambda d: f"{d[3]}-{d[2]:0>2}-{d[1]:0>2} ", text.strip(), count=1)
+    plain = plain.replace("/", "-").replace(",", ".")
     plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
     head, dot, tail = plain.partition(".")
     if dot:  # Python 3.10 accepts three or six decimals, loggers write any number
