@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import stat
+import subprocess
+import sys
 import time
 import zipfile
 from collections.abc import Callable
@@ -93,6 +97,46 @@ def test_its_process_ends_with_the_structure(run_of) -> None:
     source.runner.close()  # type: ignore[attr-defined]
     assert not Path(f"/proc/{process}").exists()
     assert not folder.exists()
+
+
+def _sleeping() -> bool:
+    """Whether the program that an FMU left is running."""
+    wanted = b"sleep\x00600.125\x00"
+    lines = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            lines.append(file.read_bytes())
+    return wanted in lines
+
+
+def test_what_it_started_ends_with_it_in_whatever_session(run_of) -> None:
+    run_of("leaves a program")()
+    assert _sleeping()
+    source = next(s.elsewhere for s in Peltier.structures.values() if s.elsewhere is not None)
+    source.runner.close()  # type: ignore[attr-defined]
+    assert not _sleeping()
+
+
+ORPHAN = """
+import os, signal, sys
+from twinmatch.fmu.process import FmuProcess
+process = FmuProcess()
+print(process._process.pid, process.folder, flush=True)
+sys.stdin.readline()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_its_process_and_folder_go_when_its_parent_is_killed() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", ORPHAN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as parent:
+        pid, folder = parent.stdout.readline().split()  # type: ignore[union-attr]
+        deadline = time.monotonic() + 60.0
+        parent.communicate("go\n")
+    while Path(f"/proc/{pid}").exists() or Path(folder).exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def _process() -> int:
@@ -192,6 +236,52 @@ def test_a_missing_variable_is_reported(adopted, exchange_fmu: Path, variable: s
     links = {"temperature": "celsius", "pwm": "pwm", "plate": variable}
     with pytest.raises(FmuError, match=words):
         adopted(exchange_fmu, variables=links, free=[])
+
+
+def test_a_variable_that_is_not_an_input_is_refused_as_one(adopted, exchange_fmu: Path) -> None:
+    links = {"temperature": "celsius", "pwm": "celsius", "plate": "plate"}
+    with pytest.raises(FmuError, match=r"'celsius' is not an input .*; its inputs are pwm"):
+        adopted(exchange_fmu, variables=links, free=[])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('Identifier="plate"', 'Identifier="../../../../tmp/plate"'), "FMI demands a name of C"),
+        (('<Unknown index="4"', '<Unknown index="99"'), "its modelDescription.xml does not follow FMI 2.0"),
+        (('fmiVersion="2.0"', 'fmiVersion="1.0"'), "it is of FMI 1.0; FMI 2 and 3 are supported"),
+        (('fmiVersion="2.0"', ""), "it is of FMI without version; FMI 2 and 3 are supported"),
+        (("held-sink", "another"), "it cannot be instantiated"),
+    ],
+)
+def test_a_description_that_is_wrong_is_reported(
+    exchange_fmu: Path, tmp_path: Path, adopted, change: tuple[str, str], words: str
+) -> None:
+    with zipfile.ZipFile(exchange_fmu) as opened:
+        xml = opened.read("modelDescription.xml").decode()
+    assert change[0] in xml
+    fmu = _changed(exchange_fmu, tmp_path, more={"modelDescription.xml": xml.replace(*change).encode()})
+    with pytest.raises(FmuError, match=words):
+        adopted(fmu)
+
+
+def test_an_invalid_or_missing_library_is_reported(exchange_fmu: Path, tmp_path: Path, adopted) -> None:
+    path = "binaries/linux64/plate.so"
+    with pytest.raises(FmuError, match=f"its {path} is not a library for this machine: file too short"):
+        adopted(_changed(exchange_fmu, tmp_path, more={path: b"MZ"}))
+    with pytest.raises(FmuError, match=f"it has no {path}, the program for this machine"):
+        adopted(_changed(exchange_fmu, tmp_path, rename=lambda name: name.replace("plate.so", "pl.so")))
+
+
+def test_a_damaged_archive_and_a_pipe_are_refused(exchange_fmu: Path, tmp_path: Path) -> None:
+    content = bytearray(exchange_fmu.read_bytes())
+    content[100:200] = bytes(range(100))
+    (tmp_path / "damaged.fmu").write_bytes(content)
+    with pytest.raises(FmuError, match="is not an FMU, or is damaged"):
+        adopt_fmus(write_map(tmp_path, tmp_path / "damaged.fmu"))
+    os.mkfifo(tmp_path / "pipe.fmu")
+    with pytest.raises(FmuError, match="does not exist or is not a file"):
+        adopt_fmus(write_map(tmp_path, tmp_path / "pipe.fmu"))
 
 
 def test_a_file_that_changed_is_not_run(exchange_fmu: Path, tmp_path: Path, adopted) -> None:

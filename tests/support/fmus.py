@@ -87,6 +87,8 @@ CULPRITS = {
     "says nothing": "if time_now > 20: self.plate = float('nan')",
     "refuses": "if time_now > 20: return False",
     "eats": "self.hoard = bytearray(1 << 33) if time_now > 20 else b''",
+    "leaves a program": "import subprocess; self.left = subprocess.Popen("
+    "['sleep', '600.125'], start_new_session=True) if time_now > 20 else 0",
     "prints": "print('what an FMU prints is not an answer'); os.write(1, b'garbage' * 100)",
 }
 """What an FMU may do wrong from the twentieth second of a run on."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import stat
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -43,8 +44,10 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
             if only and only not in archive.namelist():
                 raise ArchiveError(f"is not an FMU: it has no {only}")
             return archive.namelist()
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, EOFError) as error:
-        raise ArchiveError(f"is not an FMU: {error}") from error
+    except (
+        zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError,
+    ) as error:  # fmt: skip
+        raise ArchiveError(f"is not an FMU, or is damaged: {error}") from error
 
 
 def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:

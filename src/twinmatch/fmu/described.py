@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 __all__ = ["CO_SIMULATION", "MODEL_EXCHANGE", "Described", "Variable", "described_from", "read_description"]
 
@@ -95,17 +97,24 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
     """Read `modelDescription.xml` in a folder; `names` are those of all files of the FMU.
 
     Raises:
-        Exception: FMPy raises many kinds if the file does not follow FMI.
+        ValueError: the file does not follow FMI 2 or 3.
     """
     from fmpy import read_model_description  # noqa: PLC0415 (an extra, and slow to import)
 
-    found = read_model_description(str(folder), validate=False)
-    if not found.fmiVersion.startswith(("2.", "3.")):
-        raise ValueError(f"it is of FMI {found.fmiVersion}; FMI 2 and 3 are supported")
+    version = _version(folder / "modelDescription.xml")
+    if not version.startswith(("2.", "3.")):
+        raise ValueError(f"it is of FMI {version or 'without version'}; FMI 2 and 3 are supported")
+    try:
+        found = read_model_description(str(folder), validate=False)
+    except Exception as error:  # FMPy raises many kinds
+        raise ValueError(f"its modelDescription.xml does not follow FMI {version}: {error}") from error
     if len(found.modelVariables) > MOST_VARIABLES:
         raise ValueError(f"it has {len(found.modelVariables)} variables; the limit is {MOST_VARIABLES}")
     ways = ((MODEL_EXCHANGE, found.modelExchange), (CO_SIMULATION, found.coSimulation))
     supported = [(kind, way) for kind, way in ways if way is not None]
+    for _, way in supported:
+        if not re.fullmatch(r"[A-Za-z_]\w*", str(way.modelIdentifier), re.ASCII):
+            raise ValueError(f"its modelIdentifier is {way.modelIdentifier!r}; FMI demands a name of C")
     order = [unknown.variable.derivative.name for unknown in found.derivatives if unknown.variable.derivative]
     exchange, usual = found.modelExchange, found.defaultExperiment
     return Described(
@@ -125,6 +134,15 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
             _variable(v, order) for v in found.modelVariables if v.type in _REAL and not v.dimensions
         ),
     )
+
+
+def _version(file: Path) -> str:
+    """The version of FMI that a description states; empty without one."""
+    try:  # only the first element; expat limits how far entities expand
+        _, root = next(ElementTree.iterparse(file, events=("start",)))  # noqa: S314
+    except (ElementTree.ParseError, ValueError, LookupError, StopIteration) as error:
+        raise ValueError(f"its modelDescription.xml is not valid XML: {error}") from error
+    return str(root.get("fmiVersion", ""))
 
 
 def _variable(found: Any, order: list[str]) -> Variable:

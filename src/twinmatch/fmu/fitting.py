@@ -52,6 +52,7 @@ def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
         for name in (link.variable, link.set):
             if described.called(name) is None:
                 raise FmuError(f"has no real variable {name!r}; `twinmatch fmu` lists those it has")
+    _check_inputs(described, inputs)
     own = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
     if kind == MODEL_EXCHANGE:
         _check_states(described, own, [link.variable for link in states])
@@ -86,6 +87,16 @@ def _check_states(described: Described, own: list[str], named: list[str]) -> Non
         elif other:
             what = f"the map names {other[0]!r}, which is not one of them"
         raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what}")
+
+
+def _check_inputs(described: Described, links: list[Link]) -> None:
+    """Check that the plant's inputs are inputs of the FMU: it may ignore values of others."""
+    for link in links:
+        variable = described.called(link.set)
+        if variable is not None and variable.causality != "input" and variable.variability != "tunable":
+            given = f"{variable.causality}, variability {variable.variability or 'not given'}"
+            inputs = ", ".join(one.name for one in described.of("input")) or "none"
+            raise FmuError(f"its variable {link.set!r} is not an input ({given}); its inputs are {inputs}")
 
 
 def _check_settable(described: Described, links: list[Link]) -> None:

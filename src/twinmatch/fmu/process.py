@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import select
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from twinmatch.fmu.errors import FmuError
+from twinmatch.fmu.remains import MARK, end_marked
 from twinmatch.fmu.wire import Message, WireError, packed, unpacked
 from twinmatch.signals import FloatArray
 
@@ -43,17 +45,18 @@ class FmuProcess:
         self._folder = tempfile.TemporaryDirectory(prefix="twinmatch-fmu-")
         self.folder = Path(self._folder.name)
         self._lock = threading.Lock()
+        mark = secrets.token_hex(16)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "twinmatch.fmu.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             cwd=self.folder,
-            env=_environment(),
+            env={**_environment(), MARK: mark},
             close_fds=True,
             start_new_session=True,
         )
-        self._ended = weakref.finalize(self, _end, self._process, self._folder)
+        self._ended = weakref.finalize(self, _end, self._process, self._folder, mark)
         self._first = True
 
     def ask(
@@ -68,10 +71,11 @@ class FmuProcess:
         with self._lock:
             if not self._ended.alive:
                 raise ProcessLostError("its process was killed earlier")
-            by = time.monotonic() + limit + (START if self._first else 0.0)
+            whole = limit + (START if self._first else 0.0)
+            by = time.monotonic() + whole
             self._first = False
             try:
-                self._write(packed(header, arrays or {}), by)
+                self._write(packed({**header, "limit": whole}, arrays or {}), by)
                 message = unpacked(lambda size: self._read(size, by))
             except TimeoutError:
                 self.close()
@@ -135,11 +139,12 @@ def _environment() -> dict[str, str]:
     return {**kept, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
 
 
-def _end(process: subprocess.Popen[bytes], folder: tempfile.TemporaryDirectory[str]) -> None:
-    """Kill the process and all its children, and delete its folder."""
+def _end(process: subprocess.Popen[bytes], folder: tempfile.TemporaryDirectory[str], mark: str) -> None:
+    """Kill the process and all that it started, and delete its folder."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+    end_marked(mark)
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             pipe.close()

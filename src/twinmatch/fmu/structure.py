@@ -114,6 +114,8 @@ def _adopted(of: FmuMap) -> Model:
 
 
 def _digest(of: FmuMap) -> str:
+    if not of.file.is_file():  # a pipe or a device would never end
+        raise FmuError(f"{of.place}: {of.file} does not exist or is not a file; give the path of an FMU")
     try:
         if of.file.stat().st_size > MOST_BYTES:
             raise FmuError(f"{of.place}: {of.file} is larger than the limit of {MOST_BYTES >> 20} MiB")

@@ -6,9 +6,12 @@ and exits with its parent. The parent enforces time limits.
 
 from __future__ import annotations
 
+import math
 import os
 import resource
 import select
+import shutil
+import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -23,12 +26,16 @@ from twinmatch.fmu.described import described_from, read_description
 from twinmatch.fmu.exchange import Exchange
 from twinmatch.fmu.loading import machine_of
 from twinmatch.fmu.machine import Machine, MachineError, Wires
+from twinmatch.fmu.remains import MARK, end_marked
 from twinmatch.fmu.straight import DONE, EVENT, prepared, straight_run
 from twinmatch.fmu.wire import Message, packed, unpacked
 from twinmatch.signals import FloatArray
 
 MEMORY: Final = 2 << 30
 """Memory that the FMU may use in addition to that of this process before loading, bytes."""
+_GRACE: Final = 10
+"""Seconds after the time limit at which the process ends itself."""
+_LONGEST: Final = 1e8
 DESCRIPTION: Final = "modelDescription.xml"
 
 Arrays = dict[str, FloatArray]
@@ -138,13 +145,13 @@ class Worker:
         outputs, inputs, states = [], [], []
         last = 0.0
         machine.put(fixed, [u_scale * header["rest"] + u_offset, *others[0]])
-        for k, signal in enumerate(given):
+        for k, value in enumerate(given):
             states.append(machine.states())
             seen = y_scale * machine.output() + y_offset
             last = reading(seen, noise[k], bool(frozen[k]) and k > 0, resolution, last)
-            u = signal
+            u = value
             if closed:
-                u, integral, previous = pid_step(gains, integral, previous, signal, last)
+                u, integral, previous = pid_step(gains, integral, previous, value, last)
             outputs.append(last)
             inputs.append(u)
             machine.feed([u_scale * u + u_offset, *others[k]])
@@ -178,17 +185,22 @@ def _straight(
 
 
 def main() -> None:
-    """Answer requests until standard input is closed."""
+    """Answer requests until standard input is closed, by a parent that ends."""
+    folder = Path.cwd()
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # keeps the FMU's own output out of the answers
     questions = os.fdopen(os.dup(0), "rb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_end_with, args=(os.getppid(), folder), daemon=True).start()
     worker = Worker()
     _limit()
     while message := _next(questions):
+        # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
+        signal.alarm(math.ceil(min(message.header["limit"], _LONGEST)) + _GRACE)
         answers.write(worker.answer(message))
         answers.flush()
+        signal.alarm(0)
+    _leave(folder)
 
 
 def _gains(values: list[float]) -> Gains:
@@ -220,10 +232,17 @@ def _limit() -> None:
         resource.setrlimit(what, (most, most))
 
 
-def _end_with(parent: int) -> None:
-    """Exit when the parent has ended; a hanging FMU would not notice it."""
+def _end_with(parent: int, folder: Path) -> None:
+    """Exit when the parent has ended, which a hanging FMU would not notice."""
     while os.getppid() == parent:
         select.select([], [], [], 1.0)
+    _leave(folder)
+
+
+def _leave(folder: Path) -> None:
+    """Exit and leave nothing behind; the parent, which would have cleared up, has ended."""
+    end_marked(os.environ[MARK])
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
 
 
