@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from tests.support.processes import run_twinmatch
-from twinmatch.adding import AddingError, Proposal, example, files_of, propose
+from twinmatch.adding import AddingError, Proposal, check_plant, example, files_of, propose
 from twinmatch.adding.proposal import noise_of
+from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError
 from twinmatch.sessions.column_map import ColumnMap, Source, parse_map
 from twinmatch.sessions.tables import Table, read_table
@@ -142,6 +143,23 @@ def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path)
         check=False,
     )
     assert styled.returncode == 0, styled.stdout
+
+
+def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> None:
+    """Volts cannot tend to a temperature; and a flow that never stops still makes a valid file."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.uniform(5.0, 18.0, 40), 25)
+    y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.01 * rng.standard_normal(u.size)
+    rows = "\n".join(f"{k},{a:.4f},{b:.4f},25.{k % 7}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
+    (tmp_path / "cell.csv").write_text(f"time,U (V),Flow (L/min),Temp (C)\n{rows}\n")
+    given_map = ["time=time", "output=U", "input=Flow", "temperature=Temp"]
+    held = propose(read_table(tmp_path / "cell.csv"), parse_map(given_map))
+    assert held.around is None
+    for name, text in files_of("cell", held).items():
+        (tmp_path / name).write_text(text)
+    plant = find_plant(str(tmp_path / "cell.py"))
+    assert check_plant(plant).findings == ()
+    assert plant.drive.limits[0] <= plant.drive.rest <= plant.drive.limits[1]
 
 
 def test_the_example_passes_its_own_test(tmp_path: Path) -> None:

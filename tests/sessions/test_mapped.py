@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -266,11 +267,29 @@ def test_vectors_and_matrices_of_matlab_are_columns(tmp_path: Path, heated: type
             {"time": "when", "input": "heater_on", "output": "t2", "room": "t_room"},
         ),
         ("a,b,c\n0.1,7,1.5\n0.2,7,1.7\n0.3,9,1.2\n", {"time": "a", "input": "b", "output": "c"}),
+        ("uEst,yEst,Ts\n3.2,5.2,4\n3.3,5.4,\n3.1,5.3,\n", {"input": "uEst", "output": "yEst"}),
+        (  # of a heat exchanger: the flow is named like a measurement, but moves in steps
+            "s,Flow,T_out,Steam\n"
+            + "".join(f"{k},{5 + k // 20},{60 + k % 7 / 10},{118 + k % 3 / 10}\n" for k in range(80)),
+            {"time": "s", "input": "Flow", "output": "T_out"},
+        ),
     ],
 )  # fmt: skip
 def test_a_map_is_proposed(tmp_path: Path, text: str, guess: dict[str, str]) -> None:
     found = proposed(look(read_table(written(tmp_path, text))))
     assert {signal: source.text for signal, source in found.items()} == guess
+
+
+def test_a_table_without_times_needs_only_the_distance_of_its_rows(
+    tmp_path: Path, heated: type[Plant]
+) -> None:
+    table = read_table(written(tmp_path, "heat,T,Ts\n10,20,4\n20,21,\n20,22,\n"))
+    given = parse_map(["output=T", "input=heat"])
+    found = map_samples(table, replace(given, period=4.0), heated)
+    assert found.period == 4.0
+    assert [s.output for s in found.samples] == [20, 21, 22]
+    with pytest.raises(RecordingError, match=r"mapped to time; .*give --period SECONDS instead"):
+        map_samples(table, given, heated)
 
 
 def test_units_of_time_are_recognised_by_size(tmp_path: Path) -> None:

@@ -20,11 +20,11 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.sessions.column_map import ColumnMap, Source
-from twinmatch.sessions.errors import RecordingError
+from twinmatch.sessions.mapped import require_columns
 from twinmatch.sessions.resampled import Resampled
 from twinmatch.sessions.resampling import repeated, resample
 from twinmatch.sessions.tables import Table, split_title
-from twinmatch.sessions.times import read_times
+from twinmatch.sessions.times import read_times, row_times
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
@@ -74,6 +74,16 @@ class Proposal:
         """Whether the output is a temperature."""
         return measure(self.output.unit).dimension == (("[temperature]", 1.0),)
 
+    @property
+    def around(self) -> Signal | None:
+        """The disturbance that the output tends to without input: the first one of the output's kind."""
+        return next((d for d in self.disturbances if _alike(d.unit, self.output.unit)), None)
+
+
+def _alike(unit: str, other: str) -> bool:
+    """Whether two units measure the same quantity."""
+    return measure(unit).dimension == measure(other).dimension
+
 
 def example() -> Proposal:
     """A proposal without a table: a heated block in a room with measured temperature."""
@@ -100,13 +110,7 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     Raises:
         RecordingError: one of these is missing, or the values cannot be used.
     """
-    missing = [signal for signal in ("time", "output", "input") if signal not in given.sources]
-    if missing:
-        msg = (
-            f"{table.path}: no column is mapped to {' and none to '.join(missing)}; add --map {missing[0]}=… "
-            "(twinmatch import --list shows the columns)"
-        )
-        raise RecordingError(msg)
+    require_columns(table, given)
     done = _on_one_clock(table, given)
     y, u = done.columns["output"], done.columns["input"]
     others = [name for name in given.sources if name not in _KNOWN]
@@ -115,8 +119,10 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     gain, lag, rest = _first_order(
         y[part], u[part], [done.columns[n][part] for n in others], noise, done.period
     )
-    if others:  # the first disturbance is taken as the steady-state output without input
-        rest = float(done.columns[others[0]].mean())
+    wanted = _unit(table, given, "output")
+    around = next((name for name in others if _alike(_unit(table, given, name), wanted)), None)
+    if around is not None:  # it is taken as the steady-state output without input
+        rest = float(done.columns[around].mean())
     taken: list[str] = []
     output, input_ = (_signal(table, given, s, taken) for s in ("output", "input"))
     span, reach = float(np.ptp(y)) or 1.0, _range_of(u)
@@ -148,8 +154,11 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
 
 def _on_one_clock(table: Table, given: ColumnMap) -> Resampled:
     """All signals on one clock, in the units of their columns."""
-    source = given.sources["time"]
-    times = read_times(table, table.find(source.columns[0]), source.unit, source.scale)
+    source = given.sources.get("time")
+    if source is None:
+        times = row_times(len(table.lines), given.period or 1.0)
+    else:
+        times = read_times(table, table.find(source.columns[0]), source.unit, source.scale)
     columns = {name: _values(table, s) for name, s in given.sources.items() if name != "time"}
     whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in columns.values()], axis=0)
     kept = np.flatnonzero(whole)

@@ -71,8 +71,8 @@ def _require_name(name: str) -> None:
 def _plant(name: str, held: Proposal) -> dict[str, Any]:
     y, u = held.output, held.input
     title = "".join(part.capitalize() for part in name.split("_"))
-    measured = held.disturbances[0].name if held.disturbances else "rest"
-    free = ["gain", "lag", *([] if held.disturbances else ["rest"])]
+    around = held.around
+    free = ["gain", "lag", *([] if around else ["rest"])]
     low, high = sorted((held.gain / _WIDE, held.gain * _WIDE))
     return {
         "title": f"{title}Plant" if title in _TAKEN else title,
@@ -80,6 +80,7 @@ def _plant(name: str, held: Proposal) -> dict[str, Any]:
         "u": u,
         "noise": held.noise,
         "absolute": _ABSOLUTE.get(y.unit),
+        "drive_rest": min(max(0.0, u.low), u.high),
         "drive_noise": _short((u.high - u.low) / 100),
         "disturbances": [
             d._asdict() | {"middle": _short((d.low + d.high) / 2, 4)} for d in held.disturbances
@@ -96,18 +97,18 @@ def _plant(name: str, held: Proposal) -> dict[str, Any]:
         "sensor_lag": _short(held.lag / 10),
         "sensor_low": _short(held.lag / 500),
         "free": ", ".join(f'"{name}"' for name in free),
-        "around": f"self.{measured}",
+        "around": around.name if around else "rest",
     }
 
 
 def _test(held: Proposal) -> dict[str, Any]:
-    low, high = held.input.low, held.input.high
+    low, high, around = held.input.low, held.input.high, held.around
     measured = [_short((d.low + d.high) / 2, 4) for d in held.disturbances]
     return {
         "period": _short(held.lag / 15),
         "levels": [_short(low + part * (high - low), 4) for part in (0.0, 0.6, 0.2, 0.8, 0.4)],
         "measured": measured,
-        "begin": measured[0] if measured else held.rest,
+        "begin": measured[held.disturbances.index(around)] if around else held.rest,
     }
 
 

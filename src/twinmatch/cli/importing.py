@@ -212,4 +212,5 @@ def _propose(found: Mapping[str, Source]) -> None:
     if found:
         entries = [f"{signal}={source.text}" for signal, source in found.items()]
         print(f"A guess, please check: --map {shlex.join(entries)}")
-    print("room stands for a measured disturbance of your plant; use the names in your plant's file.")
+    if "room" in found:
+        print("room stands for a measured disturbance of your plant; use the names in your plant's file.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="SIGNAL=COLUMN",
         help="which column is which signal, as for twinmatch import; without it a guess is made",
+    )
+    parser.add_argument(
+        "--period", type=float, metavar="S", help="sampling period, if the table has no times or finer ones"
     )
     parser.add_argument(
         "-o",
@@ -76,6 +80,8 @@ def _proposal(options: argparse.Namespace) -> Proposal:
     from twinmatch.sessions.guesses import look, proposed  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
+    if options.period is not None and not options.period > 0:
+        raise NewPlantError(f"new-plant: --period is {options.period:g}; give a positive number of seconds")
     given = parse_map(options.map)
     if options.table is None:
         if given.sources:
@@ -86,7 +92,7 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         given = ColumnMap(proposed(look(table)))
         words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
         print(f"Columns guessed as: --map {words}")
-    return propose(table, given)
+    return propose(table, replace(given, period=options.period))
 
 
 def _say(options: argparse.Namespace, files: list[str]) -> None:

@@ -12,6 +12,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.column_map import Source
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import read_times
+from twinmatch.signals import FloatArray
 
 __all__ = ["Column", "look", "proposed"]
 
@@ -19,16 +20,21 @@ _REFERENCE: Final = re.compile(
     r"set.?-?point|\bsp\b|^sp\d*$|reference|^ref$|^r$|desired|target", re.IGNORECASE
 )
 _OUTPUT: Final = re.compile(
-    r"^t\d*$|temp|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow", re.IGNORECASE
+    r"^t\d*$|(?-i:^[Tt]_?out)|temp|(?-i:^y(?:[A-Z_\d].*)?$)|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow",
+    re.IGNORECASE,
 )
 _INPUT: Final = re.compile(
-    r"heater|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
+    r"heater|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
     re.IGNORECASE,
 )
 _AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
 _TIME: Final = re.compile(r"^t$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
 _FEW: Final = 12
 """A column with at most so many different values looks commanded rather than measured."""
+_REPEATED: Final = 0.9
+_JUMP: Final = 0.05
+"""A column that repeats its value in this share of the rows, and otherwise jumps by this share of its range,
+looks commanded too. A slow reading that is rounded repeats its value as often, but moves by one digit."""
 
 _TWICE: Final = 0.05
 """Largest share of rows that may repeat the time before in a column that is a time by its title."""
@@ -48,6 +54,8 @@ class Column(NamedTuple):
     """Rows without a value."""
     kind: str
     """`time` (increasing), `numbers`, `on or off`, `constant` or `text`."""
+    stepped: bool = False
+    """Whether it holds its value and jumps, as a command does."""
 
 
 def look(table: Table) -> list[Column]:
@@ -80,18 +88,31 @@ def _column(table: Table, title: str) -> Column:
         kind = "time"
     else:
         kind = "on or off" if set(np.unique(held)) <= {0.0, 1.0} else "numbers"
-    return Column(title, unit, float(held.min()), float(held.max()), different, values.size - held.size, kind)
+    low, high = float(held.min()), float(held.max())
+    return Column(title, unit, low, high, different, values.size - held.size, kind, _stepped(held))
+
+
+def _stepped(held: FloatArray) -> bool:
+    changes = np.abs(np.diff(held))
+    moved = changes[changes > 0]
+    if not moved.size or moved.size > (1.0 - _REPEATED) * changes.size:
+        return False
+    return float(np.median(moved)) >= _JUMP * float(np.ptp(held))
 
 
 def proposed(columns: Sequence[Column]) -> dict[str, Source]:
     """A guess at the columns of time, output, input, reference and room, for a person to check."""
     found: dict[str, Source] = {}
     taken: set[str] = set()
+    named = list(_named(columns, _INPUT, ("on or off", "numbers")))
     for signal, candidates in (
         ("time", _named(columns, _TIME, ("time",))),
         ("reference", _named(columns, _REFERENCE, ("numbers", "constant"))),
         ("room", _named(columns, _AROUND, ("numbers", "constant"))),
-        ("input", _named(columns, _INPUT, ("on or off", "numbers"))),
+        ("input", (c for c in named if c.stepped or c.kind == "on or off")),
+        ("input", named),
+        ("input", (c for c in _of(columns, "numbers") if c.stepped)),
+        ("output", _liveliest(c for c in _named(columns, _OUTPUT, ("numbers", "time")) if not c.stepped)),
         ("output", _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))),
         ("time", _of(columns, "time")),
         ("input", _of(columns, "on or off")),

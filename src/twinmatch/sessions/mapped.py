@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +18,11 @@ from twinmatch.sessions.resampled import Resampled
 from twinmatch.sessions.resampling import Gaps, repeated, resample
 from twinmatch.sessions.store import EPOCH
 from twinmatch.sessions.tables import Table, split_title
-from twinmatch.sessions.times import Times, read_times
+from twinmatch.sessions.times import Times, read_times, row_times
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.units import Conversion, conversion, measure
 
-__all__ = ["Mapped", "by_signal", "map_samples", "with_plant_names"]
+__all__ = ["Mapped", "by_signal", "map_samples", "require_columns", "with_plant_names"]
 
 TIME, OUTPUT, INPUT, REFERENCE = "time", "output", "input", "reference"
 
@@ -87,8 +88,8 @@ def map_samples(
             range, or a gap is too long.
     """
     sources = {signal: _found(table, source) for signal, source in by_signal(plant, given.sources).items()}
-    signals, notes = _wanted(table, plant, sources)
-    times = _times(table, sources[TIME])
+    signals, notes = _wanted(table, plant, replace(given, sources=sources))
+    times = _times(table, sources.get(TIME), given.period)
     values = {signal: _values(table, sources[signal], signal, known) for signal, known in signals.items()}
     whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in values.values()], axis=0)
     if whole.sum() < 2:
@@ -104,6 +105,7 @@ def map_samples(
         where = f"{table.row} {table.lines[int(twice[0])]}"
         notes.append(f"{twice.size} rows repeat the row before and are left out, the first in {where}.")
         kept = np.setdiff1d(kept, twice)
+    notes += [f"The dates are read as {times.order}."] if times.order else []
     for signal, known in signals.items():
         notes += _check_range(table, signal, known, values[signal], kept)
     done = resample(
@@ -166,17 +168,27 @@ def _found(table: Table, source: Source) -> Source:
     return Source(tuple(map(table.find, columns)), source.unit, source.scale, source.offset)
 
 
-def _wanted(
-    table: Table, plant: type[Plant], sources: Mapping[str, Source]
-) -> tuple[dict[str, _Signal], list[str]]:
-    """The signals to read from the table, and notes on those it does not have."""
-    missing = [signal for signal in (TIME, OUTPUT, INPUT) if signal not in sources]
+def require_columns(table: Table, given: ColumnMap) -> None:
+    """Check that a map has what every plant needs: output, input, and times or the distance of the rows.
+
+    Raises:
+        RecordingError: something is missing.
+    """
+    missing = [signal for signal in (OUTPUT, INPUT) if signal not in given.sources]
+    missing = missing if given.period is not None or TIME in given.sources else [TIME, *missing]
     if missing:
         msg = (
             f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
             f"add --map {' '.join(f'{signal}=COLUMN' for signal in missing)} (--list shows the columns)"
         )
-        raise RecordingError(msg)
+        rows = ". If the table has no times and its rows are equally far apart, give --period SECONDS instead"
+        raise RecordingError(msg + (rows if TIME in missing else ""))
+
+
+def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[str, _Signal], list[str]]:
+    """The signals to read from the table, and notes on those it does not have."""
+    require_columns(table, given)
+    sources = given.sources
     y, u = plant.output, plant.drive
     signals = {OUTPUT: _Signal("reading", y.unit, *y.span), INPUT: _Signal("held", u.unit, *u.limits)}
     if REFERENCE in sources:
@@ -195,7 +207,9 @@ def _wanted(
     return signals, notes
 
 
-def _times(table: Table, source: Source) -> Times:
+def _times(table: Table, source: Source | None, period: float | None) -> Times:
+    if source is None:
+        return row_times(len(table.lines), period or 1.0)
     if len(source.columns) > 1:
         raise RecordingError(f"--map time={source.text}: names several columns; give one for time")
     return read_times(table, source.columns[0], source.unit, source.scale)

@@ -2,13 +2,12 @@
 
 Numbers far beyond any recording's length are counts since 1970, and their size gives the unit: seconds from
 1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates are ISO 8601
-(`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`), or day, month and year with dots (`22.01.2021 14:48:58`);
-without a time zone they are taken as UTC.
+(`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`), or have the year last (`22/01/2021 14:48:58`); without a
+time zone they are taken as UTC.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import NamedTuple
@@ -16,17 +15,16 @@ from typing import NamedTuple
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.dates import in_order, is_local, order_of
 from twinmatch.sessions.errors import RecordingError
 from twinmatch.sessions.tables import Table, number
 from twinmatch.signals import FloatArray
 from twinmatch.units import conversion
 
-__all__ = ["Times", "read_times"]
+__all__ = ["Times", "read_times", "row_times"]
 
 _COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
 """Size from which a number is a count since 1970, and its units per second."""
-_DOTTED = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]\s*")
-"""Day, month and year: with dots the day comes first everywhere, with slashes it may be the month."""
 
 
 class Times(NamedTuple):
@@ -36,6 +34,8 @@ class Times(NamedTuple):
     """Seconds since `origin`, shape (N,); nan for rows without a time."""
     origin: float | None
     """Seconds since 1970; None if the table has no absolute time."""
+    order: str = ""
+    """Order of day and month, if the dates have the year last."""
 
 
 def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> Times:
@@ -54,7 +54,8 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     if not isinstance(column, np.ndarray):
         first = next((text for text in column if text.strip()), "")
         if number(first, table.decimal) is None:
-            return _since(_dates(table, title, column))
+            order = order_of(column) if is_local(first) else ""
+            return _since(_dates(table, title, column, order))._replace(order=order)
     values = table.values(title) * scale
     unit = unit or table.unit(title)
     size = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
@@ -71,22 +72,27 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     return Times(values / per_second, None)
 
 
+def row_times(rows: int, period: float) -> Times:
+    """Times of rows of which only the distance is known, s."""
+    return Times(period * np.arange(rows, dtype=np.float64), None)
+
+
 def _since(seconds: FloatArray) -> Times:
     """Times relative to the first one, which keeps their precision."""
     origin = float(seconds[np.flatnonzero(np.isfinite(seconds))[:1]].sum())
     return Times(seconds - origin, origin)
 
 
-def _dates(table: Table, title: str, column: Sequence[str]) -> FloatArray:
+def _dates(table: Table, title: str, column: Sequence[str], order: str) -> FloatArray:
     seconds = np.full(len(column), np.nan)
     for k, text in enumerate(column):
         if not text.strip():
             continue
-        stamp = _date(text)
+        stamp = in_order(text, order) if order else _date(text)
         if stamp is None:
             msg = (
                 f"{table.place(k)}: {title!r} is {text.strip()[:40]!r}, neither a number nor a date such as "
-                "2021-01-22 14:48:58.7 or 22.01.2021 14:48:58"
+                f"{'22/01/2021 14:48:58' if order else '2021-01-22 14:48:58.7'}"
             )
             raise RecordingError(msg)
         seconds[k] = stamp
@@ -94,8 +100,7 @@ def _dates(table: Table, title: str, column: Sequence[str]) -> FloatArray:
 
 
 def _date(text: str) -> float | None:
-    plain = _DOTTED.sub(lambda d: f"{d[3]}-{d[2]:0>2}-{d[1]:0>2} ", text.strip(), count=1)
-    plain = plain.replace("/", "-").replace(",", ".")
+    plain = text.strip().replace("/", "-").replace(",", ".")
     plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
     head, dot, tail = plain.partition(".")
     if dot:  # Python 3.10 accepts three or six decimals, loggers write any number
