@@ -128,6 +128,21 @@ def test_a_level_is_that_of_the_samples_since_the_verdict_before() -> None:
     assert level_stretches([]) == []
 
 
+def test_a_fault_lasts_from_where_it_shows_to_the_verdict_without_it() -> None:
+    """A verdict came between its beginning and its detection, and the next says that it is over."""
+    story = [
+        verdict(424, TrustLevel.TRUSTED),
+        replace(verdict(425, TrustLevel.DOUBTFUL, fault="losses-changed"), fault_since=410),
+        verdict(449, TrustLevel.TRUSTED),
+        verdict(509, TrustLevel.TRUSTED),
+    ]
+    assert [(s.first, s.last, s.level) for s in level_stretches(story)] == [
+        (0, 409, TrustLevel.TRUSTED),
+        (410, 448, TrustLevel.DOUBTFUL),
+        (449, 509, TrustLevel.TRUSTED),
+    ]
+
+
 def test_a_fault_begins_where_it_shows() -> None:
     story = [verdict(119, TrustLevel.TRUSTED), verdict(145, TrustLevel.FAULT, fault="drive-lost")]
     found = level_stretches([*story, verdict(179, TrustLevel.FAULT, fault="drive-lost")])

@@ -25,7 +25,7 @@ __all__ = [
 
 STATUS_WORDS = {
     Status.NOT_EXPLAINED: "the twin cannot explain it",
-    Status.NO_EXCITATION: "the set-point moved too little",
+    Status.NO_EXCITATION: "too little moved in its window",
     Status.DID_NOT_CONVERGE: "the fit did not converge",
     Status.BOUNDS_HIT: "a parameter reached its bound",
     Status.NOT_IDENTIFIABLE: "the window does not determine the parameters",
@@ -103,23 +103,28 @@ def match_word(report: MatchReport, verdicts: Sequence[Verdict]) -> str:
 def level_stretches(verdicts: Sequence[Verdict], first: int = 0) -> list[Stretch]:
     """The trust level over time: a verdict's level covers the samples since the last verdict.
 
-    A fault begins at `fault_since`, not at the end of the previous verdict.
+    A fault begins at `fault_since`, even if there was a verdict since, and lasts until the first verdict
+    without it.
 
     Args:
         verdicts: in order.
         first: index of the session's first sample.
     """
     stretches: list[Stretch] = []
+    fault = ""
     for verdict in verdicts:
+        sample, shows = max(verdict.sample, first), verdict.fault_since
         if stretches and stretches[-1].level is verdict.level:
-            stretches[-1] = Stretch(stretches[-1].first, max(verdict.sample, first), verdict.level)
+            stretches[-1] = replace(stretches[-1], last=sample)
         else:
+            if stretches and fault and not verdict.fault:
+                stretches[-1] = replace(stretches[-1], last=max(sample - 1, stretches[-1].last))
             begin = stretches[-1].last + 1 if stretches else first
-            shows = verdict.fault_since
-            if stretches and shows is not None and begin < shows <= verdict.sample:
-                stretches[-1] = replace(stretches[-1], last=shows - 1)
-                begin = shows
-            stretches.append(Stretch(begin, max(verdict.sample, begin), verdict.level))
+            if stretches and verdict.fault != fault and shows is not None and shows <= verdict.sample:
+                begin = max(shows, stretches[-1].first + 1)
+                stretches[-1] = replace(stretches[-1], last=begin - 1)
+            stretches.append(Stretch(begin, max(sample, begin), verdict.level))
+        fault = verdict.fault
     return stretches
 
 
