@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.adding.declared_loop import loop_findings
 from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.proposal import noise_of
 from twinmatch.adding.trial import time_constants
@@ -79,6 +80,7 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
         findings.append(
             Finding(f"{what} ({lags[-1]:.3g} s)", "record longer, or check the default of that parameter")
         )
+    findings += loop_findings(session, plant, terms.settings.gains)
     findings += _of_matches(judgement.matches)
     notes += _accepted(judgement.matches)
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
