@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from tests.support.processes import run_twinmatch
+from tests.support.servo import Servo, turns
 from twinmatch.adding import AddingError, Proposal, check_plant, example, files_of, propose
-from twinmatch.adding.proposal import noise_of
+from twinmatch.adding.noise import noise_of
 from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError
 from twinmatch.sessions.column_map import ColumnMap, Source, parse_map
@@ -30,6 +31,14 @@ def test_noise_is_read_off_a_slow_signal(sigma: float, seed: int) -> None:
     assert noise == pytest.approx(
         sigma, rel=0.15
     )  # the median of 2000 is known to some percent; two digits are kept
+
+
+def test_noise_is_that_of_the_rest_where_the_plant_moves_fast() -> None:
+    """An encoder on a shaft: the noise is that of its steps, not a share of thousands of degrees."""
+    servo = Servo.model().parameters(k=51.6, t=0.12, dry=1430.0, soft=1.0)
+    run = turns(servo, 6000)
+    assert np.ptp(run.output) > 2000.0
+    assert noise_of(run.output) == pytest.approx(0.18 / np.sqrt(12.0), rel=0.5)
 
 
 def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarray | None = None) -> Path:

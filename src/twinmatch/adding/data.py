@@ -11,7 +11,7 @@ import numpy as np
 
 from twinmatch.adding.declared_loop import loop_findings
 from twinmatch.adding.findings import CheckedPlant, Finding
-from twinmatch.adding.proposal import noise_of
+from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import time_constants
 from twinmatch.dynamics import Plant
 from twinmatch.judging.judgement import judge

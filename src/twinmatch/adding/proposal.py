@@ -1,8 +1,6 @@
 """A first-order model of an unknown plant, estimated from a table of its signals.
 
-Noise is estimated from second differences, which a slow plant hardly affects: for white noise of standard
-deviation σ they have the variance 6 σ²; the median is robust to a few jumps. A sensor that rounds to steps q
-has at least q/√12. Gain and lag are those of the difference equation y[k+1] − y[k] = a + b·y[k] + c·u[k] (and
+Gain and lag are those of the difference equation y[k+1] − y[k] = a + b·y[k] + c·u[k] (and
 disturbances), by least squares over blocks of samples long enough to move further than the noise.
 """
 
@@ -18,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.mapped import require_columns
@@ -28,7 +27,7 @@ from twinmatch.sessions.times import read_times, row_times
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
-__all__ = ["Proposal", "Signal", "example", "noise_of", "propose"]
+__all__ = ["Proposal", "Signal", "example", "propose"]
 
 _KNOWN: Final = ("time", "output", "input", "reference")
 _RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
@@ -214,17 +213,6 @@ def _word(title: str, taken: list[str]) -> str:
         plain += "_"
     taken.append(plain)
     return plain
-
-
-def noise_of(values: FloatArray) -> float:
-    """Standard deviation of white noise on a slow signal."""
-    bends = np.abs(np.diff(values, 2))
-    white = float(np.median(bends)) / 0.6745 / math.sqrt(6.0) if bends.size else 0.0
-    steps = np.unique(np.round(np.abs(np.diff(values)), 9))
-    steps = steps[steps > 0]
-    rounding = float(steps[0]) / math.sqrt(12.0) if steps.size else 0.0
-    floor = 1e-4 * (float(np.ptp(values)) or 1.0)  # for computed values without noise
-    return _rounded(max(white, rounding if rounding < 10 * max(white, floor) else 0.0, floor))
 
 
 def _range_of(values: FloatArray) -> tuple[float, float]:
