@@ -88,6 +88,12 @@ def checked_file(
     return check_plant(find_plant(str(plant_file(folder, name, *changes))), period)
 
 
+SHELL = (
+    "    gain =",
+    '    shell = State(unit="°C", span=(0.0, 110.0))\n'
+    '    tau = Parameter(unit="s", default=9.0, bounds=(1.0, 99.0), positive=True)\n    gain =',
+)
+SHELL_START = ("start={", "start={self.shell: self.temperature, ")
 HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%", default=4.0')
 
 
@@ -99,6 +105,19 @@ HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%",
         ([], 500.0, "its slowest time constant, .* s, is below the period of 500 s"),
         ([("default=100.0", "default=10000.0")], None, "default of capacity, 10000, is outside its bounds "
             "10 to 1000"),
+        (
+            [("noise=0.1", "noise=10.0")],
+            None,
+            "temperature: with a noise of 10 °C, a step that stands out is 200 °C, more than its span",
+        ),
+        ([], 1e-4, "its slowest time constant, 100 s, is 1e.06 periods of 0.0001 s: no window can show it"),
+        ([("- lost)", "+ lost)")], None, "it is unstable at its defaults: deviations grow by e in 100 s"),
+        ([("self.gain * self.heater", "self.gain * self.room")], None, "the drive heater does not act on"),
+        ([SHELL, SHELL_START, ("rates={", "rates={self.shell: (self.block - self.shell) / self.tau, ")], None,
+         "state shell does not act on the output, so no recording can show it"),
+        ([("structures", 'parts = ("sun",)\n    structures')], None, "part 'sun': no structure has it"),
+        ([("structures = {", 'parts = ("sun",)\n    structures = {"sunny": Structure(free=(), '
+           'parts=frozenset({"sun"})), ')], None, "structures 'sunny' and 'block' have the same equations"),
         ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures')], None,
          "parameter extra: no structure depends on it"),
         ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures'),
@@ -119,6 +138,23 @@ def test_what_is_wrong_is_reported(
     assert checked.exit_code == 1
     assert any(re.search(message, finding.what) for finding in checked.findings), checked
     assert all(finding.todo for finding in checked.findings)
+
+
+def test_a_state_is_seen_through_another(tmp_path: Path) -> None:
+    change = (
+        "rates={self.block: (",
+        "rates={self.shell: (self.block - self.shell) / self.tau, self.block: (",
+    )
+    coupled = ("- lost)", "- lost + self.loss * (self.shell - self.block))")
+    checked = checked_file(tmp_path, "checked_seen", SHELL, SHELL_START, change, coupled)
+    assert checked.findings == ()
+
+
+def test_a_disturbance_in_no_equation_is_noted(tmp_path: Path) -> None:
+    sun = ("    room =", '    sun = Disturbance(unit="W", default=0.0)\n    room =')
+    checked = checked_file(tmp_path, "checked_sun", sun)
+    assert checked.findings == ()
+    assert "disturbance sun: in no equation" in checked.notes
 
 
 def test_a_plant_that_cannot_be_run_is_unusable(tmp_path: Path) -> None:

@@ -7,15 +7,32 @@ from typing import Final
 import numpy as np
 
 from twinmatch.adding.findings import Finding
-from twinmatch.adding.trial import run_trial, time_constants, trial_for
-from twinmatch.dynamics import Model, Parameters, PlantError, advance, begin
+from twinmatch.adding.trial import modes, run_trial, time_constants, trial_for
+from twinmatch.dynamics import Model, Parameters, Plant, PlantError, advance, begin
 
-__all__ = ["in_bounds", "misdeclared", "pace", "ranges"]
+__all__ = ["coarse", "in_bounds", "misdeclared", "pace", "ranges"]
 
 _POINTS: Final = 24
 _MANY_STEPS: Final = 40
 """With more steps per sample a plant is slow to simulate: a hundred windows of a thousand samples take a
 minute."""
+_MANY_SAMPLES: Final = 1e5
+"""A time constant of more sampling periods needs recordings that are too long to be matched."""
+_GROWS: Final = 1e-6
+"""Growth rates below this share of the plant's fastest rate are rounding."""
+
+
+def coarse(plant: type[Plant]) -> list[Finding]:
+    """Whether steps that stand out from the output's noise fit into its span."""
+    y = plant.output
+    low, high = y.span
+    if y.least_step <= high - low:
+        return []
+    what = (
+        f"{y.name}: with a noise of {y.noise:g} {y.unit}, a step that stands out is {y.least_step:g} "
+        f"{y.unit}, more than its span {low:g} to {high:g}"
+    )
+    return [Finding(what, "correct `noise`, the scatter of a reading at rest, or `span`")]
 
 
 def misdeclared(model: Model) -> list[Finding]:
@@ -81,17 +98,16 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
     place = f"structure {model.structure_name!r}"
     if not lags.size:
         return [], ["there is no finite time constant (an integrator)"]
+    found = _growing(place, parameters)
     listed = ", ".join(f"{lag:.3g} s" for lag in lags)
     notes = [f"time constants at the defaults: {listed}"]
     if period is None:
-        return [], notes
-    found = []
+        return found, notes
     try:
         steps = parameters.steps(period)
     except PlantError as error:
-        return [
-            Finding(f"{place}: {error}", "replace the fast state by its steady-state value, or sample faster")
-        ], notes
+        todo = "replace the fast state by its steady-state value, or sample faster"
+        return [*found, Finding(f"{place}: {error}", todo)], notes
     if steps > _MANY_STEPS:
         what = (
             f"{place}: its shortest time constant, {lags[0]:.3g} s, needs {steps} steps per "
@@ -102,7 +118,23 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
     if lags[-1] < period:
         what = f"{place}: its slowest time constant, {lags[-1]:.3g} s, is below the period of {period:g} s"
         found.append(Finding(what, "sample faster, or check the units of the parameters (s, not min)"))
+    if lags[-1] > _MANY_SAMPLES * period:
+        what = (
+            f"{place}: its slowest time constant, {lags[-1]:.3g} s, is {lags[-1] / period:.2g} periods of "
+            f"{period:g} s: no window can show it"
+        )
+        found.append(Finding(what, "sample less often, hold that state, or check units (s, not h)"))
     return found, notes
+
+
+def _growing(place: str, parameters: Parameters) -> list[Finding]:
+    """Modes that grow by themselves in the middle of the plant's range."""
+    found = modes(parameters)
+    growth = float(found.real.max(initial=0.0))
+    if growth <= _GROWS * float(np.abs(found).max(initial=0.0)):
+        return []
+    what = f"{place}: it is unstable at its defaults: deviations grow by e in {1 / growth:.3g} s"
+    return [Finding(what, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")]
 
 
 def in_bounds(model: Model) -> list[Finding]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from twinmatch.adding.behaviour import in_bounds, misdeclared, pace, ranges
+from twinmatch.adding.behaviour import coarse, in_bounds, misdeclared, pace, ranges
 from twinmatch.adding.dimensions import Dimensions
 from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.identifiable import inseparable
+from twinmatch.adding.reach import idle_disturbances, unreached
 from twinmatch.dynamics import Model, Plant, PlantError
 
 __all__ = ["check_plant"]
@@ -39,6 +40,8 @@ def _steps(plant: type[Plant], period: float | None) -> Iterator[tuple[list[Find
     for parts in dict.fromkeys(structure.parts for structure in plant.structures.values()):
         dimensions.check(parts)
     yield list(dimensions.findings.values()), _unit_notes(dimensions)
+    yield unreached(plant), [f"disturbance {n}: in no equation" for n in idle_disturbances(plant)]
+    yield coarse(plant), []
     yield _unused(plant), []
     for name in plant.structures:
         model = plant.model(name)

@@ -6,11 +6,12 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.dynamics import Model, Parameters, PlantError, Response, begin, simulate_driven
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Trial", "middle_of", "run_trial", "time_constants", "trial_for"]
+__all__ = ["Trial", "middle_of", "modes", "run_trial", "time_constants", "trial_for"]
 
 SAMPLES: Final = 400
 _PER_LAG: Final = 20.0
@@ -41,8 +42,8 @@ def middle_of(model: Model) -> float:
     return (low + high) / 2
 
 
-def time_constants(parameters: Parameters) -> FloatArray:
-    """Time constants of the plant linearised in the middle of its range, s, ascending; without integrators.
+def modes(parameters: Parameters) -> NDArray[np.complex128]:
+    """Eigenvalues of the plant linearised in the middle of its range, 1/s.
 
     Raises:
         PlantError: the equations have no finite values there.
@@ -54,7 +55,16 @@ def time_constants(parameters: Parameters) -> FloatArray:
     if not np.isfinite(slopes).all():
         msg = f"{model.title}: the derivatives of its rates are not finite in the middle of its range"
         raise PlantError(msg)
-    rates = np.abs(np.linalg.eigvals(slopes))
+    return np.asarray(np.linalg.eigvals(slopes), dtype=np.complex128)
+
+
+def time_constants(parameters: Parameters) -> FloatArray:
+    """Time constants of the plant linearised in the middle of its range, s, ascending; without integrators.
+
+    Raises:
+        PlantError: the equations have no finite values there.
+    """
+    rates = np.abs(modes(parameters))
     return np.sort(1.0 / rates[rates > 0])
 
 
