@@ -55,6 +55,19 @@ def test_a_step_of_the_camera_is_not_taken_for_movement() -> None:
     assert effect.share == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("inward", [-1.0, 1.0])
+def test_a_reading_may_stay_at_an_end_of_the_span(inward: float) -> None:
+    """A level sensor that ends at 10 V shows no noise there; but the level is known to fall at last."""
+    repeats = Repeats(1.0, 10.0, NOISE)
+    noisy(repeats, 200)
+    for _ in range(40):
+        repeats.push(0.0, Movement(-inward, 0.0, inward), inward)  # driven further out
+    assert not repeats.stands
+    for _ in range(80):
+        repeats.push(0.0, Movement(inward, 0.0, -inward), inward)
+    assert repeats.stands
+
+
 def noisy(repeats: Repeats, samples: int) -> None:
     for change in np.random.default_rng(8).normal(0.0, 0.1, samples):
         repeats.push(float(change), STILL)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -39,6 +40,10 @@ _TODO: Final = {
     "record a richer experiment: more levels, longer than the slowest time constant",
     Status.NOT_BETTER: "nothing is wrong: the previous candidate predicts equally well",
 }
+_FAULTY: Final = (
+    "leave that part of the recording out; if the plant was healthy, correct what is declared: `span` of the "
+    "output (a sensor may stay at its ends), `noise`, or the parameters in `typical`"
+)
 
 
 def data_for(path: Path, plant: type[Plant], map_file: Path | None = None) -> Session:
@@ -81,12 +86,16 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
             Finding(f"{what} ({lags[-1]:.3g} s)", "record longer, or check the default of that parameter")
         )
     findings += loop_findings(session, plant, terms.settings.gains)
-    findings += _of_matches(judgement.matches)
+    faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
+    findings += _of_matches(judgement.matches, faults)
     notes += _accepted(judgement.matches)
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 
 
-def _of_matches(matches: tuple[MatchReport, ...]) -> list[Finding]:
+def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> list[Finding]:
+    if not matches and faults:
+        what = f"no window could be matched, because the plant seemed to be at fault: {faults[0]}"
+        return [Finding(what, _FAULTY)]
     if not matches:
         what = "no window could be matched: the signals did not move far enough, or not for long enough"
         return [Finding(what, _TODO[Status.NO_EXCITATION])]

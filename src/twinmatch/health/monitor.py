@@ -167,15 +167,17 @@ class Monitor:
         if before is None:
             return None
         movement = self._balance.step(before, sample.output)
+        low, high = self.settings.reference.model.plant.output.span
+        inward = float(sample.output <= low) - float(sample.output >= high)
         if not self._known:
-            self._repeats.push(sample.output - before.output, movement)
+            self._repeats.push(sample.output - before.output, movement, inward)
             return self._words.frozen(sample, self._repeats) if self._repeats.stands else None
         stood = self._repeats.stands
         after = movement
         if self._late is not None:
             self._late.hold(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
             after = self._late.push(sample)
-        self._repeats.push(sample.output - before.output, after)
+        self._repeats.push(sample.output - before.output, after, inward)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
             return None

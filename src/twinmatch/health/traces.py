@@ -108,6 +108,7 @@ class Repeats:
         """`longest`: time for which a reading may be repeated, s; `noise` and `step`: those of a reading.
 
         Where steps are coarser than the noise, a healthy sensor repeats itself whenever the plant is at rest.
+        At an end of its span it does so until the plant has moved far back from there.
         """
         self._noise = noise
         self._coarse = step > noise
@@ -121,9 +122,14 @@ class Repeats:
         """How many times the newest reading has been repeated."""
         self.expected = 0.0
         """Movement expected since the first of them."""
+        self._inward = 0.0
 
-    def push(self, change: float, movement: Movement) -> None:
-        """Take the newest change of the reading and the movement it belongs to."""
+    def push(self, change: float, movement: Movement, inward: float = 0.0) -> None:
+        """Take the newest change of the reading and the movement it belongs to.
+
+        `inward`: 1 for a reading at the low end of the sensor's span, -1 at the high end, 0 between them.
+        """
+        self._inward = inward
         if change == 0.0:
             self.count += 1
             self.expected += movement.drive + movement.passive
@@ -152,6 +158,8 @@ class Repeats:
         """Whether the repeated readings show a frozen sensor."""
         if self.count + 1 < self._most:
             return False
+        if self._inward:
+            return self.expected * self._inward > _MOVED * self._noise
         chance = max(self._often, self._lately, 0.02) ** self.count
         noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE * self._noise
         # A reading whose noise is smaller than its last digit repeats whenever the plant is at rest.
