@@ -42,7 +42,11 @@ def require_usable(plant: Plant, written: Equations) -> None:
         _require(f"{title}: the rate of {state}", written.rates[state], {*known, drive}, declared)
         _require(f"{title}: the start of {state}", written.start[state], {*inputs, drive, measured}, declared)
     if _symbols(written.output) & {drive}:
-        raise PlantError(f"{title}: the output depends on the drive at the same instant; add a state between")
+        msg = (
+            f"{title}: the output depends on the drive at the same instant; add a state between, or declare "
+            "a disturbance, map the drive's column to it too, and use it in the output"
+        )
+        raise PlantError(msg)
     _require(f"{title}: the output", written.output, known, declared)
     if not _symbols(written.output) & set(states):
         raise PlantError(f"{title}: the output depends on no state; write it in terms of the states")
