@@ -2,65 +2,73 @@
 
 from __future__ import annotations
 
-import random
-
-import numpy as np
 import pytest
 
+from tests.support.faulty_kit import (
+    HEALTHY,
+    Broken,
+    Published,
+    Simulated,
+    hold,
+    levels,
+    run,
+    some_levels,
+    watch,
+)
 from tests.support.plants import Lag, Motor
-from twinmatch.control import Loop
-from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
+from twinmatch.health import Alarm, Fault
 from twinmatch.health.answer import answers_late
 from twinmatch.plants import Peltier, TCLab
 
-SECOND = 1_000_000_000
+pytest.importorskip("tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'")
 
 
-def alarms(
-    samples: int,
-    *,
-    lost: float = np.inf,
-    back: float = np.inf,
-    frozen: float = np.inf,
-    gain: float = 1.0,
-    seed: int = 0,
-) -> tuple[Alarm, ...]:
-    """Of a kit held at four levels in turn; its heater does `gain` of what the model's does."""
-    tclab = pytest.importorskip("tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'")
-    random.seed(seed)
-    kit, loop, monitor = tclab.TCLabModel(synced=False), Loop(TCLab), Monitor(HealthSettings.of(TCLab))
-    kit.tlast, y = 0.0, 21.0
-    for k in range(samples):
-        kit.update(float(k))
-        y = y if k >= frozen else kit.T1
-        level = (35.0, 50.0, 40.0, 60.0)[k // 450 % 4]
-        loop.measure(y, k * SECOND)
-        sample = loop.tick(k * SECOND, lambda _, level=level: level)
-        assert sample is not None
-        kit.Q1(0.0 if lost <= k < back else gain * sample.input)
-        monitor.push(sample)
-    return monitor.alarms
+def alarms(samples: int, broken: Broken = HEALTHY, seed: int = 0) -> tuple[Alarm, ...]:
+    """Of a kit held at four levels in turn."""
+    return watch(run(Simulated(seed), levels(samples), broken))
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.0, 1.4])
 def test_a_healthy_kit_is_left_alone(gain: float) -> None:
     """Though readings repeat themselves for a minute, and the monitor knows no more than typical values."""
-    assert alarms(2700, gain=gain) == ()
+    assert alarms(2700, Broken(gain=gain)) == ()
 
 
-@pytest.mark.parametrize("lost", [430, 700, 1000, 1500, 1750, 2230])
+@pytest.mark.parametrize("lost", [430, 700, 1000, 1500, 1750, 2100, 2230])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_lost_heater_is_reported_within_half_a_minute(lost: int, seed: int) -> None:
     """At each level, on the way up and after a long rest: what it does shows only after its lags."""
-    alarm = alarms(lost + 40, lost=lost, seed=seed)[0]
+    alarm = alarms(lost + 40, Broken(lost=lost), seed)[0]
     assert alarm.fault is Fault.DRIVE_LOST
     assert 0 < alarm.flagged - lost <= 30
     assert "the drive should have moved the temperature T1 by" in alarm.reason
 
 
+@pytest.mark.parametrize(
+    ("power", "soonest", "latest"), [(5, 31, 120), (10, 16, 30), (30, 5, 25), (80, 5, 15)]
+)
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_heater_lost_at_rest_is_reported_as_soon_as_its_power_shows(
+    power: float, soonest: int, latest: int, seed: int
+) -> None:
+    """In 30 s a heater lost at 10 % takes 0.6 °C from the reading, two of its steps. At 5 % a room that
+    becomes 3 °C colder does the same, until the controller has raised the power."""
+    lost = 1000 + 50 * seed
+    alarm = watch(run(Simulated(seed), hold(power, lost + latest + 1), Broken(lost=lost)))[0]
+    assert alarm.fault is Fault.DRIVE_LOST
+    assert soonest <= alarm.flagged - lost <= latest
+
+
+@pytest.mark.parametrize("seed", [1, 5, 13])
+def test_a_kit_that_answers_sooner_and_more_than_expected_has_its_heater(seed: int) -> None:
+    """Once its set-point falls, or the controller brakes, it does what a dead heater would do."""
+    samples = run(Published(seed), some_levels(seed, 2700, 26.0, 65.0, 700))
+    assert [a for a in watch(samples) if a.fault is Fault.DRIVE_LOST] == []
+
+
 def test_it_stays_lost_until_it_is_back() -> None:
     """For six minutes the kit cools down to the room; then the wire is repaired, and the drive proves it."""
-    told = alarms(1560, lost=1000, back=1360)
+    told = alarms(1560, Broken(lost=1000, back=1360))
     assert [alarm.fault for alarm in told] == [Fault.DRIVE_LOST]
     assert told[0].last is not None
     assert 1360 <= told[0].last <= 1500
@@ -68,7 +76,7 @@ def test_it_stays_lost_until_it_is_back() -> None:
 
 def test_a_frozen_sensor_is_reported_once_the_plant_should_have_moved() -> None:
     """Ten seconds after a step it is asked for 20 °C more."""
-    alarm = alarms(1460, frozen=1360)[0]
+    alarm = watch(run(Simulated(0), levels(1460), Broken(frozen=1360)))[0]
     assert alarm.fault is Fault.SENSOR_FROZEN
     assert alarm.flagged - 1360 <= 40
 

@@ -6,37 +6,44 @@ states of the plant and the temperature of its surroundings, and past state esti
 twice: under the recorded inputs, and with the drive at rest. The difference of the two runs is the drive's
 expected effect; where the reading lies between them gives the share of it that was observed.
 
-The usual error of the first run is learned for each length, so that less accurate equations require a larger
-expected effect before a share is computed.
+A missing effect counts where it is larger than what else moves a reading: its noise and steps, the usual
+errors of the equations, a room that becomes colder.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters, PlantError, State, begin, read, simulate_driven
 from twinmatch.dynamics.observer import Observer, Wander
 from twinmatch.health.balance import Movement
+from twinmatch.health.stretch import Moment, Stretch, advanced
+from twinmatch.health.usual import Usual
 from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["Answer", "answers_late"]
 
-_SPANS: Final = (10.0, 15.0, 22.0, 32.0)
+_SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
 _LEAST_NOISES: Final = 8.0
-"""Least expected effect of a stretch that is judged, in standard deviations of a reading's noise …"""
+"""Least expected effect whose share is computed, in standard deviations of a reading's noise …"""
 _LEAST_ERRORS: Final = 6.0
-"""… and in the usual error of the equations over such a stretch: a share of 0.4 is 3.6 of those off."""
-_MEMORY: Final = 300
-"""Number of stretches over which the usual error is averaged."""
-_CLIP: Final = 3.0
-"""Errors are clipped to so many times the usual one, so that a fault does not pass as usual."""
-_FIRST_ERROR: Final = 3.0
-"""Assumed error of the equations before anything is learned, in standard deviations of the noise."""
+"""… and in the usual error of the equations over such a stretch."""
+_LONG: Final = 2
+"""From this of the stretches on, the missing part of a smaller effect counts, too; over a shorter one it is
+only a step or two of the reading …"""
+_MISSING: Final = 0.6
+"""… if it is this share of the least effect: where both begin, a share of 0.4 is left."""
+_MOST: Final = 1.6
+"""It may exceed the expected effect by this factor, as typical parameters may be so far off; a larger error
+has another cause than a dead drive."""
+_ROOM_CHANGE: Final = 0.6
+"""Change of the room that a missing effect has to exceed, in the scale of the parameter: for minutes, a
+heater that was giving little and is lost looks like a room that becomes colder."""
 _DRIFT: Final = 0.01
 """Drift of a state from the equations per second, in its scale."""
 _ROOM_DRIFT: Final = 0.03
@@ -46,13 +53,6 @@ _AT_ONCE: Final = 0.6
 """Least ratio of ten times the effect after one sample to that after ten, if the drive acts at once."""
 _FOLLOWS: Final = (0.6, 2.5)
 """Range of shares of the expected effect that prove that the drive works."""
-
-
-class _Moment(NamedTuple):
-    parameters: Parameters
-    states: FloatArray
-    input: float
-    disturbances: FloatArray
 
 
 def answers_late(parameters: Parameters, period: float) -> bool:
@@ -80,15 +80,14 @@ class Answer:
         self._parameters, self._period = parameters, period
         self._noise = parameters.model.plant.output.noise
         self._spans = [max(2, round(s / period)) for s in _SPANS]
-        self._errors = [(_FIRST_ERROR * self._noise) ** 2] * len(_SPANS)
-        self._seen = [10] * len(_SPANS)
+        self._usual = (Usual.of(self._noise),) * len(_SPANS)
         self._held = False
         self.restart()
 
     def restart(self) -> None:
         """Start over after a gap, keeping the learned errors."""
         self._observer: Observer | None = None
-        self._past: deque[_Moment] = deque(maxlen=self._spans[-1] + 1)
+        self._past: deque[Moment] = deque(maxlen=self._spans[-1] + self._spans[_LONG] + 1)
         self._standing: FloatArray | None = None
         self._reading = math.nan
         self.share = math.nan
@@ -116,7 +115,7 @@ class Answer:
             return
         self._held = held
         if held and self._past:
-            self._parameters = self._past[0].parameters
+            self._parameters, self._usual = self._past[0].parameters, self._past[0].usual
         self._observer = None
 
     def push(self, sample: Sample) -> Movement:
@@ -150,7 +149,13 @@ class Answer:
         observer, moved = self._observer, 0.0
         if self._past and self._standing is not None:
             last = self._past[-1]
-            on = self._run(last.parameters, self._standing, [last])
+            on = advanced(
+                last.parameters,
+                self._standing,
+                np.array([last.input]),
+                last.disturbances[np.newaxis],
+                self._period,
+            )
             moved = read(last.parameters, on) - read(last.parameters, self._standing)
             self._standing = on
         change = sample.output - self._reading if self._past else 0.0
@@ -159,44 +164,49 @@ class Answer:
         if self._standing is None or change != 0.0:
             self._standing = states
         self._reading = sample.output
-        self._past.append(_Moment(observer.parameters, states, sample.input, row))
+        self._past.append(Moment(observer.parameters, states, sample.input, row, self._usual))
         observer.predict(sample.input)
         return Movement(0.0, moved, change - moved)
 
     def _estimate(self, output: float) -> None:
         """Estimate the drive's effect over every stretch that ends now."""
         self.share = math.nan
-        rest = self._parameters.model.plant.drive.rest
         past = list(self._past)
+        learned = list(self._usual)
         for k, length in enumerate(self._spans):
-            if length >= len(past):
+            first = len(past) - 1 - length
+            if first < 0:
                 break
-            stretch = past[-1 - length : -1]
-            twin, states = stretch[0].parameters, stretch[0].states
-            works = read(twin, self._run(twin, states, stretch))
-            idle = [moment._replace(input=rest) for moment in stretch]
-            effect = works - read(twin, self._run(twin, states, idle))
-            error = output - works
-            usual = self._errors[k]
-            if abs(effect) >= max(_LEAST_NOISES * self._noise, _LEAST_ERRORS * math.sqrt(usual)):
-                share = 1.0 + error / effect
-                if not share >= self.share:
-                    self.share, self.length, self.expected = share, length, effect
-            if self._held:
-                continue
-            self._seen[k] = min(self._seen[k] + 1, _MEMORY)
-            self._errors[k] += (min(error**2, _CLIP**2 * usual) - usual) / self._seen[k]
+            stretch = Stretch(past[first:-1], self._period)
+            before = past[max(0, first - self._spans[_LONG]) : first + 1]
+            changed = stretch.changed(float(np.mean([m.input for m in before])), self._spans[0])
+            error = output - stretch.works
+            self._weigh(stretch, error, changed, stretch.first.usual[k])
+            if not self._held:
+                learned[k] = learned[k].learned(error, max(abs(changed), abs(stretch.moved)))
+        self._usual = tuple(learned)
 
-    def _run(self, twin: Parameters, states: FloatArray, moments: list[_Moment]) -> FloatArray:
-        rows = np.array([m.disturbances for m in moments])
-        run = simulate_driven(
-            twin,
-            np.array([m.input for m in moments]),
-            states=states,
-            period=self._period,
-            disturbances=rows if rows.size else None,
-        )
-        return np.asarray(run.states[-1], dtype=np.float64)
+    def _weigh(self, stretch: Stretch, error: float, changed: float, usual: Usual) -> None:
+        """Take the share of the expected effect that a stretch shows, if it is the least and counts.
+
+        A drive that was turned down looks lost if it does more than its equations say, or sooner; `changed`
+        is what they say it will have changed a little later.
+        """
+        effect = stretch.effect
+        if effect == 0.0:
+            return
+        share = 1.0 + error / effect
+        likely = usual.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
+        least = max(_LEAST_NOISES * self._noise, _LEAST_ERRORS * likely)
+        missing = abs(error) if share < 1.0 else 0.0
+        counts = abs(effect) >= least
+        if len(stretch) >= self._spans[_LONG]:
+            counts = counts or _MISSING * least <= missing <= _MOST * abs(effect)
+        if share >= self.share or not counts:
+            return
+        if missing > _MISSING * abs(effect) and missing < stretch.colder(_ROOM_CHANGE):
+            return
+        self.share, self.length, self.expected = share, len(stretch), effect
 
     @property
     def _wandering(self) -> dict[str, Wander]:

@@ -1,0 +1,257 @@
+"""Temperature Control Labs whose heater is lost, and healthy ones: the measurements of docs/tclab.md.
+
+    python -m tests.support.faulty_kit 20 100
+
+Two kinds: the model of the package `tclab`, which is linear; and the published balance with radiation and a
+second heater, in a room whose temperature wanders. Either is held by the PID published for the kit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import random
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from twinmatch.control import Loop
+from twinmatch.dynamics import advance, begin, read
+from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
+from twinmatch.plants import TCLab
+from twinmatch.plants.tclab import RESOLUTION
+from twinmatch.signals import FloatArray, Sample
+
+__all__ = [
+    "HEALTHY",
+    "Broken",
+    "Published",
+    "Simulated",
+    "hold",
+    "levels",
+    "rest_level",
+    "run",
+    "some_levels",
+    "watch",
+]
+
+SECOND = 1_000_000_000
+NEVER = 1_000_000_000
+NOISE = 0.043
+"""Standard deviation of the noise of a reading, °C."""
+_PROFILE = (35.0, 50.0, 40.0, 60.0)
+"""Levels of config/tclab.yaml, °C, 450 s each."""
+
+
+@dataclass(frozen=True)
+class Broken:
+    """What happens to heater 1 and its surroundings, from which sample to which."""
+
+    lost: int = NEVER
+    back: int = NEVER
+    frozen: int = NEVER
+    """From here on the reading stays what it was."""
+    draught: int = NEVER
+    losses: float = 1.0
+    """Factor on the losses from the draught on."""
+    gain: float = 1.0
+    """Share of the command that the heater always does."""
+
+    def heat(self, k: int, command: float) -> float:
+        """Power that arrives, %."""
+        return 0.0 if self.lost <= k < self.back else self.gain * command
+
+    def factor(self, k: int) -> float:
+        """Factor on the losses."""
+        return self.losses if k >= self.draught else 1.0
+
+
+HEALTHY = Broken()
+
+
+class Simulated:
+    """The model of the package, with a draught on heater 1."""
+
+    def __init__(self, seed: int) -> None:
+        import tclab
+
+        random.seed(seed)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._model: Any = tclab.TCLabModel(synced=False)
+        self._model.tlast = 0.0
+
+    def read(self) -> float:
+        return float(self._model.T1)
+
+    def advance(self, heat: float, second: float, factor: float) -> None:
+        model = self._model
+        model.Q1(heat)
+        model.Q2(second)
+        for _ in range(5):
+            model.update(model.tlast + model.maxstep)
+            model._H1 -= model.maxstep * (factor - 1.0) * (model._H1 - model.Ta) / 20.0
+
+
+class Published:
+    """A kit of the published balance, its parameters within what is published, in a room that wanders."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = np.random.default_rng(seed)
+        between = self._random.uniform
+        self._room = between(289.0, 299.0)
+        self._losses = between(4.0, 10.0)
+        self._plant = TCLab.model("sensor lag, radiation, neighbour").parameters(
+            losses=self._losses,
+            heating=between(0.007, 0.014),
+            second_heating=between(0.005, 0.01),
+            ambient=self._room,
+            sensor_lag=between(5.0, 25.0),
+            exchange=between(5.0, 30.0),
+        )
+        self._states = begin(self._plant, self._room - 273.15)
+
+    def read(self) -> float:
+        seen = read(self._plant, self._states) + self._random.normal(0.0, NOISE)
+        return float(np.floor(seen / RESOLUTION) * RESOLUTION)
+
+    def advance(self, heat: float, second: float, factor: float) -> None:
+        self._room += self._random.normal(0.0, 0.02)
+        now = self._plant.replace(ambient=self._room, losses=factor * self._losses)
+        self._states = advance(now, self._states, heat, 1.0, np.array([second]))
+
+
+def _constant(level: float, _: int) -> float:
+    return level
+
+
+def run(
+    kit: Simulated | Published,
+    reference: FloatArray,
+    broken: Broken = HEALTHY,
+    second: FloatArray | None = None,
+) -> list[Sample]:
+    """Samples of a kit whose T1 is held at `reference`, °C; `second`: power of heater 2, %."""
+    loop, samples = Loop(TCLab), list[Sample]()
+    for k, level in enumerate(reference.tolist()):
+        shown = samples[-1].output if k >= broken.frozen else kit.read()
+        loop.measure(shown, k * SECOND)
+        beside = 0.0 if second is None else float(second[k])
+        sample = loop.tick(k * SECOND, partial(_constant, level))
+        assert sample is not None
+        samples.append(Sample(k, k * SECOND, level, sample.output, sample.input, (beside,)))
+        kit.advance(broken.heat(k, sample.input), beside, broken.factor(k))
+    return samples
+
+
+def watch(samples: Sequence[Sample]) -> tuple[Alarm, ...]:
+    """The alarms of a monitor that knows of the kit what the plant file says."""
+    monitor = Monitor(HealthSettings.of(TCLab))
+    for sample in samples:
+        monitor.push(sample)
+    return monitor.alarms
+
+
+def levels(size: int) -> FloatArray:
+    """The set-points of config/tclab.yaml, °C."""
+    return np.array([_PROFILE[k // 450 % len(_PROFILE)] for k in range(size)])
+
+
+def rest_level(power: float) -> float:
+    """Temperature at which the simulated kit needs this power, %, with heater 2 at rest."""
+    passed = 0.01 * (1.0 - 0.01 / 0.06)  # what heater 1 loses by way of its neighbour
+    return 21.0 + power * 200.0 / 5720.0 / (0.05 + passed)
+
+
+def hold(power: float, size: int) -> FloatArray:
+    """Set-points that end at rest at this power, %, after another level."""
+    return np.where(np.arange(size) < 450, 40.0, rest_level(power))
+
+
+def some_levels(seed: int, size: int, low: float, high: float, most: int) -> FloatArray:
+    """Values between `low` and `high`, each held for 100 samples to `most`."""
+    chosen = np.random.default_rng(seed + 10_000)
+    found: list[float] = []
+    while len(found) < size:
+        found += [float(chosen.uniform(low, high))] * int(chosen.integers(100, most))
+    return np.array(found[:size])
+
+
+def _kits(runs: int) -> Iterator[tuple[int, Simulated | Published, FloatArray]]:
+    """Kits of both kinds in turn, half of the published ones with a second heater that is switched."""
+    for seed in range(runs):
+        kit = Published(seed) if seed % 2 else Simulated(seed)
+        second = some_levels(seed + 1, 3600, 0.0, 60.0, 900) if seed % 4 == 3 else np.zeros(3600)
+        yield seed, kit, second
+
+
+def _told(lost: int, alarms: tuple[Alarm, ...]) -> tuple[int | None, str]:
+    """Time to `drive-lost`, s, and the first name."""
+    after = [a for a in alarms if a.flagged >= lost]
+    found = next((a.flagged - lost for a in after if a.fault is Fault.DRIVE_LOST), None)
+    return found, after[0].fault.value if after else "nothing"
+
+
+def _row(found: Sequence[tuple[int | None, str]]) -> str:
+    times = [t for t, _ in found if t is not None]
+    soon = sum(t <= 30 for t in times)
+    seen = f"median {np.median(times):.0f}, worst {max(times)} s" if times else "–"
+    first = dict(Counter(name for _, name in found))
+    return f"{len(times)} of {len(found)} drive-lost, {seen}, {soon} within 30 s; first {first}"
+
+
+def _by_power(runs: int) -> None:
+    for power in (5, 10, 20, 30, 50, 80):
+        found = []
+        for seed in range(runs):
+            lost = 1000 + 37 * seed
+            alarms = watch(run(Simulated(seed), hold(power, lost + 240), Broken(lost=lost)))
+            found.append(_told(lost, alarms))
+        print(f"at rest at {power} %: {_row(found)}", flush=True)
+
+
+def _at_some_moment(runs: int, make: Callable[[int], Simulated | Published], name: str) -> None:
+    found, early = [], 0
+    for seed in range(runs):
+        lost = int(np.random.default_rng(seed).integers(60, 2400))
+        alarms = watch(run(make(seed), levels(lost + 240), Broken(lost=lost)))
+        early += any(a.flagged < lost for a in alarms)
+        found.append(_told(lost, alarms))
+    print(f"{name}, at some moment: {_row(found)}; {early} before", flush=True)
+
+
+def _draughts(runs: int) -> None:
+    for factor in (1.5, 2.0, 3.0):
+        names: Counter[str] = Counter()
+        for seed in range(runs):
+            kit: Simulated | Published = Published(seed) if seed % 2 else Simulated(seed)
+            alarms = watch(run(kit, levels(1800), Broken(draught=1250, losses=factor)))
+            names.update([", ".join(a.fault.value for a in alarms if a.flagged >= 1250) or "nothing"])
+        print(f"losses times {factor:g} from one second to the next: {dict(names)}", flush=True)
+
+
+def _healthy(hours: int) -> None:
+    told = Counter(
+        a.fault.value
+        for seed, kit, second in _kits(hours)
+        for a in watch(run(kit, some_levels(seed, 3600, 26.0, 65.0, 700), second=second))
+    )
+    print(f"{hours} healthy hours: {dict(told) or 'no alarm'}", flush=True)
+
+
+def main() -> None:
+    """Print the figures."""
+    runs, hours = (int(a) for a in (*sys.argv[1:], "20", "100")[:2])
+    _by_power(runs)
+    _at_some_moment(runs, Simulated, "model of the package")
+    _at_some_moment(runs, Published, "published balance")
+    _draughts(runs)
+    _healthy(hours)
+
+
+if __name__ == "__main__":
+    main()
