@@ -66,6 +66,13 @@ def test_a_kit_that_answers_sooner_and_more_than_expected_has_its_heater(seed: i
     assert [a for a in watch(samples) if a.fault is Fault.DRIVE_LOST] == []
 
 
+@pytest.mark.parametrize(("seed", "gap"), [(1, 939), (3, 925)])
+def test_a_gap_while_the_kit_cools_is_no_lost_heater(seed: int, gap: int) -> None:
+    """How warm the heater is, is not known behind its lag, until the readings after the gap have shown it."""
+    samples = run(Simulated(seed), levels(1060))
+    assert watch([s for s in samples if s.index != gap]) == ()
+
+
 def test_it_stays_lost_until_it_is_back() -> None:
     """For six minutes the kit cools down to the room; then the wire is repaired, and the drive proves it."""
     told = alarms(1560, Broken(lost=1000, back=1360))

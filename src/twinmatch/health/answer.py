@@ -44,6 +44,8 @@ has another cause than a dead drive."""
 _ROOM_CHANGE: Final = 0.6
 """Change of the room that a missing effect has to exceed, in the scale of the parameter: for minutes, a
 heater that was giving little and is lost looks like a room that becomes colder."""
+_SETTLED: Final = 20.0
+"""Time after which the observer knows the states, s: after a gap, how warm the heater is behind its lag."""
 _DRIFT: Final = 0.01
 """Drift of a state from the equations per second, in its scale."""
 _ROOM_DRIFT: Final = 0.03
@@ -87,6 +89,7 @@ class Answer:
     def restart(self) -> None:
         """Start over after a gap, keeping the learned errors."""
         self._observer: Observer | None = None
+        self._followed = 0  # samples of it
         self._past: deque[Moment] = deque(maxlen=self._spans[-1] + self._spans[_LONG] + 1)
         self._standing: FloatArray | None = None
         self._reading = math.nan
@@ -136,6 +139,7 @@ class Answer:
         given = row if row.size else None
         if self._observer is None:
             scales = np.array([s.scale for s in self._states])
+            self._followed = 0
             self._observer = Observer(
                 self._parameters,
                 sample.output,
@@ -164,7 +168,9 @@ class Answer:
         if self._standing is None or change != 0.0:
             self._standing = states
         self._reading = sample.output
-        self._past.append(Moment(observer.parameters, states, sample.input, row, self._usual))
+        settled = self._followed * self._period >= _SETTLED
+        self._past.append(Moment(observer.parameters, states, sample.input, row, self._usual, settled))
+        self._followed += 1
         observer.predict(sample.input)
         return Movement(0.0, moved, change - moved)
 
@@ -177,6 +183,8 @@ class Answer:
             first = len(past) - 1 - length
             if first < 0:
                 break
+            if not past[first].settled:
+                continue
             stretch = Stretch(past[first:-1], self._period)
             before = past[max(0, first - self._spans[_LONG]) : first + 1]
             changed = stretch.changed(float(np.mean([m.input for m in before])), self._spans[0])

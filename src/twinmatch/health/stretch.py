@@ -25,6 +25,8 @@ class Moment(NamedTuple):
     disturbances: FloatArray
     usual: tuple[Usual, ...]
     """The usual errors known then, so that a fault does not hide itself."""
+    settled: bool
+    """Whether the states had been followed for long enough to be known."""
 
 
 def advanced(
