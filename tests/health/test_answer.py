@@ -67,7 +67,7 @@ def test_a_kit_that_answers_sooner_and_more_than_expected_has_its_heater(seed: i
 
 
 @pytest.mark.parametrize(("seed", "gap"), [(1, 939), (3, 925)])
-def test_a_gap_while_the_kit_cools_is_no_lost_heater(seed: int, gap: int) -> None:
+def test_a_gap_while_the_kit_cools_does_not_look_like_a_lost_heater(seed: int, gap: int) -> None:
     """How warm the heater is, is not known behind its lag, until the readings after the gap have shown it."""
     samples = run(Simulated(seed), levels(1060))
     assert watch([s for s in samples if s.index != gap]) == ()

@@ -89,7 +89,7 @@ class Answer:
     def restart(self) -> None:
         """Start over after a gap, keeping the learned errors."""
         self._observer: Observer | None = None
-        self._followed = 0  # samples of it
+        self._followed = 0  # samples since a gap
         self._past: deque[Moment] = deque(maxlen=self._spans[-1] + self._spans[_LONG] + 1)
         self._standing: FloatArray | None = None
         self._reading = math.nan
@@ -139,7 +139,6 @@ class Answer:
         given = row if row.size else None
         if self._observer is None:
             scales = np.array([s.scale for s in self._states])
-            self._followed = 0
             self._observer = Observer(
                 self._parameters,
                 sample.output,
@@ -168,7 +167,8 @@ class Answer:
         if self._standing is None or change != 0.0:
             self._standing = states
         self._reading = sample.output
-        settled = self._followed * self._period >= _SETTLED
+        # While it is reported as lost, silence would count as its recovery.
+        settled = self._held or self._followed * self._period >= _SETTLED
         self._past.append(Moment(observer.parameters, states, sample.input, row, self._usual, settled))
         self._followed += 1
         observer.predict(sample.input)
