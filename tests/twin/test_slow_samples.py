@@ -55,7 +55,13 @@ def test_the_longest_horizon_is_never_shorter_than_sixty_samples(period: float) 
     assert leads_of(period / stretched(period), longest)[-1] == longest
 
 
-@given(st.floats(0.01, 5.0))
-def test_fast_samples_keep_the_horizons_in_seconds(period: float) -> None:
+@given(st.floats(1e-3, 0.5))
+def test_the_longest_horizon_of_fast_samples_fits_into_a_window(period: float) -> None:
+    assert horizons_for(period)[-1] / period == pytest.approx(600)
+    assert ForecastSettings.of(period).every / period == pytest.approx(60)
+
+
+@given(st.floats(0.5, 5.0))
+def test_usual_samples_keep_the_horizons_in_seconds(period: float) -> None:
     assert horizons_for(period) == HORIZONS
     assert ForecastSettings.of(period) == ForecastSettings()

@@ -49,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_seconds,
         nargs="+",
         metavar="S",
-        help="forecast horizons, in seconds (default: 10 60 300; 2, 12 and 60 samples if those are longer)",
+        help="forecast horizons, in seconds (default: 10 60 300; at least 2, 12 and 60 samples, at most 20, "
+        "120 and 600)",
     )
     parser.add_argument(
         "--peers",

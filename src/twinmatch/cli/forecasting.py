@@ -13,8 +13,8 @@ from twinmatch.judging.outputs import check_writable
 __all__ = ["LONGEST", "RECORDED", "add_arguments", "run"]
 
 LONGEST: Final = 86_400.0
-"""Longest horizon, s; for samples more than 5 s apart in proportion to the sample time. A longer one is a
-typing error: bands are learned up to a 288th of that."""
+"""Longest horizon, s; for samples more than 5 s or less than 0.5 s apart in proportion to the sample time. A
+longer one is a typing error: bands are learned up to a 288th of that."""
 RECORDED: Final = "recorded"
 
 
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--horizon",
         type=float,
         metavar="S",
-        help="forecast horizon, s (default: 300, or 60 samples if that is longer)",
+        help="forecast horizon, s (default: 300, at least 60 and at most 600 samples)",
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the forecasts to this file")
     parser.add_argument("--figure", type=Path, metavar="OUT", help="draw them (.png, .svg or .pdf)")
