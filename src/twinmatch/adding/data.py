@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.adding.comparison import compare_structures
 from twinmatch.adding.declared_loop import loop_findings
 from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.noise import noise_of
@@ -89,6 +90,10 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
     findings += _of_matches(judgement.matches, faults)
     notes += _accepted(judgement.matches)
+    preferred, remarks = compare_structures(session.samples, plant, terms.settings)
+    notes += remarks
+    if 2 * sum(report.match.accepted for report in judgement.matches) < len(judgement.matches):
+        findings += preferred  # where matches are accepted anyway, it is a remark
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 
 
