@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from sympy import sqrt
 
+from tests.support.plants import Tank
 from twinmatch.dynamics import (
     Drive,
     Equations,
@@ -77,3 +78,10 @@ def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
     assert found.accepted, found.reason
     assert found.parameters["k"] == pytest.approx(0.08, rel=0.02)
     assert found.parameters["a"] == pytest.approx(0.15, rel=0.02)
+
+
+def test_a_root_that_stays_above_zero_is_exact() -> None:
+    """A smooth root would bend, by a little, the valley of parameters that no data can tell apart."""
+    tank = Tank.model().parameters()
+    slope = tank.model.kernels.slopes_at(tank.vector, np.array([4.0]), 1.0, np.empty(0))[1]
+    assert slope[0, 0] == pytest.approx(-tank["hole"] / (2 * 2.0) / tank["area"], rel=1e-14)

@@ -93,7 +93,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     quantities = {
         name: kinks.resolved(roots.smooth(sympy.sympify(e))) for name, e in written.quantities.items()
     }
-    output = sympy.sympify(written.output)
+    output = roots.smooth(sympy.sympify(written.output))
     start = tuple(roots.smooth(sympy.sympify(written.start[s])) for s in states)
     for what, expressions in (("output", [output]), ("start", start)):
         if any(_Kinks().resolved(expression) != expression for expression in expressions):

@@ -1,10 +1,10 @@
 """Roots of quantities that can reach zero, such as the outflow a·√h of a tank that runs empty.
 
 The derivative of a root is infinite at zero: the plant would be infinitely fast there, and no match could use
-its derivatives. So √x of a quantity that varies becomes x/(x² + δ²)^¼, with δ a thousandth of the largest x
-within the declared ranges; likewise other powers between 0 and 1. At 10 δ the difference is 0.25 %, at 100 δ
-0.0025 %. Below zero the root changes its sign: what runs empty fills again. Modelica does the same
-(`Modelica.Fluid.Utilities.regRoot`).
+its derivatives. So √x of a quantity that can become zero or negative within the declared ranges becomes
+x/(x² + δ²)^¼, with δ a thousandth of the largest x there; likewise other powers between 0 and 1. At 10 δ the
+difference is 0.25 %, at 100 δ 0.0025 %. Below zero the root changes its sign: what runs empty fills again.
+Modelica does the same (`Modelica.Fluid.Utilities.regRoot`).
 """
 
 from __future__ import annotations
@@ -53,26 +53,27 @@ class Roots:
         if isinstance(expression, sympy.Pow):
             base, power = args
             if power.is_number and 0 < power < 1 and base.free_symbols & self._ranges.keys():
-                near = sympy.Float(_SHARE * self._largest(base))
-                return base * (base**2 + near**2) ** ((power - 1) / 2)
+                values = self._values(base)
+                if min(values) <= 0.0:
+                    near = sympy.Float(_SHARE * (max(map(abs, values)) or 1.0))
+                    return base * (base**2 + near**2) ** ((power - 1) / 2)
         if all(new is old for new, old in zip(args, expression.args, strict=True)):
             return expression
         if isinstance(expression, sympy.Max | sympy.Min | sympy.Abs):
             return expression.func(*args, evaluate=False)
         return expression.func(*args)
 
-    def _largest(self, base: Expression) -> float:
-        """The largest size of a quantity at the corners of the declared ranges; 1 if it has none there."""
+    def _values(self, base: Expression) -> list[float]:
+        """Values of a quantity at the corners of the declared ranges; zero if it has none there."""
         import sympy  # noqa: PLC0415
 
         varying = sorted(base.free_symbols & self._ranges.keys(), key=str)
         value = sympy.lambdify([*varying, *self._defaults], base, modules="math")
         corners = itertools.islice(itertools.product(*(self._ranges[s] for s in varying)), _MOST_CORNERS)
-        sizes = []
+        found = []
         for corner in corners:
             try:
-                sizes.append(abs(float(value(*corner, *self._defaults.values()))))
+                found.append(float(value(*corner, *self._defaults.values())))
             except (ArithmeticError, TypeError, ValueError):
                 continue  # such a corner lies outside the range in which the equations hold
-        finite = [size for size in sizes if math.isfinite(size) and size > 0.0]
-        return max(finite, default=1.0)
+        return [v for v in found if math.isfinite(v)] or [0.0]
