@@ -15,7 +15,7 @@ from twinmatch.adding.declared_loop import loop_findings
 from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import time_constants
-from twinmatch.dynamics import Plant
+from twinmatch.dynamics import Output, Plant
 from twinmatch.judging.judgement import judge
 from twinmatch.judging.terms import terms_from_files
 from twinmatch.matching.gate import Status
@@ -28,8 +28,14 @@ from twinmatch.twin import MatchReport
 
 __all__ = ["check_data", "data_for"]
 
-_FAR: Final = 3.0
-"""If declared and measured noise differ by more than this factor, that is a finding."""
+_SMALL: Final = 3.0
+"""Noise declared smaller than measured by more than this factor is a finding: no fit would explain it."""
+_LARGE: Final = 100.0
+"""Noise that is declared larger by more than this factor is a finding; less is a choice of what counts."""
+_UNEXPLAINED: Final = 4.0
+"""Residuals of the whole recording, in units of the noise, above which a larger noise is suggested."""
+_PART: Final = 3.0
+"""What is left is suggested to be so many times the noise: the gate then accepts up to twice as much."""
 _TODO: Final = {
     Status.NO_EXCITATION: "record steps of the input (or the set-point) that move the output far "
     "above its noise",
@@ -77,9 +83,11 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
     notes.append(
         f"{session.name}: {y.size} samples, one every {session.period:g} s; measured noise {noise:g}"
     )
-    if not declared / _FAR <= noise <= declared * _FAR:
-        what = f"the noise of the output is declared as {declared:g}, but measured as {noise:g}"
-        findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
+    findings += _of_noise(declared, noise)
+    if _SMALL * noise < declared <= _LARGE * noise:
+        notes.append(
+            f"errors count in units of the declared noise, {declared / noise:.2g} times the measured one"
+        )
     lags = time_constants(terms.settings.start)
     if lags.size and y.size * session.period < 2 * lags[-1]:
         what = f"the recording lasts {y.size * session.period:g} s, less than twice the slowest time constant"
@@ -88,13 +96,35 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
         )
     findings += loop_findings(session, plant, terms.settings.gains)
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
+    compared = compare_structures(session.samples, plant, terms.settings)
     findings += _of_matches(judgement.matches, faults)
-    notes += _accepted(judgement.matches)
-    preferred, remarks = compare_structures(session.samples, plant, terms.settings)
-    notes += remarks
+    notes += [*_accepted(judgement.matches), *compared.notes]
     if 2 * sum(report.match.accepted for report in judgement.matches) < len(judgement.matches):
-        findings += preferred  # where matches are accepted anyway, it is a remark
+        findings += compared.findings  # where matches are accepted anyway, it is a remark
+    if any(report.match.status is Status.NOT_EXPLAINED for report in judgement.matches) and not any(
+        report.match.accepted for report in judgement.matches
+    ):
+        findings += _of_what_is_left(compared.least, plant.output)
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
+
+
+def _of_noise(declared: float, measured: float) -> list[Finding]:
+    if declared / _LARGE <= measured <= declared * _SMALL:
+        return []
+    what = f"the noise of the output is declared as {declared:g}, but measured as {measured:g}"
+    return [Finding(what, "correct `noise`: every judgement of the fit depends on it")]
+
+
+def _of_what_is_left(least: float, output: Output) -> list[Finding]:
+    """Advice for equations that no measurement noise explains, but that may be good enough."""
+    if not least > _UNEXPLAINED * output.noise:
+        return []
+    what = f"over the whole recording, the best of the structures leaves {least:.2g} {output.unit}".rstrip()
+    todo = (
+        f"if errors of that size are good enough for you, declare noise={float(f'{least / _PART:.1g}'):g}: "
+        "errors of fits and forecasts are judged in units of the noise"
+    )
+    return [Finding(what, todo)]
 
 
 def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> list[Finding]:
