@@ -69,6 +69,14 @@ def test_one_that_gives_no_numbers_is_not_believed(run_of, adopted, tmp_path) ->
         adopted(worse)
 
 
+def test_one_that_hangs_before_it_is_adopted_is_one_line(tmp_path: Path, capfd) -> None:
+    rate = RATE.replace("bridge = ", "import time; time.sleep(3600 * (self.pwm != 0.0)); bridge = ", 1)
+    fmu = build_python_fmu(tmp_path, "Sleeper", rate=rate, steps=2)
+    with pytest.raises(StructureLostError, match="no answer within 1 s and was killed"):
+        adopt_fmus(write_map(tmp_path, fmu, patience=1.0))
+    assert not capfd.readouterr().err
+
+
 def test_what_one_prints_is_not_an_answer(run_of) -> None:
     assert "nan" not in run_of("prints")()
 

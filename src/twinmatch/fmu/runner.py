@@ -54,6 +54,8 @@ class Runner:
         self.map, self.title, self._digest = of, title, digest
         self.lost = ""
         """Why it was abandoned; empty while it is usable."""
+        self.in_use = False
+        """Whether it was adopted: before, whoever adopts it reports why it is lost."""
         self._process: FmuProcess | None = None
         self._lock = threading.RLock()
         links, plant = of.links, of.plant
@@ -132,10 +134,12 @@ class Runner:
                 self._process = None
 
     def lose(self, why: str) -> StructureLostError:
-        """Abandon it permanently, with one message; returns the error to raise."""
+        """Abandon it permanently, with one message once it is in use; returns the error to raise."""
         with self._lock:
             if not self.lost:
                 self.lost = why
+            if self.in_use:
+                self.in_use = False
                 print(
                     f"twinmatch: {self.title}: {why}; everything else continues without this structure",
                     file=sys.stderr,

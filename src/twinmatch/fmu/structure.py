@@ -107,6 +107,7 @@ def _adopted(of: FmuMap) -> Model:
     try:
         source.runner.start()
         check_restart(model)
+        source.runner.in_use = True
     except BaseException:
         of.plant.disown(name)
         raise
