@@ -182,3 +182,13 @@ def test_any_plate_moves_as_its_equations_say(
 def everywhere(exchange_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Model:
     file = write_map(tmp_path_factory.mktemp("map"), exchange_fmu, "any")
     return adopt_fmus(file)[0]
+
+
+def test_one_without_free_parameters_is_scored_as_it_is(adopted, exchange_fmu: Path) -> None:
+    links = {"temperature": "celsius", "pwm": "pwm", "plate": "plate"}
+    model = adopted(exchange_fmu, variables=links, free=[], patience=1e300)
+    experiment = Experiment(model.parameters(), (), a_window(40))
+    values = experiment.values_of(model.parameters())
+    cost, gradient, hessian = experiment.normal(values)
+    assert cost > 0.0
+    assert gradient.size == hessian.size == 0

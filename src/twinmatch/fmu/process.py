@@ -128,7 +128,7 @@ def _wait(readable: list[int], writable: list[int], by: float) -> None:
         poll.register(handle, select.POLLIN)
     for handle in writable:
         poll.register(handle, select.POLLOUT)
-    if left <= 0 or not poll.poll(1000.0 * left):
+    if left <= 0 or not poll.poll(min(1000.0 * left, 1e9)):  # beyond, poll overflows
         raise TimeoutError
 
 

@@ -55,7 +55,7 @@ class Runner:
         self.lost = ""
         """Why it was abandoned; empty while it is usable."""
         self.in_use = False
-        """Whether it was adopted: before, whoever adopts it reports why it is lost."""
+        """Whether it was adopted: before, the error of `adopt_fmus` is the report."""
         self._process: FmuProcess | None = None
         self._lock = threading.RLock()
         links, plant = of.links, of.plant
@@ -153,6 +153,9 @@ class Runner:
         rows, each = len(arrays["fixed"]), max(1, _SAMPLES // max(samples, 1))
         by_row = [name for name in ("fixed", "inputs") if name in arrays]
         parts = []
+        if not rows:  # the derivatives of a structure without free parameters
+            given = arrays.get("given")
+            return {name: np.empty(shape) for name, shape in self._shapes(0, given).items()}
         for first in range(0, rows, each):
             part: dict[str, FloatArray] = {name: arrays[name][first : first + each] for name in by_row}
             parts.append(self._answer(header, {**arrays, **part}, max(samples / _SAMPLES, 1.0)))
@@ -175,13 +178,20 @@ class Runner:
 
     def _checked(self, found: Any, runs: int, given: FloatArray | None) -> dict[str, FloatArray]:
         """The arrays, after a check of their shapes."""
-        size, n = (0 if given is None else given.size), len(self._states)
-        own = {"output": (runs,), "after": (runs, n), "rates": (runs, n)}
-        run = {"output": (runs, size), "input": (runs, size), "states": (runs, size + 1, n)}
+        shapes = self._shapes(runs, given)
         for name, array in found.items():
-            if array.shape != (own if given is None else run).get(name):
+            if array.shape != shapes.get(name):
                 raise self.lose(f"the FMU's process answered with an array of shape {array.shape}")
         return dict(found)
+
+    def _shapes(self, runs: int, given: FloatArray | None) -> dict[str, tuple[int, ...]]:
+        """Shapes of the arrays in an answer, with and without signals."""
+        n = len(self._states)
+        if given is None:
+            return {"output": (runs,), "after": (runs, n), "rates": (runs, n)}
+        return {
+            "output": (runs, given.size), "input": (runs, given.size), "states": (runs, given.size + 1, n),
+        }  # fmt: skip
 
     def _started(self) -> FmuProcess:
         """Start the process and load the FMU, after a check against its map.
