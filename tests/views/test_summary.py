@@ -79,8 +79,8 @@ SUMMARY = Summary(
         ),
         (
             {"nominal": None, "level": TrustLevel.UNKNOWN},
-            "No nominal twin: 5 verdicts, but no valid match. The loop needs set-point steps of a few "
-            "degrees, some minutes apart.",
+            "No nominal twin: 5 verdicts, but no valid match. The loop needs set-point steps far "
+            "above the noise, some minutes apart.",
         ),
         (
             {"nominal": None, "level": TrustLevel.UNKNOWN, "refusal": "match refused: C ended on 5 J/K"},

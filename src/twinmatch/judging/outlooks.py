@@ -120,7 +120,7 @@ def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastE
         twin.push(sample)
         if twin.discriminator.forecaster.names:
             return ForecastError(f"{absent}; there is one from sample {sample.index} on")
-    needed = "record set-point steps of a few degrees, some minutes apart,"
+    needed = "record set-point steps far above the noise, some minutes apart,"
     if twin.settings.gains is None:
         needed = "move the input far above its noise, for some minutes in total,"
     return ForecastError(

@@ -159,7 +159,7 @@ def sentence(summary: Summary) -> str:
             last = f"{summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
             return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {last}"
         needed = (
-            "The loop needs set-point steps of a few degrees, some minutes apart."
+            "The loop needs set-point steps far above the noise, some minutes apart."
             if summary.closed
             else "The input has to move far above its noise, for some minutes in total."
         )

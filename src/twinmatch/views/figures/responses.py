@@ -32,42 +32,40 @@ def draw_responses(members: Sequence[Member]) -> Figure:
     grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
     for k, member in enumerate(members):
         inner = grids[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 2))
-        temperature = figure.add_subplot(inner[0])
-        control = figure.add_subplot(inner[1], sharex=temperature)
-        _draw_member(temperature, control, member)
+        upper = figure.add_subplot(inner[0])
+        control = figure.add_subplot(inner[1], sharex=upper)
+        _draw_member(upper, control, member)
         if k % columns == 0:
             words = words_of(member.settings.plant)
-            temperature.set_ylabel(words.output_label)
+            upper.set_ylabel(words.output_label)
             control.set_ylabel(words.input_label)
         if k // columns == rows - 1 or k + columns >= len(members):
             control.set_xlabel("time / s")
         if k == 0:
             figure.legend(
-                *temperature.get_legend_handles_labels(), loc="outside upper right", ncols=4, borderaxespad=0
+                *upper.get_legend_handles_labels(), loc="outside upper right", ncols=4, borderaxespad=0
             )
     return figure
 
 
-def _draw_member(temperature: Axes, control: Axes, member: Member) -> None:
+def _draw_member(upper: Axes, control: Axes, member: Member) -> None:
     window, order = member.window, member.score.chosen_order
     twin, model = member.quiet_twin, member.simulated(order)
     time = window.time[_SKIPPED:]
     closed = member.settings.gains is not None
     if closed:
-        _draw_set_point(temperature, window)
-    temperature.plot(window.time, window.output, color=PLANT, lw=1.4, label="plant")
-    temperature.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
-    temperature.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
+        _draw_set_point(upper, window)
+    upper.plot(window.time, window.output, color=PLANT, lw=1.4, label="plant")
+    upper.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
+    upper.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
     control.plot(window.time, window.input, color=PLANT, lw=0.9)
     if closed:
         control.plot(time, twin.input, color=CLOSED, lw=0.9)
         control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
     mark = ", nominal" if member.nominal else ""
-    temperature.set_title(
-        f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None
-    )
-    temperature.tick_params(labelbottom=False)
-    temperature.margins(x=0.01)
+    upper.set_title(f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None)
+    upper.tick_params(labelbottom=False)
+    upper.margins(x=0.01)
 
 
 @styled

@@ -78,10 +78,10 @@ def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
     )
 
 
-def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool, closed: bool) -> None:
+def _draw_plant(upper: Axes, control: Axes, window: Window, *, first: bool, closed: bool) -> None:
     hidden = "_"  # matplotlib omits such labels from the legend
     if closed:
-        temperature.plot(
+        upper.plot(
             window.time,
             window.reference,
             color=SET_POINT,
@@ -90,15 +90,15 @@ def _draw_plant(temperature: Axes, control: Axes, window: Window, *, first: bool
             drawstyle="steps-post",
             label="set-point" if first else hidden,
         )
-    temperature.plot(window.time, window.output, color=PLANT, label="plant" if first else hidden)
+    upper.plot(window.time, window.output, color=PLANT, label="plant" if first else hidden)
     control.plot(window.time, window.input, color=PLANT, lw=0.8, label="plant" if first else hidden)
 
 
-def _draw_twins(temperature: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
+def _draw_twins(upper: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
     closed, driven = ("closed-loop twin", "driven twin") if first else ("_", "_")
     if part.closed is not None:
-        temperature.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
-    temperature.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
+        upper.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
+    upper.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
     if part.closed is not None:
         control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8, label=closed)
 

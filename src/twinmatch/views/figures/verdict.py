@@ -33,17 +33,17 @@ def draw_verdict(
     """
     figure = new_figure(12, 9)
     grid = figure.add_gridspec(4, 2, height_ratios=(3, 2, 0.9, 3))
-    temperature = figure.add_subplot(grid[0, :])
-    control = figure.add_subplot(grid[1, :], sharex=temperature)
-    trust = figure.add_subplot(grid[2, :], sharex=temperature)
+    upper = figure.add_subplot(grid[0, :])
+    control = figure.add_subplot(grid[1, :], sharex=upper)
+    trust = figure.add_subplot(grid[2, :], sharex=upper)
     last = last_verdict(verdicts)
     shown = shown_twin(verdicts[-1] if verdicts else None)
     for number, stretch in enumerate(unbroken(samples)):
         window = Window.from_samples(stretch, settings.period)
-        _draw_signals(temperature, control, window, shown, settings, label=number == 0)
-    _dress(temperature, control, words_of(settings.plant))
+        _draw_signals(upper, control, window, shown, settings, label=number == 0)
+    _dress(upper, control, words_of(settings.plant))
     if shown is not None:
-        temperature.set_title(_title(shown, nominal_score(last)))
+        upper.set_title(_title(shown, nominal_score(last)))
     draw_levels(trust, verdicts, settings.period, samples[0].index)
     time_axis(trust, settings.period, samples[0].index, samples[-1].index)
     if last is not None:
@@ -53,7 +53,7 @@ def draw_verdict(
 
 
 def _draw_signals(
-    temperature: Axes,
+    upper: Axes,
     control: Axes,
     window: Window,
     shown: Shown | None,
@@ -65,16 +65,16 @@ def _draw_signals(
     time, hidden = window.time, "_"  # matplotlib omits such labels from the legend
     names = ("set-point", "plant") if label else (hidden, hidden)
     if settings.gains is not None:
-        temperature.plot(
+        upper.plot(
             time, window.reference, color=SET_POINT, lw=1, ls="--", drawstyle="steps-post", label=names[0]
         )
-    temperature.plot(time, window.output, color=PLANT, lw=1.2, label=names[1])
+    upper.plot(time, window.output, color=PLANT, lw=1.2, label=names[1])
     control.plot(time, window.input, color=PLANT, lw=0.9)
     if shown is None or len(window) < 4:
         return
     twin = response_on(shown.parameters, window, settings.gains)
     name = f"twin of {shown.name}" if label else hidden
-    temperature.plot(time[2:], twin.output, color=CLOSED, lw=1, label=name)
+    upper.plot(time[2:], twin.output, color=CLOSED, lw=1, label=name)
     if settings.gains is not None:
         control.plot(time[2:], twin.input, color=CLOSED, lw=0.8)
 
@@ -86,9 +86,9 @@ def _title(shown: Shown, nominal: CandidateScore | None) -> str:
     return f"Leader: {shown.name}; {centre}"
 
 
-def _dress(temperature: Axes, control: Axes, words: Words) -> None:
-    temperature.set_ylabel(words.output_label)
-    temperature.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+def _dress(upper: Axes, control: Axes, words: Words) -> None:
+    upper.set_ylabel(words.output_label)
+    upper.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     control.set_ylabel(words.input_label)
-    for axes in (temperature, control):
+    for axes in (upper, control):
         axes.tick_params(labelbottom=False)
