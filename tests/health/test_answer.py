@@ -66,6 +66,12 @@ def test_a_kit_that_answers_sooner_and_more_than_expected_has_its_heater(seed: i
     assert [a for a in watch(samples) if a.fault is Fault.DRIVE_LOST] == []
 
 
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_controller_that_brakes_does_not_make_a_strong_kit_look_dead(seed: int) -> None:
+    """1.5 times the typical power: the room was taken to be warmer than it is, and is so as power falls."""
+    assert watch(run(Published(seed), levels(1600))) == ()
+
+
 @pytest.mark.parametrize(("seed", "gap"), [(1, 939), (3, 925)])
 def test_a_gap_while_the_kit_cools_does_not_look_like_a_lost_heater(seed: int, gap: int) -> None:
     """How warm the heater is, is not known behind its lag, until the readings after the gap have shown it."""

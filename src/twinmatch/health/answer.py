@@ -90,7 +90,7 @@ class Answer:
         """Start over after a gap, keeping the learned errors."""
         self._observer: Observer | None = None
         self._followed = 0  # samples since a gap
-        self._past: deque[Moment] = deque(maxlen=self._spans[-1] + self._spans[_LONG] + 1)
+        self._past: deque[Moment] = deque(maxlen=2 * self._spans[-1] + 1)
         self._standing: FloatArray | None = None
         self._reading = math.nan
         self.share = math.nan
@@ -186,7 +186,7 @@ class Answer:
             if not past[first].settled:
                 continue
             stretch = Stretch(past[first:-1], self._period)
-            before = past[max(0, first - self._spans[_LONG]) : first + 1]
+            before = past[max(0, first - self._spans[-1]) : first + 1]
             changed = stretch.changed(float(np.mean([m.input for m in before])), self._spans[0])
             error = output - stretch.works
             self._weigh(stretch, error, changed, stretch.first.usual[k])
