@@ -18,6 +18,7 @@ from tests.support.kits import BenchKit
 from tests.support.waiting import wait_for
 from twinmatch.links.kit_errors import KitAbsentError, KitError, KitSilentError
 from twinmatch.links.kit_link import KitLink, require_port
+from twinmatch.links.kit_serial import open_kit
 
 
 @pytest.fixture
@@ -115,6 +116,16 @@ def test_the_cable_is_pulled(kit: BenchKit, link: KitLink) -> None:
     kit.plug()
     link.open()
     assert link.drive(10.0, 0.0)[2] == 10.0
+
+
+def test_a_port_that_is_gone_is_an_error_of_the_system(kit: BenchKit) -> None:
+    """And not one of the terminal, which nobody expects: the heaters would be switched off only once."""
+    board = open_kit(kit.port)
+    board.drive(30.0, 0.0)
+    kit.unplug()
+    for _ in range(2):
+        with pytest.raises(OSError):  # noqa: PT011 (the words are the system's)
+            board.off()
 
 
 def test_rubbish_between_two_questions_is_skipped(kit: BenchKit, link: KitLink) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import termios
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -100,9 +101,13 @@ class Kit(tclab.TCLab):
 
         Raises:
             KitError: there is no valid answer.
+            OSError: the port is gone.
         """
         for _ in range(_TRIES):
-            self.sp.reset_input_buffer()  # drop late answers and those to other programs
+            try:
+                self.sp.reset_input_buffer()  # drop late answers and those to other programs
+            except termios.error as error:  # pyserial passes it on, and it is not an OSError
+                raise OSError(*error.args) from error
             try:
                 answer = self.send_and_receive(words, kind)
             except ValueError:
