@@ -129,7 +129,7 @@ def test_the_clock_tells_plant_time_and_never_runs_ahead(rig: Start) -> None:
 
 
 def test_a_broken_wire_lets_the_plate_go_while_the_board_continues(rig: Start, controller: Start) -> None:
-    running = rig("--speed", "20", "--board", "python", "--fault", "drive-lost@60")
+    running = rig("--speed", "10", "--board", "python", "--fault", "drive-lost@60")
     loop = controller(running)
     loop.hold(45.0, 50.0)
     assert loop.current > 0.1

@@ -19,7 +19,7 @@ from tests.support.waiting import PATIENCE
 from twinmatch.judging.verification import verify_session
 from twinmatch.sessions import read_session
 
-SPEED = 8.0
+SPEED = 5.0
 LIVE = LAUNCH_SCRIPTS / "live.py"
 
 
