@@ -31,7 +31,16 @@ __all__ = ["cache_folder", "kernels_of", "source_hash"]
 
 _HERE = Path(__file__).parent
 _TEMPLATES = ("kernels.py", "runs.py", "observer_step.py", "tracking.py")
-_GENERATOR = ("code.py", "declarations.py", "equations.py", "plant.py", "roots.py", "store.py", *_TEMPLATES)
+_GENERATOR = (
+    "code.py",
+    "dead_time.py",
+    "declarations.py",
+    "equations.py",
+    "plant.py",
+    "roots.py",
+    "store.py",
+    *_TEMPLATES,
+)
 _JOINED = ("__future__", "twinmatch.dynamics.derived", "twinmatch.dynamics.kernels")
 _PROGRAMS = ("numba", "numpy", "sympy")
 
