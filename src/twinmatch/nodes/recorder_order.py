@@ -25,22 +25,24 @@ class Copies:
 
     A message that the keeper has received may reach the recorder only after the keeper's answer, even after
     everything fetched is written. The messages of a topic come in order, so the first new one ends this.
+    Messages are compared by a text with all their values: serialised ones differ in padding bytes, which are
+    never set, and deserialised ones in NaN, which equals nothing.
     """
 
     def __init__(self) -> None:
-        self._fetched: dict[str, set[bytes]] = {}
+        self._fetched: dict[str, set[str]] = {}
 
-    def add(self, name: str, data: bytes) -> None:
+    def add(self, name: str, values: str) -> None:
         """Take note of a fetched message of a topic."""
-        self._fetched.setdefault(name, set()).add(data)
+        self._fetched.setdefault(name, set()).add(values)
 
     def expected(self, name: str) -> bool:
         """Whether copies of fetched messages of this topic may still arrive."""
         return name in self._fetched
 
-    def found(self, name: str, data: bytes) -> bool:
+    def found(self, name: str, values: str) -> bool:
         """Whether this message was fetched; if not, no later one of its topic was."""
-        if data in self._fetched.get(name, ()):
+        if values in self._fetched.get(name, ()):
             return True
         self._fetched.pop(name, None)
         return False

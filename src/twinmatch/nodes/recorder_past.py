@@ -22,7 +22,7 @@ from twinmatch.sessions.cdr import decode_sample, encode_sample
 from twinmatch_msgs.msg import Match, ModelScore
 from twinmatch_msgs.srv import Past
 
-__all__ = ["RecorderPast"]
+__all__ = ["RecorderPast", "values_of"]
 
 SAMPLE, MATCH, SCORE = "plant/sample", "twin/match", "twin/model_score"
 LOOK = 0.1
@@ -111,10 +111,9 @@ class RecorderPast:
             (MATCH, answer.match, answer.matches_heard),
             (SCORE, answer.score, answer.scores_heard),
         ):
-            fetched = [_fetched(message) for message in messages]
-            for message in fetched:
-                self._copies.add(self._names[name], message.data)
-            self._order.add_messages(name, fetched, heard)
+            for message in messages:
+                self._copies.add(self._names[name], repr(message))
+            self._order.add_messages(name, map(_fetched, messages), heard)
         self._order.write()
         progress = bool(samples or answer.match or answer.score)
         if progress:
@@ -141,11 +140,16 @@ class RecorderPast:
                 self._write(name, data, now)
 
     def _is_copy(self, name: str, data: bytes) -> bool:
-        """Whether a message was fetched too; bytes are compared in the form that this process writes."""
+        """Whether a message was fetched too."""
         kind = self._kinds.get(name)
         if kind is None or not self._copies.expected(name):
             return False
-        return self._copies.found(name, serialize_message(deserialize_message(bytes(data), kind)))
+        return self._copies.found(name, values_of(bytes(data), kind))
+
+
+def values_of(data: bytes, kind: type[Match | ModelScore]) -> str:
+    """All values of a serialised message, as text."""
+    return repr(deserialize_message(data, kind))
 
 
 def _fetched(message: Match | ModelScore) -> Fetched:
