@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from twinmatch.adding.findings import Finding
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.matching import MatchingError
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import StructureScore, TwinSettings, choose_structure
+from twinmatch.views.comparison import root_mean_square
 
 __all__ = ["Compared", "compare_structures"]
 
@@ -78,4 +77,4 @@ def _line(score: StructureScore, plant: type[Plant]) -> str:
 
 def _rms(score: StructureScore) -> float:
     off = [m[0] - s[0] for m, s in zip(score.fitted.measured, score.fitted.simulated, strict=True)]
-    return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
+    return root_mean_square(off)

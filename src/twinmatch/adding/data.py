@@ -99,11 +99,11 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
     compared = compare_structures(session.samples, plant, terms.settings)
     findings += _of_matches(judgement.matches, faults)
     notes += [*_accepted(judgement.matches), *compared.notes]
-    if 2 * sum(report.match.accepted for report in judgement.matches) < len(judgement.matches):
+    found = [report.match for report in judgement.matches]
+    accepted = sum(match.accepted for match in found)
+    if 2 * accepted < len(found):
         findings += compared.findings  # where matches are accepted anyway, it is a remark
-    if any(report.match.status is Status.NOT_EXPLAINED for report in judgement.matches) and not any(
-        report.match.accepted for report in judgement.matches
-    ):
+    if not accepted and any(match.status is Status.NOT_EXPLAINED for match in found):
         findings += _of_what_is_left(compared.least, plant.output)
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 

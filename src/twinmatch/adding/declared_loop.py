@@ -10,7 +10,7 @@ import numpy as np
 from twinmatch.adding.findings import Finding
 from twinmatch.dynamics import Pid, PidGains, Plant, controller_state
 from twinmatch.sessions import Session
-from twinmatch.signals import FloatArray, Sample, Window
+from twinmatch.signals import FloatArray, Sample, Window, unbroken
 
 __all__ = ["loop_findings"]
 
@@ -26,7 +26,7 @@ def loop_findings(session: Session, plant: type[Plant], gains: PidGains | None) 
     """A finding if the declared controller does not give the recorded input from set-points and outputs."""
     if gains is None or not session.has_reference:
         return []
-    errors = [error for run in _runs(session.samples) for error in _errors(run, gains)]
+    errors = [error for run in _runs(session.samples, gains.period) for error in _errors(run, gains)]
     if not errors:
         return []
     found = np.concatenate(errors)
@@ -46,18 +46,13 @@ def loop_findings(session: Session, plant: type[Plant], gains: PidGains | None) 
     return [Finding(what, todo)]
 
 
-def _runs(samples: Sequence[Sample]) -> Iterator[Window]:
+def _runs(samples: Sequence[Sample], period: float) -> Iterator[Window]:
     """Stretches of consecutive samples."""
-    index = np.array([sample.index for sample in samples])
-    for run in np.split(np.arange(index.size), np.flatnonzero(np.diff(index) != 1) + 1):
-        for first in range(0, run.size, _STRETCH):
-            part = [samples[k] for k in run[first : first + _STRETCH]]
+    for run in unbroken(samples):
+        for first in range(0, len(run), _STRETCH):
+            part = run[first : first + _STRETCH]
             if len(part) >= _LEAST:
-                yield Window(
-                    np.array([s.reference for s in part]),
-                    np.array([s.output for s in part]),
-                    np.array([s.input for s in part]),
-                )
+                yield Window.from_samples(part, period)
 
 
 def _errors(run: Window, gains: PidGains) -> Iterator[FloatArray]:
@@ -67,7 +62,7 @@ def _errors(run: Window, gains: PidGains) -> Iterator[FloatArray]:
     begin = next((k for k in range(len(run) - _LEAST) if within[k] and within[k + 1]), None)
     if begin is None:
         return
-    part = run.part(begin, len(run) - 1)
+    part = run.part(run.first + begin, run.last)
     pid = Pid(gains, controller_state(part, gains))
     pairs = zip(part.reference[2:], part.output[2:], strict=True)
     yield np.array([pid.step(float(r), float(y)) for r, y in pairs]) - part.input[2:]
