@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from benchmarks.common import peer
-from twinmatch.identification import BoxJenkins, parse_order
+from twinmatch.fitting import BoxJenkins, parse_order
 from twinmatch.signals import FloatArray
 
 __all__ = ["Fit", "missing", "own", "peers"]
@@ -42,7 +42,7 @@ Program = Callable[[FloatArray, FloatArray, str], Fit]
 
 
 def own(u: FloatArray, y: FloatArray, order: str) -> Fit:
-    from twinmatch.identification import estimate  # noqa: PLC0415
+    from twinmatch.fitting import estimate  # noqa: PLC0415
 
     model = estimate(u, y, order)
     return Fit(model.variance, model)

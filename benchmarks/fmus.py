@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
 from tests.support.fmus import build_c_fmu, build_python_fmu, write_map
 from twinmatch.dynamics import Model, begin, simulate_closed_loop
-from twinmatch.matching import Match, match
+from twinmatch.fitting import Match, match
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 

@@ -20,9 +20,9 @@ from scipy.optimize import least_squares
 
 from benchmarks.common import Row, Timing, main, measure_side_by_side, peer, rows_of
 from twinmatch.dynamics import PidGains, Sensor, begin, simulate_closed_loop
-from twinmatch.matching import Noise, match
-from twinmatch.matching.estimation import solve, starts_for
-from twinmatch.matching.problem import Problem
+from twinmatch.fitting import Noise, match
+from twinmatch.fitting.estimation import solve, starts_for
+from twinmatch.fitting.problem import Problem
 from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 

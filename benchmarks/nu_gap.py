@@ -15,7 +15,7 @@ import mpmath as mp
 import numpy as np
 
 from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
-from twinmatch.discrimination import GraphSymbol, nu_gap_matrix, nu_gap_of, stability_margin
+from twinmatch.comparing import GraphSymbol, nu_gap_matrix, nu_gap_of, stability_margin
 
 Fraction = tuple[np.ndarray, np.ndarray]
 

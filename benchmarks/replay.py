@@ -13,9 +13,9 @@ from pathlib import Path
 
 from benchmarks.common import Row, Timing, measure_side_by_side, print_rows, rows_of
 from benchmarks.rig import recorded
-from twinmatch.discrimination import Candidate, Verdict
+from twinmatch.comparing import Candidate, Verdict
 from twinmatch.dynamics import Parameters
-from twinmatch.judging.judgement import Judgement, judge_samples
+from twinmatch.offline.judgement import Judgement, judge_samples
 from twinmatch.plants import Peltier
 from twinmatch.sessions import open_any
 from twinmatch.signals import Sample

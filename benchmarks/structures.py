@@ -30,7 +30,7 @@ from rich.table import Table
 
 from twinmatch.dynamics import simulate_window
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import StructureFit
+from twinmatch.fitting import StructureFit
 from twinmatch.plants import Peltier
 from twinmatch.sessions import read_recording, samples_of
 from twinmatch.signals import Window

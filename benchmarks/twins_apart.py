@@ -25,10 +25,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy.stats import spearmanr
 
-from twinmatch.discrimination import CandidateScore
+from twinmatch.comparing import CandidateScore
 from twinmatch.dynamics import Parameters, Response, simulate_window
 from twinmatch.errors import TwinmatchError
-from twinmatch.judging.judgement import judge_session
+from twinmatch.offline.judgement import judge_session
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Window
 

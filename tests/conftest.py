@@ -27,7 +27,7 @@ OTHERS = Path(os.environ.get("TWINMATCH_PLANT_RECORDINGS", RECORDINGS.parent / "
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-FIRST = ("system", "nodes", "emulation", "dashboard", "camera_server")
+FIRST = ("system", "nodes", "emulation", "showing", "camera_server")
 """Folders whose tests mostly wait for other processes; they begin first, so that none is the last."""
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)

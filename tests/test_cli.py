@@ -23,9 +23,9 @@ from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost
 from twinmatch.cli import main
-from twinmatch.judging.interrupt import held_interrupts
-from twinmatch.judging.judgement import judge
-from twinmatch.judging.terms import terms_from_files
+from twinmatch.offline.interrupt import held_interrupts
+from twinmatch.offline.judgement import judge
+from twinmatch.offline.terms import terms_from_files
 from twinmatch.sessions import open_any, samples_of, write_session
 from twinmatch.signals import Window
 from twinmatch.twin import Outcome

@@ -12,9 +12,9 @@ import pytest
 
 from tests.support.places import PROJECT
 from tests.support.prose import read_prose
-from twinmatch.discrimination.verdict import ADMITTED, REFUSED, TrustLevel
+from twinmatch.comparing.verdict import ADMITTED, REFUSED, TrustLevel
+from twinmatch.fitting.gate import Status
 from twinmatch.health.record import Fault, State
-from twinmatch.matching.gate import Status
 from twinmatch.safety import FaultKind
 
 PAGE = (PROJECT / "docs" / "troubleshooting.md").read_text("utf-8")

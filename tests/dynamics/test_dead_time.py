@@ -30,7 +30,7 @@ from twinmatch.dynamics import (
     simulate_window,
 )
 from twinmatch.dynamics.dead_time import DelayLine
-from twinmatch.matching import match
+from twinmatch.fitting import match
 from twinmatch.signals import Window
 
 PERIOD = 1.0

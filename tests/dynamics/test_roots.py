@@ -20,7 +20,7 @@ from twinmatch.dynamics import (
     maximum,
     simulate_driven,
 )
-from twinmatch.matching import match
+from twinmatch.fitting import match
 from twinmatch.signals import Window
 
 

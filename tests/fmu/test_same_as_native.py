@@ -22,8 +22,8 @@ from twinmatch.dynamics import (
     simulate_closed_loop,
     simulate_driven,
 )
+from twinmatch.fitting import fit_structure, match
 from twinmatch.fmu import adopt_fmus
-from twinmatch.matching import fit_structure, match
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 

@@ -14,19 +14,19 @@ from mcap.reader import make_reader
 from rich.console import Console
 
 from tests.support import faulty_rig
-from twinmatch.discrimination import Verdict
+from twinmatch.comparing import Verdict
 from twinmatch.health import Monitor
-from twinmatch.judging.judgement import judge_session
 from twinmatch.launching.live import Live
 from twinmatch.launching.plan import LivePlan
+from twinmatch.offline.judgement import judge_session
 from twinmatch.sessions import Recording, read_session
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.topics import SAMPLE
+from twinmatch.showing import summarise
+from twinmatch.showing.events import events
+from twinmatch.showing.summary import Tally, conclude
+from twinmatch.showing.terminal import MOST_EVENTS, Screen
 from twinmatch.signals import Sample
-from twinmatch.views import summarise
-from twinmatch.views.events import events
-from twinmatch.views.summary import Tally, conclude
-from twinmatch.views.terminal import MOST_EVENTS, Screen
 
 SESSION = Path(__file__).resolve().parents[2] / "bags" / "four_setpoints"
 

@@ -16,11 +16,11 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from twinmatch.comparing import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.description import Quantity
-from twinmatch.discrimination import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict
-from twinmatch.discrimination.verdict import CandidateScore
 from twinmatch.dynamics import Parameters, PlantError
-from twinmatch.matching import Fit, Match, Status
+from twinmatch.fitting import Fit, Match, Status
 from twinmatch.nodes.conversions import (
     candidate_message,
     match_from,

@@ -9,11 +9,11 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
 from tests.support.waiting import wait_for
-from twinmatch.dashboard.roster import Player, Roster, Standing
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.diagnostics import Health, Level, Report, status_message
 from twinmatch.nodes.samples import SampleWatch
 from twinmatch.nodes.worker import Worker
+from twinmatch.showing.page.roster import Player, Roster, Standing
 
 
 def test_nothing_to_warn_about() -> None:

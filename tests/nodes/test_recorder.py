@@ -23,9 +23,9 @@ from tests.support.processes import Process
 from tests.support.ros import Listener
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
-from twinmatch.judging.verification import verify_session
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import Session, SessionError, read_session
 from twinmatch.sessions.repair import repair_session
 from twinmatch.sessions.settings import CANDIDATES, parameters_of

@@ -16,7 +16,7 @@ from tests.support.processes import Process, Processes
 from tests.support.ros import Listener
 from twinmatch.nodes.message_types import MessageTypeError, fields_of, message_class
 from twinmatch.nodes.samples import EVERYTHING
-from twinmatch.sampling import Field
+from twinmatch.sessions.sampling import Field
 from twinmatch_msgs.msg import LoopSample
 
 pytestmark = pytest.mark.ros

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from tests.support.incubator import FIRST, SECOND, published_twin, read_run
 from twinmatch.dynamics import Experiment, Parameters, advance, begin, read
-from twinmatch.matching import Status, StructureFit, fit_structure, match
+from twinmatch.fitting import Status, StructureFit, fit_structure, match
 from twinmatch.plants import Incubator, find_plant
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.structures import choose_structure

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from twinmatch.control import Loop
 from twinmatch.dynamics import Parameters, advance, begin, read, simulate_driven
-from twinmatch.matching import fit_structure, match
+from twinmatch.fitting import fit_structure, match
 from twinmatch.plants import PLANTS, TCLab
 from twinmatch.signals import Sample, Window
 

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.discrimination import (
+from twinmatch.comparing import (
     CandidateScore,
     Criteria,
     ForecastScore,
@@ -23,8 +23,8 @@ from twinmatch.discrimination import (
     TrustLevel,
     Verdict,
 )
-from twinmatch.matching import Status
-from twinmatch.matching.result import without_fit
+from twinmatch.fitting import Status
+from twinmatch.fitting.result import without_fit
 from twinmatch.plants import Peltier
 from twinmatch.record import (
     Form,

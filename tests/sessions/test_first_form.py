@@ -15,8 +15,8 @@ from rosbags.highlevel import AnyReader
 
 from twinmatch.cli import main
 from twinmatch.dynamics import Pid
-from twinmatch.judging.terms import recorded_terms
-from twinmatch.judging.verification import verify_session
+from twinmatch.offline.terms import recorded_terms
+from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import read_session
 from twinmatch.sessions.cdr import decode_sample

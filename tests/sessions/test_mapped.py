@@ -15,7 +15,7 @@ from tests.support.plant_files import plant_file
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
-from twinmatch.judging.terms import terms_from_files
+from twinmatch.offline.terms import terms_from_files
 from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError, read_session, write_session
 from twinmatch.sessions.column_map import ColumnMap, Source, parse_map, read_map

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support.rig import GAINS, rig, run
-from twinmatch.discrimination import Held, plant_gap, spans_of
+from twinmatch.comparing import Held, plant_gap, spans_of
 from twinmatch.dynamics import Parameters
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window

@@ -20,7 +20,7 @@ from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process, Processes
 from tests.support.ros import listening
 from tests.support.waiting import PATIENCE
-from twinmatch.judging.verification import verify_session
+from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
 from twinmatch.sessions.settings import parameters_of
 from twinmatch_msgs.msg import Forecast, Match, MatchRequest, ModelScore

@@ -23,7 +23,7 @@ from tests.support.places import PROJECT
 from tests.support.processes import Process
 from tests.support.waiting import PATIENCE
 from twinmatch.emulation.virtual_rig_control import tell
-from twinmatch.judging.verification import verify_session
+from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import Session, read_session
 from twinmatch.sessions.repair import repair_session
 from twinmatch_msgs.msg import Forecast

@@ -16,7 +16,7 @@ pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process
 from tests.support.waiting import PATIENCE
-from twinmatch.judging.verification import verify_session
+from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
 
 SPEED = 5.0

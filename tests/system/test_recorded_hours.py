@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twinmatch.discrimination import TrustLevel
-from twinmatch.judging.judgement import Judgement, judge_samples, judge_session
+from twinmatch.comparing import TrustLevel
+from twinmatch.offline.judgement import Judgement, judge_samples, judge_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twinmatch.twin.matcher
-from twinmatch.discrimination import ADMITTED, REFUSED, Candidate, Verdict
+from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
 from twinmatch.dynamics import Parameters, Pid, advance, begin, read
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample, Window

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bags.make_four_setpoints import SET_POINTS
-from twinmatch.discrimination import Candidate, Held, Verdict, plant_gaps, spans_of
+from twinmatch.comparing import Candidate, Held, Verdict, plant_gaps, spans_of
 from twinmatch.emulation.virtual_rig_plant import RICH_RIG
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample

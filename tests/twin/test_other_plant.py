@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.plants import Motor
-from twinmatch.discrimination import TrustLevel
+from twinmatch.comparing import TrustLevel
 from twinmatch.dynamics import Sensor, begin, linearised, simulate_closed_loop
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings

@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.rich_rig import RIG, apart, recorded
 from tests.support.rig import GAINS
-from twinmatch.matching import Noise
+from twinmatch.fitting import Noise
 from twinmatch.plants import Peltier
 from twinmatch.twin import watched
 from twinmatch.twin.present import Present

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.discrimination import TrustLevel
+from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.twin.promises import Promise, Promises, promise_of, trust_level
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.plants import Lag
-from twinmatch.discrimination import TrustLevel
+from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import HORIZONS, horizons_for, leads_of, stretched
-from twinmatch.judging.judgement import judge_samples
+from twinmatch.offline.judgement import judge_samples
 from twinmatch.signals import Sample
 from twinmatch.twin import ForecastSettings, TwinSettings
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twinmatch.dynamics import Parameters, begin, simulate_closed_loop, simulate_window
-from twinmatch.matching import MatchingError
+from twinmatch.fitting import MatchingError
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 from twinmatch.twin import nrmse

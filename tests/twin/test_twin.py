@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from twinmatch.discrimination import Candidate, TrustLevel, Verdict
+from twinmatch.comparing import Candidate, TrustLevel, Verdict
 from twinmatch.dynamics import Pid, advance, begin, read
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of

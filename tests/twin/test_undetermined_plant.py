@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.support.plants import Tank
-from twinmatch.discrimination import Verdict
+from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
-from twinmatch.matching import Match
+from twinmatch.fitting import Match
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
 

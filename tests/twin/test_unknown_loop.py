@@ -9,10 +9,10 @@ import pytest
 
 from tests.support.box_runs import PERIOD, TRUTH, step_test, switched
 from tests.support.plants import Box, Motor
-from twinmatch.discrimination import TrustLevel, Verdict
+from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.dynamics import PlantError, begin, simulate_closed_loop
 from twinmatch.forecasting import Question, what_if
-from twinmatch.judging.judgement import Judgement, judge_samples
+from twinmatch.offline.judgement import Judgement, judge_samples
 from twinmatch.record import tree_of
 from twinmatch.sessions import SessionWriter, open_any
 from twinmatch.sessions.cdr import encode_sample

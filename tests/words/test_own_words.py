@@ -16,17 +16,17 @@ pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
 
-from tests.dashboard.test_page import Nothing
+from tests.showing.page.test_page import Nothing
 from tests.words.conftest import Shown
 from twinmatch.cli import main
-from twinmatch.dashboard import DashboardState, TwinRow
-from twinmatch.dashboard.page import Page
-from twinmatch.dashboard.sentence import update_sentence
-from twinmatch.foxglove.layout import layout
-from twinmatch.judging.judgement import judge
-from twinmatch.judging.terms import terms_from_files
+from twinmatch.offline.judgement import judge
+from twinmatch.offline.terms import terms_from_files
 from twinmatch.plants.named import description_of
 from twinmatch.sessions import read_session
+from twinmatch.showing.foxglove.layout import layout
+from twinmatch.showing.page import DashboardState, TwinRow
+from twinmatch.showing.page.page import Page
+from twinmatch.showing.page.sentence import update_sentence
 from twinmatch.twin import Mirror
 
 Capture = pytest.CaptureFixture[str]

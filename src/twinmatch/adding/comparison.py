@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 
 from twinmatch.adding.findings import Finding
 from twinmatch.dynamics import Plant, PlantError
-from twinmatch.matching import MatchingError
+from twinmatch.fitting import MatchingError
+from twinmatch.showing.comparison import root_mean_square
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import StructureScore, TwinSettings, choose_structure
-from twinmatch.views.comparison import root_mean_square
 
 __all__ = ["Compared", "compare_structures"]
 

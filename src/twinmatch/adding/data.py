@@ -16,9 +16,9 @@ from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import time_constants
 from twinmatch.dynamics import Output, Plant
-from twinmatch.judging.judgement import judge
-from twinmatch.judging.terms import terms_from_files
-from twinmatch.matching.gate import Status
+from twinmatch.fitting.gate import Status
+from twinmatch.offline.judgement import judge
+from twinmatch.offline.terms import terms_from_files
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.column_map import ColumnMap, read_map
 from twinmatch.sessions.mapped import map_samples, with_plant_names

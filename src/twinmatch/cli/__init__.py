@@ -28,11 +28,11 @@ from twinmatch.cli import (
     replaying,
     verifying,
 )
-from twinmatch.dashboard import command as dashboard
 from twinmatch.emulation import virtual_rig_program as virtual_rig
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.foxglove import command as foxglove
-from twinmatch.reporting import command as reporting
+from twinmatch.showing.foxglove import command as foxglove
+from twinmatch.showing.page import command as dashboard
+from twinmatch.showing.report import command as reporting
 
 __all__ = ["main"]
 

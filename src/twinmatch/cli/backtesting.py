@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from twinmatch.archive.sources import find_sessions
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.judging.options import add_terms
-from twinmatch.judging.outputs import check_writable
-from twinmatch.judging.progress import Progress
+from twinmatch.offline.archive.sources import find_sessions
+from twinmatch.offline.options import add_terms
+from twinmatch.offline.outputs import check_writable
+from twinmatch.offline.progress import Progress
 
 if TYPE_CHECKING:
-    from twinmatch.backtest.result import Backtest
+    from twinmatch.offline.backtest.result import Backtest
 
 __all__ = ["EXIT_PARTLY", "add_arguments", "run"]
 
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: the only session cannot be used, or a file cannot be written.
     """
-    from twinmatch.backtest.result import over_all  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.offline.backtest.result import over_all  # noqa: PLC0415 — keeps --help fast
 
     check_writable(options.json, options.figure)
     sessions = find_sessions(options.sessions)
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _one(path: Path, options: argparse.Namespace) -> Backtest:
-    from twinmatch.backtest import Choices, backtest_session  # noqa: PLC0415 — as above
+    from twinmatch.offline.backtest import Choices, backtest_session  # noqa: PLC0415 — as above
 
     horizons = None if options.horizon is None else tuple(options.horizon)
     choices = Choices(options.every, horizons, tuple(options.peers))
@@ -115,7 +115,7 @@ def _one(path: Path, options: argparse.Namespace) -> Backtest:
 def _print(tested: Backtest) -> None:
     from rich.console import Console  # noqa: PLC0415 — only needed for printing
 
-    from twinmatch.backtest.table import sentences, tables  # noqa: PLC0415
+    from twinmatch.offline.backtest.table import sentences, tables  # noqa: PLC0415
 
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -129,7 +129,7 @@ def _print(tested: Backtest) -> None:
 
 def _write(found: Sequence[Backtest], total: Backtest, options: argparse.Namespace) -> None:
     if options.json is not None:
-        from twinmatch.backtest.document import document  # noqa: PLC0415
+        from twinmatch.offline.backtest.document import document  # noqa: PLC0415
 
         entry = {
             "sessions": [document(each) for each in found],
@@ -138,8 +138,8 @@ def _write(found: Sequence[Backtest], total: Backtest, options: argparse.Namespa
         text = json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False)
         options.json.write_text(text + "\n", encoding="utf-8")
     if options.figure is not None:
-        from twinmatch.backtest.figure import draw_backtest  # noqa: PLC0415
-        from twinmatch.views.figures import save  # noqa: PLC0415
+        from twinmatch.offline.backtest.figure import draw_backtest  # noqa: PLC0415
+        from twinmatch.showing.figures import save  # noqa: PLC0415
 
         save(draw_backtest(total), options.figure)
 

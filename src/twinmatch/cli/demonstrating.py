@@ -41,10 +41,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _live(speed: float) -> int:
     """Run the virtual rig through its set-points; returns the exit code."""
-    from twinmatch.judging.progress import Progress  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.judging.rehearsal import rehearse  # noqa: PLC0415
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
+    from twinmatch.offline.progress import Progress  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.offline.rehearsal import rehearse  # noqa: PLC0415
     from twinmatch.plants import Peltier  # noqa: PLC0415
     from twinmatch.twin import TwinSettings  # noqa: PLC0415
 
@@ -59,8 +59,8 @@ def _live(speed: float) -> int:
 
 def _look_back(session: Path) -> int:
     """Judge the recording again, draw the verdict and write the report; the last line names it."""
-    from twinmatch.reporting import build_report, judge  # noqa: PLC0415
-    from twinmatch.views.figures import draw_verdict  # noqa: PLC0415
+    from twinmatch.showing.figures import draw_verdict  # noqa: PLC0415
+    from twinmatch.showing.report import build_report, judge  # noqa: PLC0415
 
     judged = judge(session)
     print(judged.recorded)
@@ -76,8 +76,8 @@ def _look_back(session: Path) -> int:
 def _recorded(session: Path) -> int:
     """Play a session within `LONGEST`, then write the report; returns the exit code."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
-    from twinmatch.reporting import make_report  # noqa: PLC0415
     from twinmatch.sessions import open_any  # noqa: PLC0415
+    from twinmatch.showing.report import make_report  # noqa: PLC0415
 
     found = open_any(session)
     code = play(Replay(found, min(1000.0, max(50.0, found.duration / LONGEST))))

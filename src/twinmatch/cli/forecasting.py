@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.judging.options import add_terms
-from twinmatch.judging.outputs import check_writable
+from twinmatch.offline.options import add_terms
+from twinmatch.offline.outputs import check_writable
 
 __all__ = ["LONGEST", "RECORDED", "add_arguments", "run"]
 

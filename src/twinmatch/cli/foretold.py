@@ -12,14 +12,14 @@ from twinmatch.cli.forecasting import LONGEST, RECORDED
 from twinmatch.cli.set_points import Asked, asked_of, planned_rows
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import horizons_for, stretched
-from twinmatch.judging.interrupt import held_interrupts
-from twinmatch.judging.outlooks import Prospect, prospects, samples_at
-from twinmatch.judging.progress import Progress
-from twinmatch.judging.terms import terms_from_files
+from twinmatch.offline.interrupt import held_interrupts
+from twinmatch.offline.outlooks import Prospect, prospects, samples_at
+from twinmatch.offline.progress import Progress
+from twinmatch.offline.terms import terms_from_files
 from twinmatch.sessions import Session, open_any
+from twinmatch.showing.fan import Fan, fan
+from twinmatch.showing.forecast import came_words, forecast_document, forecast_words
 from twinmatch.twin import TwinSettings
-from twinmatch.views.fan import Fan, fan
-from twinmatch.views.forecast import came_words, forecast_document, forecast_words
 
 __all__ = ["Foretold", "foretold", "show"]
 
@@ -86,7 +86,7 @@ def show(found: Foretold, options: argparse.Namespace) -> None:
         except OSError as error:
             raise TwinmatchError(f"{options.json}: cannot be written ({error.strerror})") from error
     if options.figure is not None:
-        from twinmatch.views.figures import draw_forecasts, save  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures import draw_forecasts, save  # noqa: PLC0415 — matplotlib is slow
 
         save(draw_forecasts(found.fans, found.settings.plant), options.figure)
 

@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.judging.interrupt import held_interrupts
-from twinmatch.judging.judgement import Judgement, judge
-from twinmatch.judging.progress import Progress
-from twinmatch.judging.terms import terms_from_files
+from twinmatch.offline.interrupt import held_interrupts
+from twinmatch.offline.judgement import Judgement, judge
+from twinmatch.offline.progress import Progress
+from twinmatch.offline.terms import terms_from_files
 from twinmatch.sessions import Session, open_any
+from twinmatch.showing import document
+from twinmatch.showing.line import Lines, closing_lines, redraws
 from twinmatch.twin import Outcome
-from twinmatch.views import document
-from twinmatch.views.line import Lines, closing_lines, redraws
 
 if TYPE_CHECKING:
-    from twinmatch.views.terminal import Screen
+    from twinmatch.showing.terminal import Screen
 
 __all__ = ["replay"]
 
@@ -40,7 +40,7 @@ def _replay(path: Path, options: argparse.Namespace) -> Judgement:
         entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
         options.json.write_text(json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     if options.figure is not None:
-        from twinmatch.views.figures import draw_verdict  # noqa: PLC0415 — matplotlib is slow to import
+        from twinmatch.showing.figures import draw_verdict  # noqa: PLC0415 — matplotlib is slow to import
 
         draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, options.figure)
     return judgement
@@ -94,6 +94,6 @@ class _Display:
 def _screen(session: Session) -> Screen:
     from rich.console import Console  # noqa: PLC0415 — only a terminal needs it
 
-    from twinmatch.views.terminal import Screen  # noqa: PLC0415
+    from twinmatch.showing.terminal import Screen  # noqa: PLC0415
 
     return Screen(Console(highlight=False), session.name, session.period, len(session.samples))

@@ -6,11 +6,11 @@ import argparse
 import gc
 from pathlib import Path
 
-from twinmatch.archive import program as archive
 from twinmatch.errors import TwinmatchError
-from twinmatch.judging.options import add_terms
-from twinmatch.judging.outputs import check_writable
-from twinmatch.judging.progress import Progress
+from twinmatch.offline.archive import program as archive
+from twinmatch.offline.options import add_terms
+from twinmatch.offline.outputs import check_writable
+from twinmatch.offline.progress import Progress
 
 __all__ = ["add_arguments", "run"]
 

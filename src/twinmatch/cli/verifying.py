@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twinmatch.judging.options import add_fmus, add_plant
-from twinmatch.judging.progress import Progress
+from twinmatch.offline.options import add_fmus, add_plant
+from twinmatch.offline.progress import Progress
 
 __all__ = ["add_arguments", "run"]
 
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: the session cannot be verified.
     """
-    from twinmatch.judging.verification import verify_session  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.offline.verification import verify_session  # noqa: PLC0415 — keeps --help fast
 
     with Progress() as progress:
         found = verify_session(

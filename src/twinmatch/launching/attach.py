@@ -14,11 +14,11 @@ from twinmatch.nodes.parameters import ParameterError, Values, check, flattened,
 from twinmatch.nodes.sampler_parameters import understood, wires_of
 from twinmatch.nodes.twin_parameters import at_period, read_settings, twin_table, values_of
 from twinmatch.plants import find_plant, written_name
-from twinmatch.sampling import REFERENCE
 from twinmatch.sessions.column_map import ColumnMap
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
 from twinmatch.sessions.mapped import by_signal
+from twinmatch.sessions.sampling import REFERENCE
 
 __all__ = ["AttachPlan", "attach_plan"]
 

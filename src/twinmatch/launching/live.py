@@ -24,11 +24,11 @@ from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch.sessions.shelf import Shelf
+from twinmatch.showing import Summary
+from twinmatch.showing.line import Lines, closing_lines
+from twinmatch.showing.summary import Stretch, Tally, conclude
+from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample
-from twinmatch.views import Summary
-from twinmatch.views.line import Lines, closing_lines
-from twinmatch.views.summary import Stretch, Tally, conclude
-from twinmatch.views.terminal import Screen, view_on
 from twinmatch_msgs.msg import LoopSample, Match, ModelScore
 
 __all__ = ["EXIT_LOST", "Live", "run_live"]

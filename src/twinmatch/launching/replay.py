@@ -11,7 +11,7 @@ from typing import ClassVar
 from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
 
-from twinmatch.discrimination import Verdict
+from twinmatch.comparing import Verdict
 from twinmatch.launching.processes import LaunchError, Processes
 from twinmatch.launching.settled import Settled
 from twinmatch.nodes.conversions import match_from, verdict_from
@@ -22,10 +22,10 @@ from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.twin_parameters import at_period, read_settings
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
+from twinmatch.showing import Summary, summarise
+from twinmatch.showing.line import Lines, closing_lines
+from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.twin import MatchReport, TwinSettings
-from twinmatch.views import Summary, summarise
-from twinmatch.views.line import Lines, closing_lines
-from twinmatch.views.terminal import Screen, view_on
 from twinmatch_msgs.msg import Match, ModelScore
 
 __all__ = ["Replay", "play"]

@@ -9,8 +9,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from twinmatch.discrimination import ForecastScore, Verdict
-from twinmatch.discrimination.verdict import CandidateScore
+from twinmatch.comparing import ForecastScore, Verdict
+from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.nodes.sample_messages import stamp_header
 from twinmatch.record import (

@@ -14,7 +14,7 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 
 from twinmatch import twin
-from twinmatch.discrimination import Verdict
+from twinmatch.comparing import Verdict
 from twinmatch.nodes.conversions import candidate_message, match_from, score_message
 from twinmatch.nodes.diagnostics import Level
 from twinmatch.nodes.foreteller import Foreteller

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.message_types import fields_of, message_class
 from twinmatch.nodes.recorder_topics import offered, reader_profile
-from twinmatch.sampling import Channel, SamplingError, check_path
+from twinmatch.sessions.sampling import Channel, SamplingError, check_path
 
 __all__ = ["ForeignTopics"]
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling import Field
+from twinmatch.sessions.sampling import Field
 
 __all__ = ["MessageTypeError", "fields_of", "message_class"]
 

@@ -28,7 +28,7 @@ from twinmatch.nodes.sampler_parameters import (
 )
 from twinmatch.nodes.samples import RELIABLE, nanoseconds
 from twinmatch.plants import find_plant
-from twinmatch.sampling import TIMER, Sampler, SamplingError, Wire, follow
+from twinmatch.sessions.sampling import TIMER, Sampler, SamplingError, Wire, follow
 from twinmatch_msgs.msg import LoopSample
 
 __all__ = ["SamplerNode", "main"]

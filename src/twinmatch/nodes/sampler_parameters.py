@@ -9,8 +9,8 @@ from twinmatch.dynamics import Plant, PlantError
 from twinmatch.nodes.node import READERS
 from twinmatch.nodes.parameters import Parameter, ParameterError
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.sampling import INPUT, OUTPUT, REFERENCE, TIMER, Limits, SamplingError, Wire
 from twinmatch.sessions.column_map import parse_source
+from twinmatch.sessions.sampling import INPUT, OUTPUT, REFERENCE, TIMER, Limits, SamplingError, Wire
 
 __all__ = ["Signal", "limits_of", "sampler_table", "signals_of", "types_of", "understood", "wires_of"]
 

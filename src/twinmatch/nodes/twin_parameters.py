@@ -14,8 +14,8 @@ from typing import Any
 
 from twinmatch.dynamics import FILED, Closing, Filed, Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
-from twinmatch.matching import Noise
 from twinmatch.nodes.loop_parameters import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
 from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check, flattened

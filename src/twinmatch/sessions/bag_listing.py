@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling import Channel
-from twinmatch.sampling.usual_units import usual_unit
 from twinmatch.sessions.bags import Bag
 from twinmatch.sessions.guesses import Column
+from twinmatch.sessions.sampling import Channel
+from twinmatch.sessions.sampling.usual_units import usual_unit
 
 __all__ = ["look_into"]
 

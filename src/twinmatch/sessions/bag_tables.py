@@ -16,14 +16,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.sampling import INPUT, OUTPUT, REFERENCE, Wire
-from twinmatch.sampling.usual_units import usual_unit
 from twinmatch.sessions.bags import Bag, Series, open_bag
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.errors import RecordingError
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.sessions.mapped import Mapped, by_signal, map_samples
 from twinmatch.sessions.resampling import Gaps, bridged_up_to
+from twinmatch.sessions.sampling import INPUT, OUTPUT, REFERENCE, Wire
+from twinmatch.sessions.sampling.usual_units import usual_unit
 from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
 

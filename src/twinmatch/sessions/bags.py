@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling import Channel, Field, SamplingError, check_path, fields_below, follow
 from twinmatch.sessions.errors import RecordingError
 from twinmatch.sessions.files import ProgressCallback
+from twinmatch.sessions.sampling import Channel, Field, SamplingError, check_path, fields_below, follow
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from twinmatch.discrimination import Candidate, Verdict
+from twinmatch.comparing import Candidate, Verdict
 from twinmatch.signals import Sample
 from twinmatch.twin.discriminator import Discriminator, Step
 from twinmatch.twin.entrant import ForecastSettings

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from twinmatch.discrimination import DECIDED_FROM, Candidate, SimoModel, Verdict
+from twinmatch.comparing import DECIDED_FROM, Candidate, SimoModel, Verdict
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.signals import Window
 from twinmatch.twin.contenders import Contenders

@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.discrimination import Candidate
+from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Model, PidGains
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import Noise, StructureFit, fit_structure
 from twinmatch.forecasting import stretched
-from twinmatch.matching import Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.history import History
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import (
+from twinmatch.comparing import (
     ADMITTED,
     REFUSED,
     Candidate,
@@ -17,8 +17,8 @@ from twinmatch.discrimination import (
     Verdict,
 )
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import Status
 from twinmatch.health import SLOW, Alarm, Health, Monitor, State
-from twinmatch.matching import Status
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.bench import Bench
 from twinmatch.twin.forecaster import Forecaster

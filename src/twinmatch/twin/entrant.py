@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import Candidate
+from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Parameters
 from twinmatch.forecasting import HORIZONS, ForecastError, horizons_for, stretched
 from twinmatch.signals import FloatArray

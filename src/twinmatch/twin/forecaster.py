@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.discrimination import ForecastScore
+from twinmatch.comparing import ForecastScore
 from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
 from twinmatch.forecasting import (
     PERSISTENCE,

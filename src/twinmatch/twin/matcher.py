@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import Match, Status, match
-from twinmatch.matching.result import without_fit
+from twinmatch.fitting import Match, Status, match
+from twinmatch.fitting.result import without_fit
 from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.threads import one_thread

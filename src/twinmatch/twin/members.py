@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import (
+from twinmatch.comparing import (
     Candidate,
     CandidateScore,
     Family,
@@ -32,7 +32,7 @@ from twinmatch.discrimination import (
     with_margins,
 )
 from twinmatch.dynamics import Parameters
-from twinmatch.identification import ORDERS
+from twinmatch.fitting import ORDERS
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.settings import TwinSettings
 

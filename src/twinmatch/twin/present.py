@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from twinmatch.dynamics import Model, Parameters, PidGains
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import Noise, StructureFit, fit_structure
+from twinmatch.fitting import Noise, StructureFit, fit_structure
 from twinmatch.signals import Window
 
 __all__ = ["Present"]

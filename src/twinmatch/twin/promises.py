@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.discrimination import TrustLevel
+from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import Forecast
 from twinmatch.signals import FloatArray
 

@@ -16,7 +16,7 @@ from twinmatch.dynamics import (
     simulate_driven,
     simulate_window,
 )
-from twinmatch.matching.bounds import unknown_starts
+from twinmatch.fitting.bounds import unknown_starts
 from twinmatch.signals import FloatArray, Window
 
 __all__ = ["Residuals", "nrmse", "residuals", "response_on", "window_fit"]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from twinmatch.discrimination import spans_of
+from twinmatch.comparing import spans_of
 from twinmatch.dynamics import FILED, Closing, Parameters, PidGains, Plant, Sensor, gains_for, gains_of
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import Noise
 from twinmatch.health import HealthSettings
-from twinmatch.matching import Noise
 from twinmatch.plants import Peltier
 from twinmatch.twin.entrant import ForecastSettings
 from twinmatch.twin.schedule import ScheduleSettings

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from twinmatch.dynamics import FILED, Closing, Model, Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import Noise
+from twinmatch.fitting import Noise
 from twinmatch.signals import Window
 from twinmatch.twin.history import History
 from twinmatch.twin.structures import StructureChoice, choose_structure

@@ -22,13 +22,13 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.discrimination import information_gain
-from twinmatch.discrimination.code_length import two_part_length
-from twinmatch.discrimination.criteria import bic, mdl, naic
-from twinmatch.discrimination.score import Criteria
+from twinmatch.comparing import information_gain
+from twinmatch.comparing.code_length import two_part_length
+from twinmatch.comparing.criteria import bic, mdl, naic
+from twinmatch.comparing.score import Criteria
 from twinmatch.dynamics import FILED, Closing, Model, Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.matching import MatchingError, Noise, StructureFit, fit_structure
+from twinmatch.fitting import MatchingError, Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
 
 __all__ = ["StructureChoice", "StructureScore", "choose_structure", "prediction_errors", "score_structure"]

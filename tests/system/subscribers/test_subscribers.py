@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from tests.support.waiting import wait_for
-from twinmatch.judging.judgement import judge_session
 from twinmatch.nodes import network
+from twinmatch.offline.judgement import judge_session
 from twinmatch.sessions import read_session
 
 pytestmark = pytest.mark.ros

@@ -1,0 +1,101 @@
+"""Which model explains the plant best, and how far apart two models are.
+
+`code_length` and `information_gain` measure, in characters, what a model leaves unexplained. `naic`, `bic`
+and `mdl` weigh its prediction errors against the number of its parameters. `nu_gap` is the distance between
+two models that matters for feedback: it is small where one controller serves both. `stability_margin` gives
+the ν-gap up to which a given controller still stabilises, and `loop_margin` does so for the running PID.
+
+The judgement of a `Family` of candidates is built on these: `twin_response` runs a candidate's twin on its
+window, `identify` estimates Box–Jenkins models of the response, and `score` compares them with the measured
+window. `plant_gaps` computes the ν-gaps between the candidates' plants, `nominal_of` selects the candidate
+nearest to all others, and `judge_uncertainty` gives the uncertainty of all this. A `Verdict` carries the
+result.
+"""
+
+from twinmatch.comparing.certainty import DECIDED_FROM, Certainty, judge_uncertainty, with_margins
+from twinmatch.comparing.code_length import (
+    InformationGain,
+    code_length,
+    information_gain,
+    two_part_length,
+)
+from twinmatch.comparing.criteria import aic, bic, loss, mdl, mdl_as_printed, naic, naic_as_printed
+from twinmatch.comparing.errors import DiscriminationError
+from twinmatch.comparing.family import Candidate, Family
+from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
+from twinmatch.comparing.held import Held
+from twinmatch.comparing.loop import Scales, loop_controller, loop_margin, loop_plant
+from twinmatch.comparing.margin import stability_margin
+from twinmatch.comparing.models import SimoModel, identify, twin_response
+from twinmatch.comparing.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
+from twinmatch.comparing.plant_gap import PlantGaps, plant_gap, plant_gaps, spans_of
+from twinmatch.comparing.score import Criteria, OrderScore, choose_order, common_order, score
+from twinmatch.comparing.uncertainty import FamilyUncertainty, Uncertain, family_uncertainty
+from twinmatch.comparing.verdict import (
+    ADMITTED,
+    REFUSED,
+    CandidateScore,
+    ForecastScore,
+    TrustLevel,
+    Verdict,
+    nominal_of,
+)
+from twinmatch.comparing.weights import AkaikeWeights, akaike_weights, score_orders
+
+__all__ = [
+    "ADMITTED",
+    "DECIDED_FROM",
+    "REFUSED",
+    "AkaikeWeights",
+    "Candidate",
+    "CandidateScore",
+    "Certainty",
+    "Criteria",
+    "DiscriminationError",
+    "Family",
+    "FamilyUncertainty",
+    "ForecastScore",
+    "GraphSymbol",
+    "Held",
+    "InformationGain",
+    "OrderScore",
+    "PlantGaps",
+    "Scales",
+    "SimoModel",
+    "TrustLevel",
+    "Uncertain",
+    "Verdict",
+    "aic",
+    "akaike_weights",
+    "bic",
+    "choose_order",
+    "chordal_distance",
+    "code_length",
+    "common_order",
+    "family_uncertainty",
+    "graph_symbol",
+    "identify",
+    "information_gain",
+    "judge_uncertainty",
+    "loop_controller",
+    "loop_margin",
+    "loop_plant",
+    "loss",
+    "mdl",
+    "mdl_as_printed",
+    "naic",
+    "naic_as_printed",
+    "nominal_of",
+    "nu_gap",
+    "nu_gap_matrix",
+    "nu_gap_of",
+    "plant_gap",
+    "plant_gaps",
+    "score",
+    "score_orders",
+    "spans_of",
+    "stability_margin",
+    "twin_response",
+    "two_part_length",
+    "with_margins",
+]

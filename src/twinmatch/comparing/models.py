@@ -1,0 +1,145 @@
+"""Box–Jenkins models of a window: set-point → output and set-point → input, or input → output where the loop
+is not known.
+
+Where the paper leaves a choice open, it is made here; `docs/method.md` gives the reasons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.comparing.graph_symbol import GraphSymbol
+from twinmatch.dynamics import Parameters, PidGains, Sensor, simulate_window
+from twinmatch.fitting import ORDERS, BoxJenkins, estimate_ladder
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["Level", "SimoModel", "ahead", "deviations", "identify", "operating_level", "twin_response"]
+
+LEAD = 20
+"""Samples before the first step whose mean is the window's steady input."""
+
+
+class Level(NamedTuple):
+    """The steady state at the start of a window; models describe deviations from it."""
+
+    output: float
+    """Level of the output, in closed loop also of the reference: integral action makes them equal at rest."""
+    input: float
+
+
+@dataclass(frozen=True, eq=False)
+class SimoModel:
+    """A model from the set-point to y and u of the loop, or, where the loop is not known, from the input u to
+    the output y."""
+
+    order: str
+    y: BoxJenkins
+    """r[k] → y[k], or u[k] → y[k]."""
+    u: BoxJenkins | None
+    """r[k+1] → u[k]; see `ahead`."""
+    scale: float = 1.0
+    """Scale of the input over that of the output, for a plant's graph symbol."""
+
+    @cached_property
+    def symbol(self) -> GraphSymbol:
+        """Graph symbol for the ν-gap: of [y/r; u/r], y and u in their units, as in the paper; or of y/u,
+        scaled."""
+        if self.u is None:
+            return GraphSymbol.of_fractions([(self.scale * self.y.B, self.y.F)], period=self.y.period)
+        input_ = self.u.B[1:]  # without the delay that `ahead` put in
+        return GraphSymbol.of_fractions([(self.y.B, self.y.F), (input_, self.u.F)], period=self.y.period)
+
+
+def operating_level(window: Window, *, driven: bool = False) -> Level:
+    """The level to subtract so that the window begins at zero.
+
+    For reference and output it is the set-point before the first step; for the input the mean of the last
+    samples before that step, when the loop has settled even if the window began in a transient.
+
+    Where the loop is not known, there is no set-point: if the input was constant before its first change, the
+    level is the mean of the last samples before that change; if not, the mean over the window.
+    """
+    if driven:
+        return _driven_level(window)
+    moved = np.flatnonzero(window.reference != window.reference[0])
+    step = int(moved[0]) if moved.size else len(window)
+    lead = window.input[max(0, step - LEAD) : step]
+    return Level(float(window.reference[0]), float(np.mean(lead)))
+
+
+def _driven_level(window: Window) -> Level:
+    moved = np.flatnonzero(window.input != window.input[0])
+    step = int(moved[0]) if moved.size else len(window)
+    before = slice(step - LEAD, step) if step >= LEAD else slice(None)
+    return Level(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
+
+
+def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Reference, output and input of a window as deviations from `level`, shape (N,) each."""
+    return (
+        window.reference - level.output,
+        window.output - level.output,
+        window.input - level.input,
+    )
+
+
+def ahead(reference: FloatArray) -> FloatArray:
+    """The set-point one tick early, shape (N,): the input of the model of u.
+
+    The controller responds to a set-point in the same tick, so u[k] depends on r[k]; orders with nk = 1 have
+    no direct feedthrough and would treat the jump of u at a step as noise. Relative to the set-point one tick
+    early, the delay is one.
+    """
+    return np.append(reference[1:], reference[-1])
+
+
+def identify(
+    window: Window, orders: Sequence[str] = ORDERS, *, scale: float | None = None
+) -> tuple[SimoModel, ...]:
+    """Box–Jenkins models of every order from a window's set-point to its output and input.
+
+    Where the loop is not known, from its input to its output: then `scale` is the models' scale.
+
+    They are the minima next to the start values, not the global ones: on windows of the rig the prediction
+    errors of the global minima are only a few per cent smaller, and come from a noise model that explains
+    part of the response to the set-point, so that the gains of y and u, and with them the ν-gap, mean little
+    (docs/decisions/0015). `identification.estimate` searches for the global minimum.
+
+    Raises:
+        IdentificationError: set-point or input does not move, or there are too few samples.
+    """
+    if scale is not None:
+        _, y, u = deviations(window, operating_level(window, driven=True))
+        found = estimate_ladder(u, y, orders, hops=0, period=window.period)
+        return tuple(SimoModel(o, found[o], None, scale) for o in orders)
+    r, y, u = deviations(window, operating_level(window))
+    # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
+    with ThreadPoolExecutor(1) as other:
+        u_models = other.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)
+        y_models = estimate_ladder(r, y, orders, hops=0, period=window.period)
+    return tuple(SimoModel(o, y_models[o], u_models.result()[o]) for o in orders)
+
+
+def twin_response(
+    parameters: Parameters, window: Window, gains: PidGains | None, sensor: Sensor | None, seed: int
+) -> Window:
+    """Simulate the twin on a window, in closed loop under its reference, or driven by its input without
+    gains, with the sensor.
+
+    It starts at the window's third sample: the first two give the controller's state.
+    """
+    response = simulate_window(parameters, window, gains=gains, sensor=sensor, seed=seed)
+    return Window(
+        window.reference[2:],
+        response.output,
+        response.input,
+        window.first + 2,
+        window.period,
+        window.disturbances[2:],
+    )

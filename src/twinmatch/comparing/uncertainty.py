@@ -1,0 +1,258 @@
+"""Uncertainty of the ν-gaps of a family, and of the choice that rests on them.
+
+The uncertainty is that of the matches: their parameters come with a covariance. Draws from it (fixed seed)
+perturb the frequency response of every plant at every operating point to first order. Parameters that trade
+off lie in a curved valley: to first order, a step along its tangent hardly changes the response, whereas
+simulating with the stepped parameters would change it. The exact ν-gaps are kept as centres; only their
+spread is computed from the draws. A candidate that was given, not matched, has no covariance and counts as
+exact.
+
+A ν-gap is a maximum, and noise biases it upwards: matches of one plant differ a little, and draws around
+them differ more. Percentiles of the draws would exclude the true value. So the interval is that of a test
+(Neyman): it holds the gaps t·δ for which the estimate δ is neither among the smallest nor among the largest
+twentieth of the estimates expected for t·δ.
+
+Model errors that no parameters of a structure can describe are not included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinmatch.comparing.errors import DiscriminationError
+from twinmatch.comparing.held import Held, held_slopes
+from twinmatch.comparing.plant_gap import PlantGaps, plant_gaps
+from twinmatch.comparing.spread import (
+    directions,
+    disturbed_pair,
+    estimates,
+    failing_draws,
+    fitting_scales,
+)
+from twinmatch.dynamics import Parameters
+from twinmatch.signals import FloatArray
+
+__all__ = ["CONFIDENCE", "FamilyUncertainty", "Uncertain", "family_uncertainty"]
+
+CONFIDENCE = 0.9
+"""Confidence of the intervals, both sides together."""
+
+TAIL = (1 - CONFIDENCE) / 2
+
+DRAWS = 100
+
+SEED = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertain:
+    """Parameters with the covariance of their match."""
+
+    parameters: Parameters
+    free: tuple[str, ...] = ()
+    """Names of those that were fitted."""
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """Covariance of these, in their units, shape (n, n); empty: they are exact."""
+
+    @property
+    def loose(self) -> tuple[str, ...]:
+        """Names of the parameters that vary in the draws."""
+        return self.free if len(self.covariance) else ()
+
+    def root(self) -> FloatArray:
+        """L with L·Lᵀ the covariance, shape (n, n); undetermined directions have their scale as uncertainty.
+
+        Raises:
+            DiscriminationError: the covariance has another shape, or an entry that is not a number.
+        """
+        scales = np.array([self.parameters.model.declared[name].scale for name in self.loose])
+        wrong = len(self.covariance) and self.covariance.shape != (scales.size, scales.size)
+        if wrong or np.isnan(self.covariance).any():
+            msg = (
+                f"uncertainty: a covariance of shape {self.covariance.shape} for {len(self.free)} "
+                "parameters; give one row and one column of numbers for each, or none"
+            )
+            raise DiscriminationError(msg)
+        if not scales.size:
+            return np.zeros((0, 0))
+        relative = self.covariance / np.outer(scales, scales)
+        if not np.isfinite(relative).all():  # the match left some combination unbounded
+            return np.diag(scales)
+        values, vectors = np.linalg.eigh((relative + relative.T) / 2)
+        values = np.maximum(values, 0.0)
+        return np.asarray(scales[:, None] * vectors * np.sqrt(values / (1.0 + values)))
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyUncertainty:
+    """90 % intervals of a family's ν-gaps and their sums, and the probabilities of being nominal."""
+
+    nu_gap_low: FloatArray
+    """Lower ends, shape (n, n), symmetric with a zero diagonal, like the upper ends."""
+    nu_gap_high: FloatArray
+    sum_low: FloatArray
+    """Lower ends for the column sums, shape (n,)."""
+    sum_high: FloatArray
+    nominal_probability: FloatArray
+    """Share of the draws in which a candidate has the smallest sum, shape (n,); adds up to 1."""
+
+
+def family_uncertainty(
+    twins: Sequence[Uncertain],
+    gaps: PlantGaps,
+    terms: Held,
+    *,
+    plant: Parameters | None = None,
+    seed: int = SEED,
+) -> FamilyUncertainty:
+    """Compute intervals and probabilities from the covariances of the matches.
+
+    Args:
+        twins: the candidates.
+        gaps: ν-gaps between their plants.
+        terms: the loop in which they are held.
+        plant: the plant as it is now; two candidates always have equal sums, so the one nearer to the plant
+            counts as nominal.
+        seed: seed of the draws; the same seed gives the same bits.
+
+    Raises:
+        DiscriminationError: no twin, gaps of another shape, or a covariance that does not fit the
+            parameters.
+    """
+    n = len(twins)
+    if not n or gaps.at.shape[1:] != (n, n):
+        msg = f"uncertainty: {n} twins and ν-gaps of shape {gaps.at.shape}; give at least one, (points, n, n)"
+        raise DiscriminationError(msg)
+    family = _Family.of(twins, gaps, terms, seed)
+    low, high = np.zeros((n, n)), np.zeros((n, n))
+    for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
+        low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
+    sums = [family.sum_of(i) for i in range(n)]
+    shares = _shares(np.array([s.draws for s in sums]))
+    if n == 2:
+        shares = np.full(2, 0.5) if plant is None else _nearer(twins, plant, gaps.points, terms, seed)
+    return FamilyUncertainty(
+        nu_gap_low=low,
+        nu_gap_high=high,
+        sum_low=np.array([s.low for s in sums]),
+        sum_high=np.array([s.high for s in sums]),
+        nominal_probability=shares,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Sum:
+    low: float
+    high: float
+    draws: FloatArray
+    """Draws of the sum, shape (draws,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Every pair: its ν-gap, and its spread as `spread` describes it."""
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    gaps: FloatArray
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    fails: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, twins: Sequence[Uncertain], gaps: PlantGaps, terms: Held, seed: int) -> _Family:
+        rng = np.random.default_rng(seed)
+        still, moved = zip(*(_directions(twin, gaps.points, terms, rng) for twin in twins), strict=True)
+        first, second = np.triu_indices(len(twins), 1)
+        width = still[0].shape[0]
+        a, c = np.empty((first.size, width)), np.empty((first.size, width, DRAWS))
+        b, fails = np.empty_like(c), np.zeros((first.size, DRAWS), dtype=np.bool_)
+        for p, (i, j) in enumerate(zip(first, second, strict=True)):
+            a[p], b[p], c[p] = disturbed_pair(still[i], still[j], moved[i], moved[j])
+            pair = (still[i], still[j]), (moved[i], moved[j])
+            fails[p] = failing_draws(a[p], c[p], *pair, gaps.at[:, i, j] == 1)
+        return cls(first, second, gaps.matrix[first, second], a, b, c, fails)
+
+    def interval(self, pair: int) -> tuple[float, float]:
+        """Interval of one ν-gap."""
+        gap = float(self.gaps[pair])
+        if gap == 1:
+            return float(np.quantile(self._whole(pair), TAIL)), 1.0
+        if gap == 0:
+            return 0.0, float(np.quantile(self._estimates([pair]), CONFIDENCE))
+        least, most = fitting_scales(np.array([pair]), self.a, self.b, self.c, TAIL)
+        reaches = float(np.mean(self.fails[pair])) > TAIL
+        return least * gap, 1.0 if reaches else min(1.0, most * gap)
+
+    def sum_of(self, candidate: int) -> _Sum:
+        """Interval and draws of one candidate's sum; pairs failing the winding condition count separately."""
+        own = np.flatnonzero((self.first == candidate) | (self.second == candidate))
+        winding_failed, rest = own[self.gaps[own] == 1], own[self.gaps[own] < 1]
+        draws = np.zeros(DRAWS)
+        for pair in winding_failed:
+            draws += self._whole(pair)
+        low, high = float(np.quantile(draws, TAIL)), float(winding_failed.size)
+        if rest.size:
+            total = float(self.gaps[rest].sum())
+            least, most = fitting_scales(rest, self.a, self.b, self.c, TAIL)
+            low, high = low + least * total, high + min(float(rest.size), most * total)
+            draws += _recentred(self._estimates(rest), total)
+        return _Sum(low, high, draws)
+
+    def distance(self, pair: int) -> FloatArray:
+        """Draws of one ν-gap, shape (draws,)."""
+        gap = float(self.gaps[pair])
+        return self._whole(pair) if gap == 1 else _recentred(self._whole(pair), gap)
+
+    def _estimates(self, pairs: ArrayLike) -> FloatArray:
+        return np.asarray(estimates(np.asarray(pairs), self.a, self.b, self.c, 1.0))
+
+    def _whole(self, pair: int) -> FloatArray:
+        """The ν-gap in every draw, winding condition included."""
+        return np.where(self.fails[pair], 1.0, self._estimates([pair]))
+
+
+def _recentred(draws: FloatArray, estimate: float) -> FloatArray:
+    """Shift draws so that their median is the estimate: noise biases distances upwards."""
+    return draws + (estimate - float(np.median(draws)))
+
+
+def _shares(draws: FloatArray) -> FloatArray:
+    """Share of the draws in which each row is the smallest, shape (n,)."""
+    found = np.bincount(np.argmin(draws, axis=0), minlength=len(draws))
+    return np.asarray(found / draws.shape[1], dtype=np.float64)
+
+
+def _nearer(
+    twins: Sequence[Uncertain], plant: Parameters, points: Sequence[float], terms: Held, seed: int
+) -> FloatArray:
+    """Share of the draws in which each of two candidates is nearer to the plant, shape (2,)."""
+    all_twins = [*twins, Uncertain(plant)]
+    family = _Family.of(all_twins, plant_gaps([t.parameters for t in all_twins], points, terms), terms, seed)
+    to_plant = np.flatnonzero(family.second == 2)
+    return _shares(np.array([family.distance(int(p)) for p in to_plant]))
+
+
+def _directions(
+    twin: Uncertain, points: Sequence[float], terms: Held, rng: np.random.Generator
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Directions of a twin's plant, the frequencies of one operating point after the other, unperturbed and
+    in every draw; shapes (frequencies, 2) and (draws, frequencies, 2).
+
+    Without an operating point both are those of a zero response.
+    """
+    root = twin.root()
+    draws = rng.standard_normal((DRAWS, len(root))) @ root.T
+    if not points:
+        nothing = np.zeros((1, DRAWS + 1, 1, 1), dtype=np.complex128)
+        return directions(nothing[:, 0])[0], directions(nothing[0, 1:])
+    known = [held_slopes(twin.parameters, twin.loose, point, terms) for point in points]
+    response = np.concatenate([response for response, _ in known])[None, :, None]
+    moves = draws @ np.hstack([slopes for _, slopes in known])
+    moved = np.asarray(response + moves[..., None], dtype=np.complex128)
+    return directions(response)[0], directions(moved)

@@ -1,0 +1,185 @@
+"""The published verdict: the family's scores, leader and nominal candidate, and how far to trust them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from twinmatch.comparing.score import Criteria, OrderScore
+from twinmatch.dynamics import Parameters
+
+__all__ = ["ADMITTED", "REFUSED", "CandidateScore", "ForecastScore", "TrustLevel", "Verdict", "nominal_of"]
+
+ADMITTED: Final = "admitted"
+"""The match is now a candidate of the family."""
+REFUSED: Final = "refused"
+"""The gate, a fault of the plant or missing models kept it out; the verdict's reason says which."""
+
+
+class TrustLevel(Enum):
+    """How far to trust the leader, from the newest window."""
+
+    UNKNOWN = "unknown"
+    """There is no candidate yet, or none of its forecasts could be compared yet."""
+    TRUSTED = "trusted"
+    """The samples lie in the bands forecast for them."""
+    DOUBTFUL = "doubtful"
+    """The samples lie outside, or a window cannot be explained; `miss_since` says since when."""
+    FAULT = "fault"
+    """No parameters explain what the plant does; check the plant."""
+
+
+@dataclass(frozen=True)
+class CandidateScore:
+    """One candidate of the family at the moment of a verdict."""
+
+    name: str
+    operating_point: float
+    """In the output's unit."""
+    parameters: Parameters
+    first: int
+    """First sample of the window it was matched on; `last` + 1 if it was given."""
+    last: int
+    orders: tuple[OrderScore, ...]
+    """Scores of every order on the measured window on which the candidate was matched."""
+    chosen_order: str
+    nu_gap_sum: float
+    """Column sum of `Verdict.nu_gap`."""
+    newest: Criteria | None
+    """Score of the family's order on the newest window with excitation, both outputs together."""
+    nu_gap_to_plant: float | None
+    """Largest ν-gap, over the family's operating points, between this plant and the plant matched to the
+    newest samples."""
+    margin: float | None = None
+    """Stability margin b(P, C) of the running controller with this candidate's plant, 0 to 1."""
+    plant_gap_to_nominal: float | None = None
+    """ν-gap from the nominal candidate's plant to this one's, input to output, scaled as `margin`."""
+    nu_gap_low: tuple[float, ...] = ()
+    """Lower ends of the 90 % intervals of the ν-gaps to the candidates, in their order."""
+    nu_gap_high: tuple[float, ...] = ()
+    """Upper ends of the same intervals."""
+    nu_gap_sum_low: float = math.nan
+    """Lower end of the 90 % interval of `nu_gap_sum`; NaN where not computed, as for the two below."""
+    nu_gap_sum_high: float = math.nan
+    nominal_probability: float = math.nan
+    """Probability, given the uncertainty of the matches, of having the smallest ν-gap sum."""
+    identified_gap_sum: float = math.nan
+    """Column sum of `Verdict.identified_gap`; NaN where not computed."""
+    identified_gap_to_plant: float | None = None
+    """ν-gap from its model of the family's order to the one identified on the newest measured window."""
+
+
+@dataclass(frozen=True)
+class ForecastScore:
+    """How well one candidate has forecast."""
+
+    name: str
+    parameters: Parameters
+    first: int
+    """First sample of the data it was fitted to; `last` + 1 if it was given."""
+    last: int
+    gain: float
+    """Characters that its forecasts of output and input have saved compared with a forecast of no change: the
+    mean over forecasts, older ones weighted less, summed over the horizons. NaN before one could be compared
+    with the samples."""
+    gains: tuple[float, ...]
+    """The gain at each horizon."""
+    forecasts: float
+    """Effective number of forecasts in that mean."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One judgement of the family."""
+
+    sample: int
+    """Index of the sample that triggered it."""
+    first: int
+    last: int
+    """Last sample of the window that was judged; `first` is its first."""
+    level: TrustLevel
+    stands: bool
+    """Whether nothing could be identified from the window and the scores are those of the verdict before."""
+    nominal: str | None
+    """Name of the candidate with the smallest ν-gap sum."""
+    reason: str
+    """One plain sentence."""
+    decimals: int
+    """Decimal places of the tables in the information gain."""
+    candidates: tuple[CandidateScore, ...]
+    order: str | None
+    """The order chosen by most candidates; `identified_gap` compares their models of this order."""
+    nu_gap: tuple[tuple[float, ...], ...]
+    """Largest ν-gap between the candidates' plants over `nu_gap_points`, in the order of `candidates`."""
+    driven_rms_y: float
+    """RMS over the newest samples of measured minus driven twin's output; NaN without a nominal."""
+    closed_rms_u: float
+    """RMS over the same samples of measured minus closed-loop twin's input; NaN without a nominal."""
+    nu_gap_points: tuple[float, ...] = ()
+    """Operating points at which the candidates' plants are compared, in the output's unit."""
+    identified_gap: tuple[tuple[float, ...], ...] = ()
+    """ν-gaps between the models identified on the candidates' twins, as in the paper; in the same order."""
+    match: str = ""
+    """Result of the window's match: `ADMITTED`, `REFUSED`, or empty if none was requested."""
+    dismissed: tuple[str, ...] = ()
+    """Names of the candidates removed with this verdict: matched while the fault already showed."""
+    decided: bool = False
+    """Whether the data decide who leads: `leader_confidence` is 0.9 or more."""
+    certainty: str = ""
+    """A sentence on how certain leader and nominal are, and which candidates the running controller is
+    guaranteed to hold."""
+    fault: str = ""
+    """Name of the fault a health monitor found in the plant; empty for none."""
+    fault_since: int | None = None
+    """Index of the sample since which that fault shows; None without a fault."""
+    structure: str = ""
+    """Name of the plant structure that the samples support; empty before the first comparison."""
+    structure_parameters: Parameters | None = None
+    """Parameters fitted in that structure."""
+    leader: str | None = None
+    """Name of the candidate whose forecasts have saved the most characters: the one to use for forecasts."""
+    leader_confidence: float = math.nan
+    """Share of the forecasts so far in which the leader's error at the longest horizon was within 3 % of the
+    best candidate's in hindsight; NaN without a leader."""
+    miss_y: float = math.nan
+    """RMS over the newest samples of output minus forecast, in half widths of the leader's band; NaN if there
+    was no forecast."""
+    miss_u: float = math.nan
+    """The same for the input."""
+    inside_y: float = math.nan
+    """Share of those samples with the output inside the band; 0.9 is expected."""
+    inside_u: float = math.nan
+    miss_since: int | None = None
+    """Index of the first sample of the current stretch outside the bands; None while inside."""
+    held_low: float = math.nan
+    """Lowest output of the contiguous range of levels at which forecasts held; NaN if there is none."""
+    held_high: float = math.nan
+    """Highest output of that range."""
+    horizons: tuple[float, ...] = ()
+    """Horizons of the forecasts, s."""
+    forecasts: tuple[ForecastScore, ...] = ()
+    """Scores of every candidate that forecasts, including the leader."""
+
+    @property
+    def modelled(self) -> tuple[CandidateScore, ...]:
+        """The paper's family: the candidates with Box–Jenkins models, which come first, in the order of
+        `identified_gap`. The ones after them are other structures of the plant."""
+        return tuple(candidate for candidate in self.candidates if candidate.orders)
+
+
+def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:
+    """The candidate nearest to the whole family.
+
+    It has the smallest ν-gap sum (paper, section IV-C); of equal sums (two candidates always have
+    equal ones), it is the one nearest to the plant as it is now.
+    """
+    if not candidates:
+        return None
+
+    def rank(candidate: CandidateScore) -> tuple[float, float, str]:
+        to_plant = 1.0 if candidate.nu_gap_to_plant is None else candidate.nu_gap_to_plant
+        return candidate.nu_gap_sum, to_plant, candidate.name
+
+    return min(candidates, key=rank).name

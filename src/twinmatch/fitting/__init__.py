@@ -1,0 +1,48 @@
+"""Models from recorded windows: parameters by behavioral matching, Box–Jenkins models by prediction errors.
+
+`match` simulates the twin on the window and adjusts the free parameters to fit the record (nonlinear least
+squares, paper section III): in closed loop on the window's own set-points if the controller is known,
+otherwise driven by the recorded input. The plant file declares the parameters, their bounds and the unknown
+initial states. Parameters trade off against each other, so a `Match` always carries its covariance, its
+Fisher information and the bounds that were hit; the covariance includes the sensor's noise circulating in the
+loop. A match also lists the parameters that are determined, their intervals, the best known combination, and
+the set-point step that would determine the rest. Its `Status` is the decision of the gate: only an accepted
+match may join the family of candidates. `Limits` are the limits of the gate; its module explains the order of
+the checks. `fit_structure` fits any structure of a plant to one or several windows, without a gate.
+
+`estimate` fits one Box–Jenkins model y = B/F u + C/D e, `estimate_ladder` the paper's ladder of nested orders
+22221 to 55551. Short windows of a running loop need correct initial conditions: those of B/F and of the noise
+filter are estimated exactly, together with the coefficients. A `BoxJenkins` model simulates, computes its
+prediction errors on any data and converts to a transfer function.
+"""
+
+from twinmatch.fitting.bounds import Bounds, MatchingError
+from twinmatch.fitting.errors import IdentificationError
+from twinmatch.fitting.gate import Limits, Status
+from twinmatch.fitting.match import match
+from twinmatch.fitting.model import BoxJenkins
+from twinmatch.fitting.noise import Noise
+from twinmatch.fitting.order import ORDERS, Order, parse_order
+from twinmatch.fitting.prediction_error import estimate, estimate_ladder
+from twinmatch.fitting.result import Fit, Match
+from twinmatch.fitting.structures import StructureFit, fit_structure
+
+__all__ = [
+    "ORDERS",
+    "Bounds",
+    "BoxJenkins",
+    "Fit",
+    "IdentificationError",
+    "Limits",
+    "Match",
+    "MatchingError",
+    "Noise",
+    "Order",
+    "Status",
+    "StructureFit",
+    "estimate",
+    "estimate_ladder",
+    "fit_structure",
+    "match",
+    "parse_order",
+]

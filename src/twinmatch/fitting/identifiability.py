@@ -1,0 +1,175 @@
+"""Identifiability: which parameters, and which combinations of them, a window determines.
+
+A parameter is believed if the data alone bound its interval on both sides, to a factor of two or less. A
+parameter that is not believed is not necessarily wrong: the twin may predict well along the whole interval.
+So a fit that leaves one parameter open, down to zero, may still be used, with that parameter kept as near to
+its previous value as the interval allows and the others fitted again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from twinmatch.dynamics import Parameters
+from twinmatch.fitting.estimation import Estimate, Uncertainty, on_bounds, solve, starts_for, uncertainty
+from twinmatch.fitting.excitation import suggest_step
+from twinmatch.fitting.problem import Problem
+from twinmatch.fitting.profile import profile_intervals
+from twinmatch.signals import FloatArray
+
+__all__ = ["Identified", "identify", "unidentified"]
+
+_WIDEST = 2.0
+"""Largest ratio of the ends of a believed parameter's interval; where zero is arbitrary, the interval must
+not exceed the parameter's scale. A ratio does not depend on where in the valley the estimate lies."""
+_TIGHTER = 3.0
+"""Factor by which a ratio of two parameters must be known better than each alone to be reported."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """An estimate, possibly with one parameter kept, and its uncertainty."""
+
+    estimate: Estimate
+    known: Uncertainty
+    """Uncertainty of all free parameters."""
+    others: Uncertainty
+    """Uncertainty of the others if the kept one is known."""
+    kept: str = ""
+    """Name of the kept parameter, or empty."""
+    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    believed: tuple[str, ...] = ()
+    determined: str = ""
+    suggestion: str = ""
+
+
+def unidentified(problem: Problem, found: Estimate) -> Identified:
+    """The result for an estimate that does not explain the window: its parameters mean nothing."""
+    known = uncertainty(problem, found)
+    return Identified(found, known, known, intervals=np.full((len(problem.names), 2), np.nan))
+
+
+def identify(
+    problem: Problem,
+    found: Estimate,
+    standing: Parameters,
+    stands: Callable[[Uncertainty, FloatArray], bool],
+) -> Identified:
+    """Find the parameters that the window determines.
+
+    If a fit is not acceptable as it is (`stands`, called with its uncertainty and values), its least
+    determined parameter is kept at its previous value, unless a parameter ended on a bound other than zero:
+    such a fit is refused anyway.
+    """
+    known = uncertainty(problem, found)
+    intervals = profile_intervals(problem, found.values, known.covariance)
+    widths = _widths(problem, intervals)
+    believed = tuple(n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0)
+    final, kept = found, ""
+    if not stands(known, found.values):
+        kept = _to_keep(problem, found.values, widths)
+    if kept:
+        interval = intervals[problem.names.index(kept)]
+        before = standing.get(kept, problem.base[kept])
+        final = _keep(problem, found, kept, interval, before)
+        known = uncertainty(problem, final)
+    places = [i for i, name in enumerate(problem.names) if name != kept]
+    suggestion = ""
+    if len(believed) < len(problem.names):
+        least = problem.names[int(np.argmax(widths))]
+        suggestion = suggest_step(problem, final.values, known.fisher, least)
+    return Identified(
+        estimate=final,
+        known=known,
+        others=known.given(places),
+        kept=kept,
+        intervals=intervals,
+        believed=believed,
+        determined=_determined(problem, final.values, known.covariance, intervals, believed),
+        suggestion=suggestion,
+    )
+
+
+def _to_keep(problem: Problem, values: FloatArray, widths: list[float]) -> str:
+    """Name of the parameter with the widest interval, of equals the first; empty if one ended on a bound."""
+    stopped = [n for n in on_bounds(problem, values) if values[problem.names.index(n)] != 0.0]
+    of_parameters = widths[: len(problem.free)]
+    place = int(np.argmax(of_parameters))
+    return "" if stopped or of_parameters[place] <= 1.0 or len(widths) == 1 else problem.free[place]
+
+
+def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
+    """Width of each interval relative to the limit of belief, infinite if the data leave a side open."""
+    widths = []
+    for unknown, (low, high) in zip(problem.unknowns, intervals.tolist(), strict=True):
+        closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
+        if not unknown.relative:
+            width = (high - low) / unknown.scale
+        else:
+            width = math.log(high / low) / math.log(_WIDEST) if closed else math.inf
+        widths.append(width if closed else math.inf)
+    return widths
+
+
+def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, standing: float) -> Estimate:
+    """The fit with one parameter kept as near to its previous value as its interval (low, high) allows."""
+    place = problem.names.index(name)
+    low, high = np.clip(interval, *problem.unknowns[place].bounds)
+    value = float(np.clip(standing, low, high))
+    others = replace(
+        problem,
+        free=tuple(n for n in problem.free if n != name),
+        base=problem.parameters_at(found.values).replace(**{name: value}),
+    )
+    rest = solve(others, [np.delete(found.values, place), *starts_for(others, others.base)])
+    return Estimate(problem, np.insert(rest.values, place, value), rest.converged)
+
+
+def _determined(
+    problem: Problem,
+    values: FloatArray,
+    covariance: FloatArray,
+    intervals: FloatArray,
+    believed: tuple[str, ...],
+) -> str:
+    """A sentence on the parameters or combination that the window determines, and those left open (95 %)."""
+    if not np.isfinite(covariance).all():
+        return "some combination of the free parameters does not show in this window at all"
+    known = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed]
+    left = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n not in believed]
+    text = f"the window determines {_listed(known)}" if known else "the window determines no parameter alone"
+    ratio = _best_ratio(problem, values, covariance)
+    if ratio:
+        text += f"; best known is the ratio {ratio}"
+    return f"{text}; left open: {_listed(left)}" if left else text
+
+
+def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:
+    """The best known ratio of two parameters, if known far better than each alone."""
+    places = [i for i, unknown in enumerate(problem.unknowns) if unknown.relative and values[i] > 0.0]
+    best, text = math.inf, ""
+    for i, j in combinations(places, 2):
+        pair = [i, j]
+        relative = covariance[np.ix_(pair, pair)] / np.outer(values[pair], values[pair])
+        error = math.sqrt(max(relative[0, 0] + relative[1, 1] - 2.0 * relative[0, 1], 0.0))
+        if error < best and _TIGHTER * error < math.sqrt(min(relative[0, 0], relative[1, 1])):
+            best, text = error, f"{problem.names[i]} / {problem.names[j]} (± {200 * error:.2g} %)"
+    return text
+
+
+def _range(interval: FloatArray) -> str:
+    low, high = interval.tolist()
+    if math.isnan(low) or (math.isinf(low) and math.isinf(high)):
+        return "any value"
+    if math.isinf(high):
+        return f"{low:.3g} or more"
+    return f"{high:.3g} or less" if math.isinf(low) else f"{low:.3g} to {high:.3g}"
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

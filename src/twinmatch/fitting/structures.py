@@ -1,0 +1,259 @@
+"""Fits of a plant's structures to recorded windows.
+
+A plant file lists its structures: which parts are modelled, and which parameters are unknown. `fit_structure`
+estimates those from one or more windows together: the twin runs on each window from its third sample on, and
+the residuals, in units of the noise, are minimised. Large ones count linearly instead of quadratically: a
+sensor that pauses to correct itself, or repeats old readings when a session begins, disturbs the loop in a
+way that no structure explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.dynamics import FILED, Closing, Descended, Experiment, Known, Model, Parameters, descend
+from twinmatch.fitting.bounds import MatchingError, unknown_parameters, unknown_starts
+from twinmatch.fitting.noise import Noise
+from twinmatch.fitting.problem import checked_gains
+from twinmatch.signals import FloatArray, Window
+
+__all__ = ["SETTLE", "StructureFit", "fit_structure"]
+
+SETTLE: Final = 60
+"""Samples at a window's start that are simulated but not compared, until the loop has forgotten the twin's
+initial state and the sensor its first readings."""
+
+_SKIPPED = 2
+"""A twin starts at the third sample, where the controller's state is known."""
+_LOOK = 8
+"""Evaluations after which only the best of several starts continues."""
+_MOST_EVALUATIONS = 40
+LASTING: Final = 30.0
+"""Correlation length of the residuals, samples: so many count as one independent residual."""
+SPREAD: Final = 0.5
+"""Prior standard deviation of a parameter around its typical value, in units of that value."""
+
+
+@dataclass(frozen=True, eq=False)
+class StructureFit:
+    """A structure fitted to windows; the arrays omit the first `SETTLE` samples of each window."""
+
+    parameters: Parameters
+    """The fitted parameters."""
+    starts: tuple[Mapping[str, float], ...]
+    """Unknown states at the third sample of each window, by name."""
+    measured: tuple[FloatArray, ...]
+    """Output and, in closed loop, input of each window, shape (outputs, M)."""
+    simulated: tuple[FloatArray, ...]
+    """The same for the twin."""
+    converged: bool
+    """Whether the search converged."""
+    cost: float
+    """The minimised cost: the mean over all residuals e, in units of the noise, of 2(√(1 + e²) − 1)."""
+    states: tuple[FloatArray, ...]
+    """States of the twin at each of those samples, shape (M, states)."""
+    covariance: FloatArray
+    """Covariance of the free parameters, in their order and units, for correlated residuals; shape (n, n)."""
+    charge: float
+    """Minus twice the logarithm of the evidence for the structure, by Laplace's approximation for correlated
+    residuals: the cost of the residuals plus that of every direction better known than before."""
+
+    @property
+    def model(self) -> Model:
+        """The plant in this structure."""
+        return self.parameters.model
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of values that the fit estimates."""
+        return self.model.structure.n_parameters(len(self.measured))
+
+    @property
+    def fit(self) -> tuple[float, float]:
+        """NRMSE of output and input over all windows; 1 is perfect, NaN for the input of a driven twin."""
+        measured, simulated = np.hstack(self.measured), np.hstack(self.simulated)
+        spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
+        left = np.linalg.norm(measured - simulated, axis=1)
+        figures = [1.0 - a / b if b > 0 else float("nan") for a, b in zip(left, spread, strict=True)]
+        y, u = [*figures, float("nan")][:2]
+        return float(y), float(u)
+
+
+def fit_structure(
+    windows: Sequence[Window],
+    model: Model,
+    *,
+    start: StructureFit | None = None,
+    noise: Noise | None = None,
+    gains: Closing = FILED,
+    thorough: bool = True,
+    informed: bool = False,
+) -> StructureFit:
+    """Find the unknown parameters of one structure from windows of one plant.
+
+    Args:
+        windows: recorded windows, each with more than `SETTLE` + 2 samples.
+        model: the plant in the structure to fit.
+        start: an earlier fit of the same structure; without it the search has several starts.
+        noise: unit of the residuals; default: the plant's.
+        gains: gains of the running controller, None if the loop is not known; default: the plant file's, at
+            the windows' period.
+        thorough: search from several starts to convergence; otherwise from the best one until the cost falls
+            by less than about a part in ten thousand, in a fifth of the time.
+        informed: use the plant file's typical values as prior, as one independent residual for each
+            parameter. A few minutes leave a valley of parameters that fit equally well, whose ends forecast
+            badly; an hour outweighs the prior.
+
+    Raises:
+        MatchingError: no window, one that is too short, or windows of different periods.
+    """
+    known = _known(model, len(windows)) if informed else {}
+    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), gains, known))
+    plant = model.typical() if informed else model.parameters()
+    if start is not None and start.model is model:
+        values = problem.values_of(start.parameters, start.starts[-1])
+    else:
+        others = () if informed else model.structure.starts  # with the prior there is no second valley
+        firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *others)]
+        looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
+        values = min(looks, key=lambda found: found.cost).values
+    found = problem.search(values, _MOST_EVALUATIONS if thorough else _LOOK)
+    return problem.fitted(found)
+
+
+def _known(model: Model, windows: int) -> dict[str, Known]:
+    """The plant file's typical values as prior, with its weight divided among the windows."""
+    typical, known = model.typical(), {}
+    for name in model.structure.free:
+        declared = model.declared[name]
+        spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale
+        known[name] = Known(typical[name], LASTING / (windows * (spread or declared.scale) ** 2))
+    return known
+
+
+def _runs(
+    windows: Sequence[Window],
+    model: Model,
+    noise: Noise,
+    gains: Closing,
+    known: Mapping[str, Known],
+) -> list[Experiment]:
+    if not windows:
+        raise MatchingError("structures: there is no window; give at least one")
+    runs = []
+    for window in windows:
+        if len(window) <= SETTLE + _SKIPPED:
+            msg = (
+                f"structures: the window from sample {window.first} has {len(window)} samples; "
+                f"the first {SETTLE + _SKIPPED} are not compared, give more"
+            )
+            raise MatchingError(msg)
+        own = checked_gains(model, window, gains)
+        runs.append(
+            Experiment(
+                model.parameters(),
+                model.structure.free,
+                window,
+                free_starts=model.structure.free_starts,
+                gains=own,
+                weights=(1.0 / noise.output, 1.0 / noise.input),
+                robust=True,
+                settle=SETTLE,
+                coarse=True,
+                beforehand=known,
+            )
+        )
+    return runs
+
+
+class _Problem:
+    """Robust least squares over all windows; values are free parameters and each window's initial states."""
+
+    def __init__(self, runs: Sequence[Experiment]) -> None:
+        self._runs, model = runs, runs[0].model
+        self._free, self._own = len(runs[0].free), len(runs[0].free_starts)
+        unknown = unknown_parameters(model, runs[0].free) + unknown_starts(model) * len(runs)
+        self._lower = np.array([u.bounds[0] for u in unknown])
+        self._upper = np.array([u.bounds[1] for u in unknown])
+        self._scales = np.array([u.scale for u in unknown])
+        self._pull = runs[0].pull
+
+    def values_of(self, parameters: Parameters, starts: Mapping[str, float] | None = None) -> FloatArray:
+        """The values for given parameters, with initial states `starts` in each window, or as in the file."""
+        own = [run.values_of(parameters) for run in self._runs]
+        initial = [list(starts.values()) if starts else values[self._free :] for values in own]
+        values = np.clip(np.concatenate([own[0][: self._free], *initial]), self._lower, self._upper)
+        return np.asarray(values, dtype=np.float64)
+
+    def _places(self, window: int) -> NDArray[np.int64]:
+        """Indices of the values that apply to one window."""
+        first = self._free + window * self._own
+        return np.concatenate([np.arange(self._free), np.arange(first, first + self._own)])
+
+    def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Sum, gradient and JᵀJ over all windows."""
+        n = values.size
+        cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
+        for window, run in enumerate(self._runs):
+            places = self._places(window)
+            own_cost, own_gradient, own_hessian = run.normal(values[places])
+            cost += own_cost
+            gradient[places] += own_gradient
+            hessian[np.ix_(places, places)] += own_hessian
+        return cost, gradient, hessian
+
+    def search(self, start: FloatArray, evaluations: int) -> Descended:
+        """Search from one start."""
+        box = self._lower, self._upper, self._scales, evaluations
+        if len(self._runs) == 1:
+            return self._runs[0].descend(start, *box)
+        return descend(self.normal, start, *box)
+
+    def fitted(self, found: Descended) -> StructureFit:
+        """The fit from the result of a search."""
+        parts = [found.values[self._places(window)] for window in range(len(self._runs))]
+        outputs = 2 if self._runs[0].closed else 1
+        simulated, states = [], []
+        for run, part in zip(self._runs, parts, strict=True):
+            response = run.simulate(part)
+            simulated.append(np.stack([response.output, response.input])[:outputs, SETTLE:])
+            states.append(response.states[SETTLE:-1])
+        if not all(np.isfinite(rows).all() for rows in simulated):
+            msg = f"structures: {self._runs[0].model.title} has no finite response at the best parameters"
+            raise MatchingError(msg)
+        measured = tuple(run.measured[:outputs, SETTLE:] for run in self._runs)
+        return StructureFit(
+            parameters=self._runs[0].parameters_at(parts[0]),
+            starts=tuple(run.starts_at(part) for run, part in zip(self._runs, parts, strict=True)),
+            measured=measured,
+            simulated=tuple(simulated),
+            converged=found.converged,
+            cost=found.cost / sum(window.size for window in measured),
+            states=tuple(states),
+            covariance=self._covariance(found.hessian)[: self._free, : self._free],
+            charge=self._charge(found),
+        )
+
+    def _precision(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Precision of the values, in units of their scales, after and before the windows: (n, n) and (n,).
+
+        Without a prior, a value was as uncertain as its scale.
+        """
+        before = np.append(self._pull * len(self._runs), np.zeros(self._scales.size - self._free)) / LASTING
+        before *= self._scales**2
+        unknown = np.where(before > 0.0, 0.0, 1.0)
+        after = hessian * np.outer(self._scales, self._scales) / LASTING + np.diag(unknown)
+        return after, before + unknown
+
+    def _covariance(self, hessian: FloatArray) -> FloatArray:
+        after, _ = self._precision(hessian)
+        return np.asarray(np.linalg.inv(after) * np.outer(self._scales, self._scales))
+
+    def _charge(self, found: Descended) -> float:
+        after, before = self._precision(found.hessian)
+        return float(found.cost / LASTING + np.linalg.slogdet(after)[1] - np.sum(np.log(before)))

@@ -1,0 +1,170 @@
+"""Judging many sessions: those with a result of an earlier run, those judged now, and those skipped."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twinmatch.dynamics.store import source_hash
+from twinmatch.offline.archive.fingerprint import content_of, key_of
+from twinmatch.offline.archive.job import Failure, Job, Outcome, Terms
+from twinmatch.offline.archive.processes import cores, judge_in_processes
+from twinmatch.offline.archive.sources import find_sessions
+from twinmatch.offline.archive.store import Store
+
+__all__ = ["Archive", "judge_archive"]
+
+
+@dataclass(frozen=True)
+class Archive:
+    """Results of many sessions."""
+
+    sessions: tuple[dict[str, Any], ...]
+    """Name, path and summary of each judged session, in the order given."""
+    candidates: tuple[dict[str, Any], ...]
+    """Candidates of all sessions, one row each: session, parameters, ν-gap sum, fit, …"""
+    failed: tuple[Failure, ...]
+    """The skipped sessions, and why."""
+    reused: int
+    """How many of the judged sessions have a result of an earlier run."""
+
+    def document(self) -> dict[str, Any]:
+        """The results as a dictionary for JSON."""
+        failed = [{"path": str(failure.path), "reason": failure.reason} for failure in self.failed]
+        return {"sessions": list(self.sessions), "candidates": list(self.candidates), "failed": failed}
+
+
+def judge_archive(
+    named: Sequence[Path | str],
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    plant: str | None = None,
+    out: Path | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    watch: Callable[[int, int], None] | None = None,
+    on_skip: Callable[[Failure], None] | None = None,
+) -> Archive:
+    """Judge many sessions, each separately.
+
+    Args:
+        named: sessions, recordings, folders of them, patterns; see `find_sessions`.
+        config: parameter file.
+        candidates: file of initial candidates for every session.
+        plant: name or file of the plant of every session that does not name it.
+        out: folder for one JSON file per session with the document of `twinmatch.showing.document`. A session
+            is not judged again if its file there has the same content, parameters and version.
+        jobs: number of processes on this machine; one per core if not given.
+        scheduler: address of a Dask scheduler; its workers judge instead.
+        watch: called with (sessions done, total) after each session.
+        on_skip: called with each session that cannot be used.
+
+    Raises:
+        TwinmatchError: nothing was found; or parameters, candidates, the folder for results or the cluster
+            cannot be used. A session that cannot be used raises nothing.
+    """
+    paths = find_sessions(named)
+    run = _Run(_terms(config, candidates, plant), Store(out) if out else None, on_skip)
+    todo = run.start(paths)
+    reused = len(run.records)
+    report = watch or (lambda _done, _total: None)
+    report(len(paths) - len(todo), len(paths))
+    with contextlib.closing(_outcomes(todo, jobs, scheduler)) as outcomes:
+        for done, outcome in enumerate(outcomes, len(paths) - len(todo) + 1):
+            run.take(paths[outcome.number], outcome)
+            report(done, len(paths))
+    return run.archive(paths, reused)
+
+
+def _terms(config: Path | None, candidates: Path | None, plant: str | None) -> Terms:
+    from twinmatch.nodes.twin_parameters import read_settings  # noqa: PLC0415 — imports the whole twin
+    from twinmatch.plants import find_plant  # noqa: PLC0415
+    from twinmatch.sessions.candidates import read_candidates  # noqa: PLC0415
+
+    if plant:
+        plant = find_plant(plant).name
+    settings = read_settings(config, plant or "")
+    given = tuple(read_candidates(candidates)) if candidates else ()
+    return Terms(settings, given, config, fixed=plant is not None or config is not None)
+
+
+def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[Outcome]:
+    if not todo:
+        return
+    if scheduler is None:
+        yield from judge_in_processes(todo, jobs or cores())
+        return
+    from twinmatch.offline.archive.cluster import judge_on_cluster  # noqa: PLC0415
+
+    yield from judge_on_cluster(todo, scheduler)
+
+
+class _Run:
+    """Results of a run so far."""
+
+    def __init__(self, terms: Terms, store: Store | None, on_skip: Callable[[Failure], None] | None) -> None:
+        self.records: dict[int, dict[str, Any]] = {}
+        self._failed: dict[int, Failure] = {}
+        self._keys: dict[int, str] = {}
+        self._terms = terms
+        self._store = store
+        self._on_skip = on_skip or (lambda _failure: None)
+
+    def start(self, paths: list[Path]) -> list[Job]:
+        """Load results of earlier runs; return the sessions left to judge."""
+        todo = []
+        terms = self._terms
+        described = repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
+        for number, path in enumerate(paths):
+            try:
+                content = content_of(path)
+            except OSError as error:
+                reason = "does not exist" if isinstance(error, FileNotFoundError) else error.strerror
+                self._fail(number, path, f"{path}: {reason}")
+                continue
+            self._keys[number] = key_of(content, described)
+            kept = self._store.find(path, self._keys[number]) if self._store else None
+            if kept is not None:
+                self._hold(number, kept)
+            else:
+                todo.append(Job(number, path.resolve(), content, terms))
+        return todo
+
+    def take(self, path: Path, outcome: Outcome) -> None:
+        """Keep the outcome of a session."""
+        if outcome.record is None:
+            self._fail(outcome.number, path, outcome.error)
+            return
+        if self._store is not None:
+            self._store.keep(path, self._keys[outcome.number], outcome.record)
+        self._hold(outcome.number, outcome.record)
+
+    def archive(self, paths: list[Path], reused: int) -> Archive:
+        """All results, in the order in which the sessions were given."""
+        held = sorted(self.records.items())
+        alike = Counter(record["session"] for _, record in held)
+        names = {k: r["session"] if alike[r["session"]] == 1 else str(paths[k]) for k, r in held}
+        return Archive(
+            sessions=tuple(
+                {"session": names[k], "path": str(paths[k]), "summary": record["summary"]}
+                for k, record in held
+            ),
+            candidates=tuple(
+                row | {"session": names[k]} for k, record in held for row in record["candidates"]
+            ),
+            failed=tuple(failure for _, failure in sorted(self._failed.items())),
+            reused=reused,
+        )
+
+    def _hold(self, number: int, record: dict[str, Any]) -> None:
+        """Keep a record without its verdicts, as those of a large archive do not fit into memory."""
+        self.records[number] = {key: value for key, value in record.items() if key != "verdicts"}
+
+    def _fail(self, number: int, path: Path, reason: str) -> None:
+        self._failed[number] = Failure(path, reason)
+        self._on_skip(self._failed[number])

@@ -1,0 +1,86 @@
+"""The result of a backtest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from twinmatch.dynamics import Plant
+from twinmatch.forecasting import Forecast
+from twinmatch.offline.backtest.peers import Absent
+from twinmatch.offline.backtest.summary import HINDSIGHT, Card, Marked, cards
+from twinmatch.signals import Window
+
+__all__ = ["CONSTANT", "LEADER", "NEWEST", "NOMINAL", "TWINS", "Backtest", "over_all"]
+
+LEADER: Final = "leader"
+NOMINAL: Final = "nominal"
+NEWEST: Final = "newest"
+CONSTANT: Final = "nominal, constant band"
+"""The nominal twin's forecast with a band of one width, from its residuals so far."""
+TWINS: Final = (LEADER, NOMINAL, NEWEST, CONSTANT, HINDSIGHT)
+"""Forecasters with a twin; all others are peers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Backtest:
+    """Scored forecasts of one session, or of several together."""
+
+    name: str
+    plant: type[Plant]
+    period: float
+    """Sample time, s."""
+    horizons: tuple[float, ...]
+    """Horizons, s, from near to far."""
+    confidence: float
+    """Share of the samples that every band is to hold."""
+    marked: tuple[Marked, ...]
+    """Every forecast at every horizon, at the origins at which all forecasters could make one."""
+    came: tuple[Window, ...] = ()
+    """The samples, in stretches without gaps."""
+    pictured: str = ""
+    """Name of the session with these samples; empty: this one's."""
+    shown: tuple[Forecast, ...] = ()
+    """Consecutive forecasts of the leader, for a figure."""
+    absent: tuple[Absent, ...] = ()
+    """Peers that are not available here."""
+    notes: tuple[str, ...] = ()
+    """Sentences on what was left out and why."""
+
+    @property
+    def cards(self) -> list[Card]:
+        """The report cards."""
+        return cards(self.marked)
+
+    @property
+    def driven(self) -> bool:
+        """Whether the loop is not known and inputs were given; inputs are then not scored."""
+        return any(one.marks.input is None for one in self.marked)
+
+    @property
+    def origins(self) -> int:
+        """Number of samples at which forecasts were made and scored at some horizon."""
+        return len({(one.session, one.sample) for one in self.marked})
+
+
+def over_all(found: Sequence[Backtest]) -> Backtest:
+    """Combine several sessions of one plant; every forecast has the same weight."""
+    first, names = found[0], [each.name for each in found]
+    marked: list[Marked] = []
+    for number, each in enumerate(found, 1):
+        mine = f"{each.name} ({number})" if names.count(each.name) > 1 else each.name
+        marked += [replace(one, session=mine) for one in each.marked]
+    return Backtest(
+        name=f"all {len(found)} sessions",
+        plant=first.plant,
+        period=first.period,
+        horizons=first.horizons,
+        confidence=first.confidence,
+        marked=tuple(marked),
+        came=first.came,
+        pictured=first.name,
+        shown=first.shown,
+        absent=tuple(dict.fromkeys(a for each in found for a in each.absent)),
+        notes=tuple(f"{each.name}: {note}" for each in found for note in each.notes),
+    )

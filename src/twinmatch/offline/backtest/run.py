@@ -1,0 +1,235 @@
+"""Runs a session through the twin, and scores all forecasts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from twinmatch.dynamics import SKIPPED
+from twinmatch.forecasting import CONFIDENCE, Forecast, Outlook
+from twinmatch.offline.backtest.choices import Choices
+from twinmatch.offline.backtest.constant import with_constant_band
+from twinmatch.offline.backtest.origins import Origin, ask, mark, origins, regular, stretches
+from twinmatch.offline.backtest.peer import Peer
+from twinmatch.offline.backtest.peers import peers
+from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
+from twinmatch.offline.backtest.scoring import samples_within
+from twinmatch.offline.backtest.summary import Marked, best_in_hindsight, common
+from twinmatch.offline.interrupt import held_interrupts
+from twinmatch.offline.judgement import Judgement, Watch, judge
+from twinmatch.offline.terms import Terms, terms_from_files
+from twinmatch.sessions import Session, open_any
+from twinmatch.sessions.files import ProgressCallback, part_of
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import Outcome, Twin
+from twinmatch.twin.threads import one_thread
+
+__all__ = ["Listener", "backtest", "backtest_session", "graded"]
+
+
+class _Outlooks(NamedTuple):
+    """The outlooks of all candidates at one sample, and their roles."""
+
+    outlooks: dict[str, Outlook]
+    who: dict[str, str]
+    """Name of the candidate by role: leader, nominal, newest."""
+
+
+@dataclass
+class Listener:
+    """Records the outlooks of the twin's candidates at some samples while a session is judged."""
+
+    wanted: frozenset[int]
+    """Samples at which outlooks are recorded, besides those of the verdicts."""
+    asked: dict[int, _Outlooks] = field(default_factory=dict)
+    twin: Twin | None = None
+
+    @classmethod
+    def to(cls, samples: Sequence[Sample], period: float, choices: Choices) -> Listener:
+        """A listener for these samples.
+
+        Raises:
+            BacktestError: a horizon or the time between two forecasts is shorter than one sample.
+        """
+        choices.ahead(period)
+        return cls(frozenset(regular(stretches(samples, period), choices.pace(period))))
+
+    def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
+        """Take the outcome of one sample."""
+        self.twin = twin
+        if not (outcome.verdicts or sample.index in self.wanted):
+            return
+        forecaster, nominal = twin.discriminator.forecaster, twin.discriminator.nominal
+        names, structures = forecaster.names, twin.settings.plant.structures
+        who = {
+            LEADER: forecaster.leader,
+            NOMINAL: nominal.name if nominal else None,
+            NEWEST: next((name for name in names if name not in structures), None),
+        }
+        parts = {part: name for part, name in who.items() if name in names}
+        self.asked[sample.index] = _Outlooks({name: forecaster.outlook(name) for name in names}, parts)
+
+    def spoilt(self, first: int, last: int) -> bool:
+        """Whether the monitor found a fault of the plant between two samples."""
+        monitor = self.twin.discriminator.monitor if self.twin else None
+        return monitor is not None and monitor.fault_between(first, last) is not None
+
+
+def backtest_session(
+    path: Path,
+    choices: Choices | None = None,
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
+) -> Backtest:
+    """Test the twin on a session, an .mcap file or a recording.
+
+    Args:
+        path: session, .mcap file or recording.
+        choices: horizons, interval and peers.
+        config: file of parameters; without it the defaults.
+        candidates: file of initial candidates.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch: called with the progress.
+        progress: called with the amount of the file read and the total.
+
+    Raises:
+        TwinmatchError: one of the files cannot be used, or a horizon is too short for the session.
+    """
+    session = open_any(path, progress=progress, plant=plant)
+    return backtest(session, terms_from_files(session, config, candidates), choices, watch=watch)
+
+
+def backtest(
+    session: Session, terms: Terms, choices: Choices | None = None, *, watch: Watch | None = None
+) -> Backtest:
+    """Test the twin on a session with these settings; see `backtest_session`."""
+    choices = choices or Choices()
+    listener = Listener.to(session.samples, terms.settings.period, choices)
+    judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
+    return graded(judgement, listener, choices, watch=part_of(watch, 1, 2))
+
+
+def graded(
+    judgement: Judgement, listener: Listener, choices: Choices, *, watch: Watch | None = None
+) -> Backtest:
+    """Score the recorded outlooks and the peers' forecasts.
+
+    Forecasts across a fault of the plant are left out: faults cannot be forecast.
+    """
+    plant, period, driven = (
+        judgement.settings.plant,
+        judgement.settings.period,
+        judgement.settings.gains is None,
+    )
+    held = stretches(judgement.samples, period)
+    horizons = choices.ahead(period)
+    found = origins(held, listener.asked, horizons, driven=driven)
+    others, absent = peers(plant, choices.peers, driven=driven)
+    grading = _Grading(judgement, listener, horizons)
+    with held_interrupts() as check_interrupt:
+        for done, origin in enumerate(found):
+            grading.at(origin, others)
+            if watch is not None:
+                watch(done * len(judgement.samples) // len(found), len(judgement.samples))
+            check_interrupt()
+    marked = common(grading.marked)
+    judged = {one.sample for one in marked}
+    return Backtest(
+        name=judgement.name,
+        plant=plant,
+        period=period,
+        horizons=horizons,
+        confidence=CONFIDENCE,
+        marked=tuple(marked),
+        came=held,
+        shown=_one_after_another(f for f in grading.shown if f.sample in judged),
+        absent=tuple(absent),
+        notes=tuple(_notes(len(found), judged, grading)),
+    )
+
+
+class _Grading:
+    """The marks of one session, gathered origin by origin."""
+
+    def __init__(self, judgement: Judgement, listener: Listener, horizons: tuple[float, ...]) -> None:
+        self._judgement, self._listener, self._horizons = judgement, listener, horizons
+        self.marked: list[Marked] = []
+        self.shown: list[Forecast] = []
+        self.spoilt = 0
+        """Number of origins with a fault within the nearest horizon."""
+        self.unasked = 0
+        """Number of origins without a candidate."""
+
+    def at(self, origin: Origin, others: Sequence[Peer]) -> None:
+        """Make and score the forecasts of all available forecasters."""
+        horizons = [h for h in self._horizons if not self._meets_fault(origin, h)]
+        if not horizons:
+            self.spoilt += 1
+            return
+        asked = self._listener.asked[origin.sample]
+        if LEADER not in asked.who:
+            self.unasked += 1
+            return
+
+        def add(who: str, forecast: Forecast, candidate: str = "") -> list[Marked]:
+            plant = self._judgement.settings.plant
+            name = self._judgement.name
+            return mark(name, who, forecast, origin, horizons=horizons, plant=plant, candidate=candidate)
+
+        with one_thread():
+            rows = origin.disturbances
+            forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
+            for part, name in asked.who.items():
+                self.marked += add(part, forecasts[name], name)
+            if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
+                self.marked += add(
+                    CONSTANT, self._constant(asked, forecasts, origin.past), asked.who[NOMINAL]
+                )
+        self.marked += best_in_hindsight(
+            m for name, forecast in forecasts.items() for m in add(name, forecast, name)
+        )
+        self.shown.append(forecasts[asked.who[LEADER]])
+        for peer in others:
+            forecast = ask(peer, origin)
+            if forecast is not None:
+                self.marked += add(peer.name, forecast)
+
+    def _meets_fault(self, origin: Origin, horizon: float) -> bool:
+        count = samples_within(horizon, self._judgement.settings.period)
+        return self._listener.spoilt(origin.sample, origin.sample + count)
+
+    def _constant(self, asked: _Outlooks, forecasts: dict[str, Forecast], past: Window) -> Forecast:
+        name = asked.who[NOMINAL]
+        gains = self._judgement.settings.gains
+        return with_constant_band(forecasts[name], asked.outlooks[name].parameters, past, gains)
+
+
+def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
+    """Select forecasts that begin where the one before ends."""
+    found: list[Forecast] = []
+    for forecast in forecasts:
+        if not found or forecast.sample >= found[-1].sample + found[-1].time.size:
+            found.append(forecast)
+    return tuple(found)
+
+
+def _notes(asked: int, judged: set[int], grading: _Grading) -> Iterable[str]:
+    """Sentences on what was left out and why."""
+    if grading.unasked:
+        yield f"{grading.unasked} of {asked} forecasts could not be made: there was no candidate yet"
+    if grading.spoilt:
+        yield f"{grading.spoilt} of {asked} forecasts are left out: the plant had a fault"
+    answered: dict[int, set[str]] = {}
+    for one in grading.marked:
+        answered.setdefault(one.sample, set()).add(one.who)
+    everybody = {one.who for one in grading.marked}
+    short = [everybody - names for sample, names in answered.items() if sample not in judged]
+    if short:
+        names = ", ".join(sorted(set().union(*short) - {CONSTANT}))
+        yield f"{len(short)} of {asked} forecasts are left out: some forecasters lacked samples ({names})"

@@ -1,0 +1,249 @@
+"""Judges a recorded session again and compares the verdicts with the recorded ones, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twinmatch.comparing import Verdict
+from twinmatch.errors import TwinmatchError
+from twinmatch.offline.foreign import check_fmus
+from twinmatch.offline.judgement import Judgement, Watch, judge
+from twinmatch.offline.terms import prefix_of, recorded_terms
+from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
+from twinmatch.sessions import Session, Topic, open_any
+from twinmatch.sessions.files import ProgressCallback
+from twinmatch.signals import Sample
+from twinmatch.twin import MatchReport
+
+__all__ = ["Difference", "Verification", "VerifyError", "compare", "holds_verdicts", "verify_session"]
+
+SCORES = "twin/model_score"
+MATCHES = "twin/match"
+DESCRIPTION = "plant/description"
+AT_THE_END = 60
+"""A verdict triggered so few samples, or seconds, before the end may be missing from the recording."""
+SENTENCES = frozenset({"reason", "certainty", "suggestion", "determined"})
+"""Text fields. Their content is in other fields too, so later versions may reword them."""
+
+
+class VerifyError(TwinmatchError):
+    """The session cannot be verified."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first difference between recorded and recomputed verdicts or matches."""
+
+    what: str
+    """`verdict` or `match`."""
+    number: int
+    """Its number, from 1."""
+    sample: int
+    """Sample that triggered it."""
+    candidate: str
+    """Name of the candidate that the field belongs to; empty: none."""
+    field: str
+    recorded: Any
+    computed: Any
+
+    def __str__(self) -> str:
+        whose = f", candidate {self.candidate}" if self.candidate else ""
+        return (
+            f"{self.what} {self.number} at sample {self.sample}{whose}: {self.field} was recorded as "
+            f"{self.recorded!r} and is {self.computed!r} now"
+        )
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Result of a comparison."""
+
+    name: str
+    samples: int
+    verdicts: int
+    """Recorded verdicts that were compared."""
+    matches: int
+    """Recorded matches that were compared."""
+    difference: Difference | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def identical(self) -> bool:
+        """Whether not a single bit differs."""
+        return self.difference is None
+
+
+def verify_session(
+    path: Path,
+    *,
+    topic: str | None = None,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
+) -> Verification:
+    """Judge a session again and compare matches and verdicts with the recorded ones.
+
+    Args:
+        path: session folder or `.mcap` file.
+        topic: topic of the samples, if the session has several rigs.
+        config: parameters to use instead of the recorded ones.
+        candidates: initial candidates instead of the recorded ones.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch: called with the progress.
+        progress: called with the amount of the file read and the total.
+
+    Raises:
+        VerifyError: the session has no verdicts.
+        TermsError: the parameters of the verdicts are not recorded, or cannot be used.
+        ForeignError: the FMUs of the verdicts are missing.
+        TwinmatchError: one of the files cannot be used.
+    """
+    session = open_any(path, topic, progress, plant=plant)
+    if not holds_verdicts(session):
+        msg = (
+            f"session {session.name}: has no verdicts on {prefix_of(session)}{SCORES} to verify; "
+            "judge it with twinmatch replay"
+        )
+        raise VerifyError(msg)
+    terms = recorded_terms(session, config, candidates)
+    check_fmus(session.name, terms.settings.plant, _structures(session))
+    return compare(session, judge(session, terms, watch=watch))
+
+
+def _structures(session: Session) -> list[str]:
+    """Names of the plant's structures at the time of recording; empty if they were not recorded."""
+    name = prefix_of(session) + DESCRIPTION
+    topic = next((t for t in session.topics if t.name == name), None)
+    if topic is None:
+        return []
+    decode = _decoder(topic, session.name)
+    return [str(s) for message in session.messages([name]) for s in decode(message.data).structures]
+
+
+def holds_verdicts(session: Session) -> int:
+    """How many verdicts were recorded with the session's samples."""
+    return session.counts.get(prefix_of(session) + SCORES, 0)
+
+
+def compare(session: Session, judgement: Judgement) -> Verification:
+    """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit.
+
+    Raises:
+        VerifyError: a recorded message cannot be read.
+    """
+    prefix, stamps = prefix_of(session), {sample.index: sample.stamp for sample in session.samples}
+    matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
+    computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]
+    computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]
+    comparison = _Comparison(session.samples[-1])
+    difference = comparison.first("match", matches, computed_matches)
+    difference = difference or comparison.first("verdict", scores, computed_scores)
+    notes = [*session.notes, *comparison.notes()]
+    missing = len(computed_scores) - len(scores)
+    if difference is None and missing > 0:
+        count = "1 verdict" if missing == 1 else f"{missing} verdicts"
+        notes.append(f"{count} at the very end came after the recording had stopped")
+    if session.samples[0].index:
+        notes.append(f"the recording begins at sample {session.samples[0].index}; the twin may know more")
+    return Verification(
+        session.name, len(session.samples), len(scores), len(matches), difference, tuple(notes)
+    )
+
+
+def _recorded(session: Session, name: str) -> list[Tree]:
+    topic = next((t for t in session.topics if t.name == name), None)
+    if topic is None:
+        return []
+    decode = _decoder(topic, session.name)
+    return [comparable(tree_of_message(decode(message.data))) for message in session.messages([name])]
+
+
+def _computed(record: Verdict | MatchReport, stamp: int) -> Tree:
+    return comparable({"stamp": stamp, **tree_of(record)})
+
+
+def _once(matches: list[Tree]) -> list[Tree]:
+    """The matches without repeated ones: a match requested twice is answered twice."""
+    pairs: Iterator[tuple[Tree, Tree]] = zip(matches, [{}, *matches], strict=False)
+    return [match for match, before in pairs if _differ(match, before)]
+
+
+def _differ(one: Tree, other: Tree) -> bool:
+    return next(differences(one, other), None) is not None
+
+
+def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
+    from mcap.records import Schema  # noqa: PLC0415 - the command line starts without it
+    from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
+
+    schema = Schema(id=1, data=topic.schema.encode(), encoding="ros2msg", name=topic.type)
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    if decode is None:
+        msg = f"session {name}: {topic.name} cannot be decoded"
+        raise VerifyError(msg)
+    result: Callable[[bytes], Any] = decode
+    return result
+
+
+class _Comparison:
+    """Compares recorded trees with computed ones, and collects what does not count as a difference."""
+
+    def __init__(self, last: Sample) -> None:
+        self._last = last
+        self._apart: set[str] = set()
+        self._worded: set[str] = set()
+
+    def first(self, what: str, recorded: list[Tree], computed: list[Tree]) -> Difference | None:
+        """The first difference, if there is one."""
+        for number, (one, other) in enumerate(zip(recorded, computed, strict=False), 1):
+            for field, was, now in self._differences(one, other):
+                return Difference(what, number, one["sample"], _owner(one, field), field, was, now)
+        number = min(len(recorded), len(computed))
+        if len(recorded) > number:
+            sample = recorded[number]["sample"]
+            return Difference(what, number + 1, sample, "", "all of it", "there", "absent")
+        if len(computed) > number and not self._at_the_end(computed[number]):
+            sample = computed[number]["sample"]
+            return Difference(what, number + 1, sample, "", "all of it", "absent", "there")
+        return None
+
+    def notes(self) -> list[str]:
+        """Notes on what was not compared."""
+        notes = []
+        if self._apart:
+            fields = ", ".join(sorted(self._apart))
+            notes.append(
+                f"recorded in another form; fields that only one form has were not compared: {fields}"
+            )
+        if self._worded:
+            fields = ", ".join(sorted(self._worded))
+            notes.append(f"this version words some texts differently; they were not compared: {fields}")
+        return notes
+
+    def _differences(self, one: Tree, other: Tree) -> Iterator[tuple[str, Any, Any]]:
+        apart: set[str] = set()
+        found = list(differences(one, other, apart=apart))
+        self._apart |= {field.removeprefix("candidates.") for field in apart}
+        for field, was, now in found:
+            if field.rsplit(".", 1)[-1] in SENTENCES:
+                self._worded.add(field)
+            else:
+                yield field, was, now
+
+    def _at_the_end(self, tree: Tree) -> bool:
+        """Whether the session may have ended before this could be published."""
+        samples, seconds = self._last.index - tree["sample"], (self._last.stamp - tree["stamp"]) / 1e9
+        return bool(min(samples, seconds) < AT_THE_END)
+
+
+def _owner(tree: Mapping[str, Any], field: str) -> str:
+    """Name of the candidate a field such as `candidates[2].nu_gap_sum` belongs to."""
+    if not field.startswith("candidates["):
+        return ""
+    row = int(field.removeprefix("candidates[").split("]", 1)[0])
+    return str(tree["candidates"][row]["name"])

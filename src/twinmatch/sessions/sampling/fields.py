@@ -1,0 +1,183 @@
+"""Paths to a number in a message: `data`, `temperature`, `readings[2].value`.
+
+A function from a type's name to its fields describes the types, so that messages of ROS and of a bag are
+handled alike.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from twinmatch.sessions.sampling.errors import SamplingError
+
+__all__ = ["Channel", "Field", "FieldsOf", "check_path", "fields_below", "follow", "parse_channel"]
+
+NUMBERS: Final = frozenset(
+    {"bool", "boolean", "byte", "char", "octet", "float", "float32", "float64", "double", "long double"}
+    | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+)
+TEXTS: Final = frozenset({"string", "wstring"})
+_STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]")
+_DEEP: Final = 4
+"""Depth of nested messages to which fields are listed."""
+_MOST_LISTED: Final = 30
+"""Most fields that an error lists."""
+
+
+class Field(NamedTuple):
+    """Type of one field of a message."""
+
+    kind: str
+    """A number's or text's type, or the name of another message."""
+    array: bool = False
+    length: int | None = None
+    """Length of a fixed-length array."""
+
+
+FieldsOf = Callable[[str], Mapping[str, Field]]
+"""The fields of a message type by name, in their order."""
+
+
+class Channel(NamedTuple):
+    """A number in a topic's messages."""
+
+    topic: str
+    path: str
+    """Empty: the only number in the messages."""
+
+    @property
+    def text(self) -> str:
+        """The channel as written in a map."""
+        return f"{self.topic}:{self.path}" if self.path else self.topic
+
+
+def parse_channel(text: str) -> Channel:
+    """A channel from `/camera/temperature:temperature` or `/cmd`.
+
+    Raises:
+        SamplingError: the topic is missing, or the rest is not a field path.
+    """
+    topic, colon, path = (part.strip() for part in text.strip().partition(":"))
+    if not re.fullmatch(r"/?\w+(/\w+)*", topic):
+        msg = f"{text.strip()!r} names no topic; write TOPIC:FIELD, such as /camera/temperature:temperature"
+        raise SamplingError(msg)
+    if colon and not path:
+        raise SamplingError(f"{text.strip()!r} names no field; write TOPIC:FIELD, or the topic alone")
+    if path:
+        steps(path)
+    return Channel(topic, path)
+
+
+def steps(path: str) -> tuple[str | int, ...]:
+    """The names and indices of a path.
+
+    Raises:
+        SamplingError: it is not a field path.
+    """
+    found: list[str | int] = []
+    at = 0
+    while at < len(path):
+        match = _STEP.match(path, at)
+        if match is None or (not found and path[0] in ".["):
+            msg = f"{path!r} is not a field path; write names and indices, such as readings[2].value"
+            raise SamplingError(msg)
+        found.append(match["name"] if match["name"] else int(match["index"]))
+        at = match.end()
+    return tuple(found)
+
+
+def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
+    """The checked path to a number in messages of a type; an empty path stands for their only number.
+
+    Args:
+        kind: name of the type.
+        path: the path as written.
+        fields_of: returns the fields of a type.
+
+    Raises:
+        SamplingError: there is no such field, it is not a number, or the path is empty and there are several
+            numbers. The error lists the numbers.
+    """
+    if not path:
+        return _only(kind, fields_of)
+    field = Field(kind)
+    done = ""
+    for step in steps(path):
+        if isinstance(step, int):
+            if not field.array:
+                raise SamplingError(f"{kind}: {done} is not a list; leave out [{step}]")
+            if field.length is not None and step >= field.length:
+                raise SamplingError(f"{kind}: {done} has {field.length} values, counted from 0")
+            field, done = Field(field.kind), f"{done}[{step}]"
+            continue
+        if field.array:
+            raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0].{step}")
+        known = {} if field.kind in NUMBERS | TEXTS else fields_of(field.kind)
+        if step not in known:
+            where = f"{kind}: {done} has" if done else f"{kind} has"
+            raise SamplingError(f"{where} no field {step!r}; its numbers: {_listed(kind, fields_of)}")
+        field, done = known[step], f"{done}.{step}" if done else step
+    if field.array:
+        raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0]")
+    if field.kind in TEXTS:
+        raise SamplingError(f"{kind}: {done} is text; choose a number: {_listed(kind, fields_of)}")
+    if field.kind not in NUMBERS:
+        whole = [f"{done}.{below}" for below in fields_below(field.kind, fields_of)]
+        instead = ", ".join(whole[:_MOST_LISTED]) if whole else _listed(kind, fields_of)
+        raise SamplingError(f"{kind}: {done} is a message; choose a number in it: {instead}")
+    return path
+
+
+def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[str]:
+    """Paths of the numbers in messages of a type, without those of headers and times."""
+    for name, field in fields_of(kind).items():
+        mark = "[0]" if field.array else ""
+        if field.kind in NUMBERS:
+            yield f"{name}{mark}"
+        elif field.kind not in TEXTS and deep > 1 and not _is_time(field.kind):
+            for below in fields_below(field.kind, fields_of, deep - 1):
+                yield f"{name}{mark}.{below}"
+
+
+def follow(message: Any, path: str) -> float:
+    """The number at a path in a message; NaN if a list is too short for the index.
+
+    Raises:
+        SamplingError: the value is not a number.
+    """
+    found = message
+    for step in steps(path):
+        if isinstance(step, int):
+            if step >= len(found):
+                return float("nan")
+            found = found[step]
+        else:
+            found = getattr(found, step)
+    if isinstance(found, bytes):  # how ROS gives the type `byte`
+        return float(found[0])
+    try:
+        return float(found)
+    except (TypeError, ValueError):
+        raise SamplingError(f"{path} is {str(found)[:40]!r}, which is not a number") from None
+
+
+def _only(kind: str, fields_of: FieldsOf) -> str:
+    found = list(fields_below(kind, fields_of))
+    single = [path for path in found if "[" not in path]
+    if len(found) == len(single) == 1:
+        return found[0]
+    if not found:
+        raise SamplingError(f"{kind} has no numbers; name another topic")
+    raise SamplingError(f"{kind} has several numbers; choose one: {_listed(kind, fields_of)}")
+
+
+def _listed(kind: str, fields_of: FieldsOf) -> str:
+    found = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
+    more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
+    return ", ".join(found[:_MOST_LISTED]) + more if found else "none"
+
+
+def _is_time(kind: str) -> bool:
+    return kind.rsplit("/", 1)[-1] in ("Header", "Time", "Duration")

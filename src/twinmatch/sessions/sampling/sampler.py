@@ -1,0 +1,233 @@
+"""Samples of a loop that foreign programs run: values and times in, one sample per tick out.
+
+At tick k, reference, output and disturbances are the newest values; the input is what acts on the plant from
+tick k to tick k+1. If the input paces the loop (a controller that has read the output and then commands),
+that is its value at the tick. Otherwise it is known one period later, as the mean over that period.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import islice, zip_longest
+from types import MappingProxyType
+from typing import Final
+
+from twinmatch.sessions.sampling.errors import SamplingError
+from twinmatch.sessions.sampling.grid import Grid
+from twinmatch.sessions.sampling.held import Held
+from twinmatch.sessions.sampling.rate import Rate
+from twinmatch.signals import Sample
+
+__all__ = ["INPUT", "OUTPUT", "REFERENCE", "TIMER", "Limits", "Sampler"]
+
+OUTPUT: Final = "output"
+INPUT: Final = "input"
+REFERENCE: Final = "reference"
+TIMER: Final = "timer"
+"""Paces the samples with the sampler's own clock instead of a signal."""
+
+NANOSECONDS: Final = 1_000_000_000
+_NONE: Final[Mapping[str, float]] = MappingProxyType({})
+LATEST_SETTLE: Final = 0.45
+"""Largest settling time, in periods; later values would rather belong to the next tick."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a signal's values."""
+
+    max_age: float = 0.0
+    """Age from which a value is stale, s; 0: never."""
+    low: float = -math.inf
+    high: float = math.inf
+    """In the plant's unit; a tick with a value outside has no sample."""
+    lenient: bool = False
+    """Whether values outside are accepted once one was inside: then a sensor failed, the unit is right."""
+
+
+@dataclass
+class Counts:
+    """Ticks without a usable value of one signal."""
+
+    missing: int = 0
+    """Ticks at which it had no value yet."""
+    late: int = 0
+    """Ticks at which its newest value was stale."""
+    beyond: int = 0
+    """Ticks at which its value was outside the limits."""
+
+
+@dataclass
+class _Tick:
+    number: int
+    time: int
+    ready: int
+    """Time at which the values sent with it have arrived, ns."""
+    paced: float | None = None
+    """The value that triggered the tick."""
+    values: dict[str, float] = field(default_factory=dict)
+    """Empty until read."""
+    troubles: dict[str, str] = field(default_factory=dict)
+
+
+class Sampler:
+    """Ticks and values in, samples out.
+
+    A tick without all of its values makes no sample; the index of the next sample shows how many are missing.
+    All times are ns of one clock: `at` is when a value was measured or commanded, `now` when it arrived.
+    """
+
+    def __init__(
+        self,
+        signals: Mapping[str, Limits],
+        period: float,
+        paced_by: str = INPUT,
+        *,
+        settle: float = 0.1,
+        disturbances: Mapping[str, float] = _NONE,
+    ) -> None:
+        """Start without values.
+
+        Args:
+            signals: limits of the mapped signals by name: `output`, `input`, perhaps `reference`, and
+                disturbances.
+            period: sampling period, s.
+            paced_by: the signal whose values trigger the ticks, or `timer`.
+            settle: time to wait after the value that triggers a tick for the values sent with it, in periods.
+            disturbances: default value of each of the plant's disturbances, in its order; used where a
+                disturbance is not mapped.
+
+        Raises:
+            SamplingError: the settings allow no sampling.
+        """
+        _check(signals, period, paced_by, settle)
+        self.counts = {name: Counts() for name in signals}
+        self.troubles: dict[str, str] = {}
+        """Reasons why the newest tick had no sample, by signal or `pace`; empty if it had one."""
+        self.idle = 0
+        """Ticks since sample 0 without a sample."""
+        self.grid = Grid(round(period * NANOSECONDS))
+        self.rate = Rate()
+        self._signals = signals
+        self._held = {name: Held() for name in signals}
+        self._period, self._step = period, round(period * NANOSECONDS)
+        self._pacer = paced_by
+        self._settle = round(settle * self._step)
+        self._disturbances = disturbances
+        self._ticks: deque[_Tick] = deque()
+        self._within: set[str] = set()
+        self._first: int | None = None
+        self._reference: float | None = None
+
+    def refused(self, name: str) -> int:
+        """Values of a signal that were not finite."""
+        return self._held[name].refused
+
+    def newest(self, name: str) -> float | None:
+        """A signal's newest value; None before there is one."""
+        return self._held[name].newest
+
+    def take(self, name: str, value: float, at: int, now: int) -> None:
+        """Take a value; a value of the pacing signal triggers a tick."""
+        self._held[name].push(value, at)
+        if name == self._pacer and math.isfinite(value):
+            self._push(_Tick(0, at, now + self._settle, value))
+
+    def tick(self, now: int) -> None:
+        """Take a tick of the timer."""
+        self._push(_Tick(0, now, now))
+
+    def look(self, now: int) -> list[Sample]:
+        """The samples that are complete now; to be called several times per period."""
+        for tick, after in zip_longest(self._ticks, islice(self._ticks, 1, None)):
+            if not tick.values and now >= tick.ready:
+                self._read(tick, after)
+        found = []
+        while self._ticks and self._complete(self._ticks[0], now):
+            tick = self._ticks.popleft()
+            if INPUT not in tick.values:
+                mean = self._held[INPUT].mean(tick.time, tick.time + self._step)
+                tick.values[INPUT] = self._checked(INPUT, mean, tick.ready + self._step, tick.troubles)
+            self.troubles = tick.troubles
+            if not tick.troubles:
+                found.append(self._sample(tick.number, tick.time, tick.values))
+            elif self._first is not None:
+                self.idle += 1
+        return found
+
+    def _complete(self, tick: _Tick, now: int) -> bool:
+        return bool(tick.values) and (self._pacer == INPUT or now >= tick.ready + self._step)
+
+    def _push(self, tick: _Tick) -> None:
+        self.rate.push(tick.time)
+        number = self.grid.place(tick.time)
+        if number is not None:
+            tick.number = number
+            self._ticks.append(tick)
+
+    def _read(self, tick: _Tick, after: _Tick | None) -> None:
+        """Read the values at the tick, and note those that cannot be used."""
+        if self.rate.differs_from(self._period):
+            tick.troubles["pace"] = (
+                f"{self._pacer} arrives every {self.rate.period:.4g} s, but the period is "
+                f"{self._period:g} s; correct the period, or set paced_by to {TIMER}"
+            )
+        elif after is not None and self._pacer != TIMER and after.ready - tick.ready < self._settle:
+            tick.troubles["pace"] = "several ticks arrived at once; their other values cannot be told apart"
+        for name in self._signals:
+            if name != INPUT or self._pacer == INPUT:
+                value = tick.paced if name == self._pacer else self._held[name].newest
+                tick.values[name] = self._checked(name, value, tick.ready, tick.troubles)
+
+    def _sample(self, number: int, time: int, values: Mapping[str, float]) -> Sample:
+        if self._first is None:
+            self._first = number
+        if self._reference is None:  # without a mapped reference the field must still be finite
+            self._reference = values[OUTPUT]
+        return Sample(
+            number - self._first,
+            time,
+            values.get(REFERENCE, self._reference),
+            values[OUTPUT],
+            values[INPUT],
+            tuple(values.get(name, usual) for name, usual in self._disturbances.items()),
+        )
+
+    def _checked(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
+        """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
+        limits, counts, at = self._signals[name], self.counts[name], self._held[name].time
+        if value is None or at is None:
+            counts.missing += 1
+            troubles[name] = f"no {name} yet"
+            return math.nan
+        age = (now - at) / NANOSECONDS
+        if limits.max_age and age > limits.max_age:
+            counts.late += 1
+            troubles[name] = f"the newest {name} is {age:.1f} s old"
+        elif age < -self._period:
+            counts.late += 1
+            troubles[name] = (
+                f"{name} is stamped {-age:.1f} s after the tick: a clock was set or this machine suspended"
+            )
+        elif limits.low <= value <= limits.high:
+            self._within.add(name)
+        elif not (limits.lenient and name in self._within):
+            counts.beyond += 1
+            troubles[name] = f"{name} is {value:g}, outside {limits.low:g} to {limits.high:g}"
+        return value
+
+
+def _check(signals: Mapping[str, Limits], period: float, paced_by: str, settle: float) -> None:
+    for name in (OUTPUT, INPUT):
+        if name not in signals:
+            raise SamplingError(f"{name} is not mapped; every sample needs it")
+    if paced_by not in (*signals, TIMER):
+        msg = f"paced_by is {paced_by!r}; choose one of {', '.join([*signals, TIMER])}"
+        raise SamplingError(msg)
+    if not 0 <= settle <= LATEST_SETTLE:
+        raise SamplingError(f"settle is {settle:g}; give a fraction of the period from 0 to {LATEST_SETTLE}")
+    if not (math.isfinite(period) and period > 0):
+        raise SamplingError(f"period is {period:g} s; it must be positive")

@@ -1,0 +1,111 @@
+"""Creating and writing figures; the only module that sets matplotlib's options."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.showing.style import rc
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["empty", "new_figure", "png", "save", "stack", "styled", "svg", "time_axis"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """Make a function draw with the settings of `views.style`, without changing matplotlib's own."""
+
+    @wraps(draw)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> R:
+        from matplotlib import rc_context  # noqa: PLC0415 — slow, and rarely needed
+
+        settings: Any = rc()
+        with rc_context(settings):
+            return draw(*args, **kwargs)
+
+    return inside
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, size in inches; not registered with pyplot, so it need not be closed."""
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def stack(figure: Figure, ratios: Sequence[float]) -> list[Axes]:
+    """Axes below one another that share one time axis, with these ratios of heights."""
+    axes: list[Axes] = []
+    grid = figure.add_gridspec(len(ratios), 1, height_ratios=list(ratios))
+    for row in range(len(ratios)):
+        axes.append(figure.add_subplot(grid[row, 0], sharex=axes[0] if axes else None))
+    for each in axes[:-1]:
+        each.tick_params(labelbottom=False)
+    return axes
+
+
+def _arrange(figure: Figure) -> None:
+    """Lay the figure out once; matplotlib would otherwise repeat that for every file."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+        for axes in figure.axes:  # the solver's last digits vary between runs, and so would names in an SVG
+            x, y, width, height = (round(edge, 6) for edge in axes.get_position(original=True).bounds)
+            axes.set_position((x, y, width, height))
+
+
+@styled
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the format of the file's suffix (.png, .svg, .pdf).
+
+    Raises:
+        TwinmatchError: matplotlib cannot write such a file there.
+    """
+    # Without a date the same figure gives the same file.
+    _arrange(figure)
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    try:
+        figure.savefig(path, metadata=undated.get(path.suffix.lower()))
+    except (OSError, ValueError) as error:
+        msg = f"{path}: the figure cannot be written: {error}"
+        raise TwinmatchError(msg) from error
+
+
+@styled
+def png(figure: Figure, dpi: int = 100) -> bytes:
+    """The figure as a PNG, for example for notebooks."""
+    _arrange(figure)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi)
+    return stream.getvalue()
+
+
+@styled
+def svg(figure: Figure) -> str:
+    """The figure as an SVG document."""
+    _arrange(figure)
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
+
+
+def time_axis(axes: Axes, period: float, first: int, last: int) -> None:
+    """Label the time axis in seconds and limit it to the samples."""
+    axes.set_xlim(first * period, max(last * period, first * period + period))
+    axes.set_xlabel("time since the session began / s")
+
+
+def empty(axes: Axes, words: str) -> None:
+    """Show text in place of an empty chart."""
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes, color="#5C5C5C")

@@ -1,0 +1,229 @@
+"""The layout of a viewer's window for a plant, with the plant's names and units on its axes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from twinmatch.comparing import TrustLevel
+from twinmatch.description import Description, Quantity
+from twinmatch.showing.foxglove.errors import FoxgloveError
+from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
+
+__all__ = ["APPLIED", "IMAGE", "layout", "write_layout"]
+
+APPLIED: Final = "plant/pwm_applied"
+IMAGE: Final = "thermal/image"
+_APPLIED_COLOUR: Final = "#E69F00"
+_EDGES: Final = ("#F0A868", "#C77B3A")
+"""Lower and upper edge of a band: lighter and darker than its mean."""
+_STAMP: Final = {"enabled": True, "timestampMethod": "headerStamp"}
+
+_Panel = dict[str, Any]
+
+
+def layout(described: Description, topics: Collection[str] = (), rig: str = "") -> dict[str, Any]:
+    """The layout, in the format that Lichtblick and Foxglove import.
+
+    Args:
+        described: names and units of the plant and its signals.
+        topics: relative names of the graph's topics; some panels are included only if theirs is present.
+        rig: namespace before the topics, such as `/rig_a`; empty: none.
+    """
+    panels = {
+        **_charts(described, rig, applied=APPLIED in topics),
+        **({"Image!thermal": _image(rig)} if IMAGE in topics else {}),
+        **_verdict(rig),
+        **_nodes(),
+        "Tab!more": _tabs(),
+    }
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _places(image=IMAGE in topics),
+    }
+
+
+def write_layout(path: Path, made: Mapping[str, Any]) -> None:
+    """Write a layout to a file.
+
+    Raises:
+        FoxgloveError: the file cannot be written.
+    """
+    try:
+        path.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        msg = f"foxglove: the layout cannot be written to {path}: {error.strerror}"
+        raise FoxgloveError(msg) from error
+
+
+def _charts(described: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:
+    y, u = described.output, described.input
+    sample, state, ahead = (f"{rig}/{name}" for name in ("plant/sample", "twin/state", "twin/forecast"))
+    inputs = [
+        _line(f"{sample}.input[0]", "plant", PLANT),
+        _line(f"{state}.closed_input[0]", "closed-loop twin", CLOSED),
+    ]
+    if applied:
+        inputs.append(_line(f"{rig}/{APPLIED}.pwm", "applied by the board", _APPLIED_COLOUR))
+    asked = [
+        _line(f"{sample}.reference[0]", "set-point", SET_POINT),
+        _line(f"{sample}.output[0]", "plant", PLANT),
+        _line(f"{state}.closed_output[0]", "closed-loop twin", CLOSED),
+        _line(f"{state}.driven_output[0]", "driven twin", DRIVEN),
+    ]
+    output_off = [
+        _line(f"{state}.closed_residual_y[0]", "closed-loop twin", CLOSED),
+        _line(f"{state}.driven_residual_y[0]", "driven twin", DRIVEN),
+        _line(f"{state}.driven_rms_y[0]", "driven twin, RMS", SET_POINT),
+    ]
+    input_off = [
+        _line(f"{state}.closed_residual_u[0]", "closed-loop twin", CLOSED),
+        _line(f"{state}.closed_rms_u[0]", "closed-loop twin, RMS", SET_POINT),
+    ]
+    wanted = _line(f"{ahead}.reference[:]", "set-point", SET_POINT)
+    return {
+        "Plot!output": _plot(_title(y), y.label, asked),
+        "Plot!input": _plot(_title(u), u.label, inputs),
+        "Plot!residuals": _plot(f"{y.name}: plant minus twin", y.label, output_off),
+        "Plot!input_residuals": _plot(f"{u.name}: plant minus twin", u.label, input_off),
+        "Plot!output_ahead": _ahead(f"{y.name} forecast", y, [wanted, *_band(f"{ahead}.output")], ahead),
+        "Plot!input_ahead": _ahead(f"{u.name} forecast", u, _band(f"{ahead}.input"), ahead),
+    }
+
+
+def _title(quantity: Quantity) -> str:
+    """Its name, and its description if it differs from the name."""
+    named = quantity.name.replace("_", " ")
+    more = quantity.text and quantity.text.lower() != named.lower()
+    return f"{named}: {quantity.text}" if more else named
+
+
+def _line(value: str, label: str, color: str, size: float = 1.5) -> dict[str, Any]:
+    return {"value": value, "label": label, "color": color, **_STAMP, "lineSize": size, "showLine": True}
+
+
+def _band(signal: str) -> list[dict[str, Any]]:
+    return [
+        _line(f"{signal}[:]", "mean", CLOSED),
+        _line(f"{signal}_low[:]", "low", _EDGES[0], 1.0),
+        _line(f"{signal}_high[:]", "high", _EDGES[1], 1.0),
+    ]
+
+
+def _titled(title: str, **settings: Any) -> _Panel:
+    return {"foxglovePanelTitle": title, "lichtblickPanelTitle": title, **settings}
+
+
+def _plot(title: str, label: str, lines: Sequence[dict[str, Any]], **settings: Any) -> _Panel:
+    usual = {
+        "xAxisVal": "timestamp",
+        "yAxisLabel": label,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": True,
+        "isSynced": True,
+        "sidebarDimension": 240,
+    }
+    return _titled(title, paths=list(lines), **{**usual, **settings})
+
+
+def _ahead(title: str, of: Quantity, lines: Sequence[dict[str, Any]], topic: str) -> _Panel:
+    """The newest forecast, over the seconds ahead rather than the time of its message."""
+    return _plot(
+        title,
+        of.label,
+        lines,
+        xAxisVal="currentCustom",
+        xAxisPath={"value": f"{topic}.time[:]", **_STAMP},
+        xAxisLabel="time ahead / s",
+        showPlotValuesInLegend=False,
+        isSynced=False,
+    )
+
+
+def _image(rig: str) -> _Panel:
+    mode = {"imageTopic": f"{rig}/{IMAGE}", "colorMode": "colormap", "colorMap": "turbo"}
+    return _titled("Thermal image / °C", imageMode={**mode, "minValue": 10, "maxValue": 110})
+
+
+def _verdict(rig: str) -> dict[str, _Panel]:
+    """Panels of the verdict: trust level, changes, family, and the messages in full."""
+    score, match = f"{rig}/twin/model_score", f"{rig}/twin/match"
+    changes = {
+        "nominal": f"{score}.nominal",
+        "leader": f"{rig}/twin/state.leader",
+        "level": f"{score}.level_name",
+        "fault": f"{score}.fault",
+        "order": f"{score}.order",
+    }
+    whole = {
+        "diffEnabled": False,
+        "diffMethod": "custom",
+        "diffTopicPath": "",
+        "showFullMessageForDiff": False,
+    }
+    return {
+        "Indicator!level": _titled(
+            "Trust",
+            path=f"{score}.level_name",
+            style="background",
+            fallbackColor=LEVELS[TrustLevel.UNKNOWN],
+            fallbackLabel="no verdict yet",
+            rules=[
+                {"operator": "=", "rawValue": level.value, "color": LEVELS[level], "label": level.value}
+                for level in (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
+            ],
+        ),
+        "StateTransitions!verdict": _titled(
+            "Nominal, leader, level, fault",
+            isSynced=True,
+            paths=[{"value": path, "label": label, **_STAMP} for label, path in changes.items()],
+        ),
+        "Table!family": _titled("Family", topicPath=f"{score}.candidates"),
+        "RawMessages!score": _titled("Verdict", topicPath=score, **whole),
+        "RawMessages!match": _titled("Newest match", topicPath=match, **whole),
+    }
+
+
+def _nodes() -> dict[str, _Panel]:
+    summary = {"minLevel": 0, "pinnedIds": [], "hardwareIdFilter": "", "sortByLevel": True}
+    return {
+        "DiagnosticSummary!nodes": _titled("Nodes", topicToRender="/diagnostics", **summary),
+        "DiagnosticStatusPanel!node": _titled(
+            "Node in detail", topicToRender="/diagnostics", collapsedSections=[]
+        ),
+        "RosOut!log": _titled("Log", topicToRender="/rosout", searchTerms=[], minLogLevel=2),
+    }
+
+
+def _tabs() -> _Panel:
+    shown = {
+        "Forecast": _split("column", "Plot!output_ahead", "Plot!input_ahead", 60),
+        "Verdict": "RawMessages!score",
+        "Match": "RawMessages!match",
+        "Nodes": _split("column", "DiagnosticSummary!nodes", "DiagnosticStatusPanel!node", 50),
+        "Log": "RosOut!log",
+    }
+    return {"activeTabIdx": 0, "tabs": [{"title": title, "layout": place} for title, place in shown.items()]}
+
+
+def _places(*, image: bool) -> dict[str, Any]:
+    """Charts on the left; trust, family and tabs on the right."""
+    signals = _split("column", "Plot!output", "Plot!input", 60)
+    off = _split("column", "Plot!residuals", "Plot!input_residuals", 50)
+    above = _split("row", "Indicator!level", "Image!thermal", 35) if image else "Indicator!level"
+    family = _split("column", "StateTransitions!verdict", "Table!family", 40)
+    verdict = _split("column", family, "Tab!more", 55)
+    right = _split("column", above, verdict, 25 if image else 12)
+    return _split("row", _split("column", signals, off, 60), right, 62)
+
+
+def _split(direction: str, first: Any, second: Any, share: int) -> dict[str, Any]:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": share}

@@ -1,0 +1,192 @@
+"""The node behind the server: subscribes to every topic of its namespace and forwards the bytes."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rclpy.clock import Clock, ClockType
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from twinmatch.description import Description
+from twinmatch.nodes.descriptions import description_from
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.plant_clock import CLOCK
+from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
+from twinmatch.nodes.samples import LATCHED
+from twinmatch.nodes.serving import is_loopback
+from twinmatch.sessions import Qos, SessionError
+from twinmatch.sessions.installed import schema_of
+from twinmatch.showing.foxglove.clock import StreamTime
+from twinmatch.showing.foxglove.errors import FoxgloveError
+from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, layout, write_layout
+from twinmatch.showing.foxglove.server import GraphServer
+from twinmatch.showing.foxglove.topics import ELSEWHERE, TOPICS
+from twinmatch_msgs.msg import PlantDescription
+
+__all__ = ["Foxglove"]
+
+LOOK = 0.2
+"""Seconds between checks for new topics."""
+TICK = 0.05
+"""Seconds between updates of the viewers' time."""
+LEFT_OUT = ("parameter_events",)
+
+
+class Foxglove(TwinmatchNode):
+    """Shows the graph of its namespace to viewers; publishes only its health.
+
+    It keeps running when the graph ends, and serves the next one.
+    """
+
+    NAME = "foxglove"
+    PARAMETERS: ClassVar = (
+        Parameter(
+            "address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."
+        ),
+        Parameter("port", 8765, "TCP port; 0: any free port.", "", 0, 65535),
+        Parameter("layout", "", "File for the layout of the graph's plant; empty: none is written."),
+    )
+
+    _serving = False
+
+    def open(self) -> None:
+        """Start the server, and watch for topics.
+
+        Raises:
+            FoxgloveError: the address or port cannot be used.
+        """
+        address = self.values["address"]
+        self._server = GraphServer("twinmatch", address, self.values["port"])
+        self._serving = True
+        self._time = StreamTime()
+        self._offers: dict[str, tuple[int, Qos]] = {}
+        self._readers: dict[str, Any] = {}
+        self._types: dict[str, str] = {}
+        self._unknown: set[str] = set()
+        rig = self.get_namespace().rstrip("/")
+        for name, kind in ({f"{rig}/{name}": kind for name, kind in TOPICS.items()} | ELSEWHERE).items():
+            self._advertise(name, kind)
+        self._has_clock = self._to_repeat = False
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._described: Description | None = None
+        self._laid_out: tuple[Description, frozenset[str]] | None = None
+        if self.values["layout"]:
+            self.create_subscription(PlantDescription, "plant/description", self._on_description, LATCHED)
+        self.create_subscription(ClockMessage, "/clock", self._on_clock, CLOCK)
+        self.create_timer(LOOK, self._look, clock=steady)
+        self.create_timer(TICK, self._send_time, clock=steady)
+        if not is_loopback(address):
+            print(
+                f"FOXGLOVE OPEN: anyone who can reach {address} may read this graph; the connection is not "
+                "encrypted",
+                flush=True,
+            )
+        print(f"foxglove: {self._server.url}", flush=True)
+        self.report_on()
+
+    def report(self) -> Report:
+        """Report the address and the numbers of viewers and topics."""
+        self.health.set("address", self._server.url)
+        self.health.set("viewers", self._server.viewers)
+        self.health.set("topics", len(self._readers))
+        return super().report()
+
+    def close(self) -> bool:
+        """Stop the server."""
+        if self._serving:
+            self._server.close()
+        return True
+
+    def _look(self) -> None:
+        self._has_clock = self.count_publishers("/clock") > 0
+        for name, _ in self.get_topic_names_and_types():
+            if name not in self._unknown and wanted(name, self.get_namespace(), ELSEWHERE, LEFT_OUT):
+                self._subscribe(name)
+        self._lay_out()
+
+    def _on_description(self, message: PlantDescription) -> None:
+        self._described = description_from(message)
+
+    def _lay_out(self) -> None:
+        """Write the layout once the plant is described, and again if its description or topics change."""
+        if self._described is None:
+            return
+        rig = self.get_namespace().rstrip("/")
+        present = frozenset(topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._readers)
+        if self._laid_out == (self._described, present):
+            return
+        self._laid_out = self._described, present
+        path = Path(self.values["layout"])
+        try:
+            write_layout(path, layout(self._described, present, rig))
+        except FoxgloveError as error:
+            self.health.flag("layout", Level.WARN, str(error))
+            return
+        print(f"layout for {self._described.title}: {path}", flush=True)
+
+    def _subscribe(self, name: str) -> None:
+        """Subscribe to a topic, or again if its publishers now offer another QoS."""
+        publishers = self.count_publishers(name)
+        known = self._offers.get(name)
+        if publishers == (0 if known is None else known[0]):
+            return
+        if not publishers and known is not None:
+            self._offers[name] = 0, known[1]
+            self._server.forget(name)
+            return
+        endpoints = self.get_publishers_info_by_topic(name)
+        if not endpoints:
+            return
+        qos, kind = offered(endpoints), endpoints[0].topic_type
+        self._offers[name] = publishers, qos
+        if known is not None:
+            if reader_profile(known[1]) == reader_profile(qos):
+                return
+            self.destroy_subscription(self._readers.pop(name))
+        elif not self._advertise(name, kind):
+            return
+        package, _, short = kind.split("/")
+        message = getattr(importlib.import_module(f"{package}.msg"), short)
+        take = partial(self._on_message, name)
+        self._readers[name] = self.create_subscription(message, name, take, reader_profile(qos), raw=True)
+
+    def _advertise(self, name: str, kind: str) -> bool:
+        """Advertise a topic to viewers, once; returns whether it can be shown."""
+        before = self._types.setdefault(name, kind)
+        try:
+            if before != kind:
+                msg = f"its type changed from {before} to {kind}; restart twinmatch foxglove"
+                raise SessionError(msg)
+            if not self._server.offers(name):
+                self._server.advertise(name, kind, schema_of(kind))
+        except SessionError as error:
+            self._unknown.add(name)
+            self.health.flag(name, Level.WARN, f"{name} is not shown: {error}")
+            return False
+        return True
+
+    def _on_clock(self, message: ClockMessage) -> None:
+        stamp = message.clock.sec * 10**9 + message.clock.nanosec
+        self._reset_if(self._time.on_clock(stamp, time.monotonic()))
+
+    def _on_message(self, name: str, data: bytes) -> None:
+        if name.endswith("plant/sample"):
+            self._reset_if(self._time.on_sample(time.monotonic(), clock=self._has_clock))
+        self._server.send(name, data, self._time.now)
+
+    def _reset_if(self, changed: bool) -> None:
+        if changed:
+            self._server.reset(self._time.now)
+            self._to_repeat = True
+
+    def _send_time(self) -> None:
+        self._server.send_time(self._time.now)
+        if self._to_repeat:
+            self._to_repeat = False
+            self._server.repeat(self._time.now)

@@ -1,0 +1,117 @@
+"""Appearance of the page: colours and fonts from `twinmatch.showing.style`, sizes for a screen."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from bokeh.models import Div
+from bokeh.themes import Theme
+
+from twinmatch.comparing import TrustLevel
+from twinmatch.showing.page.events import Mark
+from twinmatch.showing.style import GRID, LEVELS, SET_POINT, TEXT
+
+__all__ = [
+    "BUTTONS",
+    "DARK",
+    "FONT",
+    "MARKS",
+    "MARK_INKS",
+    "MARK_SIGNS",
+    "SHAPES",
+    "SIGNS",
+    "THEME",
+    "panel",
+    "text",
+]
+
+FONT = "system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'DejaVu Sans', sans-serif"
+
+SIGNS = {
+    TrustLevel.UNKNOWN: "?",
+    TrustLevel.TRUSTED: "✓",
+    TrustLevel.DOUBTFUL: "!",
+    TrustLevel.FAULT: "✕",
+}
+"""Shown beside the word and the colour of a level."""
+
+MARKS = {
+    Mark.GOOD: LEVELS[TrustLevel.TRUSTED],
+    Mark.NOTE: SET_POINT,
+    Mark.WARNING: LEVELS[TrustLevel.DOUBTFUL],
+    Mark.BAD: LEVELS[TrustLevel.FAULT],
+}
+MARK_SIGNS = {Mark.GOOD: "●", Mark.NOTE: "◆", Mark.WARNING: "▲", Mark.BAD: "✕"}
+"""The same marks in text."""
+MARK_INKS = {Mark.GOOD: "#00664B", Mark.NOTE: SET_POINT, Mark.WARNING: "#8A5A00", Mark.BAD: "#B3001B"}
+"""Colours of the marks, dark enough for text."""
+DARK = (TrustLevel.UNKNOWN, TrustLevel.TRUSTED, TrustLevel.DOUBTFUL)
+"""Levels with dark text on their colour, for a contrast of at least 4.5."""
+BUTTONS = """
+.bk-btn-primary { background: #0072B2; border-color: #005a8e; color: #fff; }
+.bk-btn-warning { background: #E69F00; border-color: #a87400; color: #1a1a1a; }
+.bk-btn-danger { background: #B3001B; border-color: #8a0015; color: #fff; }
+.bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #1a1a1a; outline-offset: 2px; }
+"""
+"""Buttons in the colours of the page, with a contrast of at least 4.5 and a ring for the keyboard focus."""
+SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "diamond", Mark.WARNING: "triangle", Mark.BAD: "x"}
+"""Markers of the time line: their shape distinguishes them without colour."""
+
+THEME = Theme(
+    json={
+        "attrs": {
+            "Plot": {
+                "background_fill_color": "#FFFFFF",
+                "border_fill_color": None,
+                "outline_line_color": None,
+                "min_border_left": 78,
+                "min_border_right": 12,
+                "min_border_top": 4,
+                "min_border_bottom": 4,
+            },
+            "Axis": {
+                "axis_label_text_font": FONT,
+                "axis_label_text_font_size": "12px",
+                "axis_label_text_font_style": "normal",
+                "axis_label_text_color": TEXT,
+                "axis_line_color": "#8C8C8C",
+                "major_label_text_font": FONT,
+                "major_label_text_font_size": "12px",
+                "major_label_text_color": TEXT,
+                "major_tick_line_color": "#8C8C8C",
+                "minor_tick_line_color": None,
+            },
+            "Grid": {"grid_line_color": GRID, "grid_line_alpha": 0.7},
+            "Legend": {
+                "label_text_font": FONT,
+                "label_text_font_size": "12px",
+                "border_line_color": None,
+                "background_fill_alpha": 0.0,
+                "padding": 0,
+                "margin": 0,
+                "spacing": 14,
+                "glyph_width": 22,
+            },
+            "BaseColorBar": {
+                "major_label_text_font": FONT,
+                "major_label_text_font_size": "12px",
+                "title_text_font": FONT,
+                "title_text_font_size": "12px",
+                "title_text_font_style": "normal",
+            },
+        }
+    }
+)
+
+_STYLE = Path(__file__).with_name("panel.css").read_text(encoding="utf-8")
+
+
+def panel(name: str, html: str = "") -> Div:
+    """An HTML element that fills its card; `name` is its place in the template."""
+    return Div(name=name, text=html, margin=0, sizing_mode="stretch_width", stylesheets=[_STYLE])
+
+
+def text(words: object) -> str:
+    """Escape text from the graph for HTML."""
+    return escape(str(words))

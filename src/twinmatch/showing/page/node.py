@@ -1,0 +1,201 @@
+"""The node behind the page: subscribes to the graph, fills the state, carries out requests of the page."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from sensor_msgs.msg import Image
+
+from twinmatch.description import UNDESCRIBED
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.conversions import verdict_from
+from twinmatch.nodes.descriptions import description_from
+from twinmatch.nodes.diagnostics import Level, Report
+from twinmatch.nodes.forecast_messages import forecast_from
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.sample_messages import one_of, sample_from
+from twinmatch.nodes.samples import LATCHED
+from twinmatch.nodes.serving import is_loopback
+from twinmatch.nodes.twin_parameters import read_settings
+from twinmatch.plants import plant_named
+from twinmatch.plants.named import description_of
+from twinmatch.showing.page.page import Page
+from twinmatch.showing.page.requests import Requests
+from twinmatch.showing.page.sentence import update_sentence
+from twinmatch.showing.page.server import PageServer
+from twinmatch.showing.page.state import DashboardState, Drive, TwinRow
+from twinmatch.twin import TwinSettings
+from twinmatch_msgs.msg import (
+    Forecast,
+    LoopSample,
+    ModelScore,
+    PlantApplied,
+    PlantDescription,
+    PwmApplied,
+    TwinState,
+)
+
+__all__ = ["Dashboard"]
+
+ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+"""The queue holds two seconds of a recording played at a thousand times its speed."""
+SUM_UP = 1.0
+"""Seconds between checks for a new verdict, with which the session is summarised."""
+POLL = 0.05
+"""Seconds between checks for requests of the page."""
+
+
+class Dashboard(TwinmatchNode):
+    """Shows the graph of its namespace; without `control` it publishes only its health."""
+
+    NAME = "dashboard"
+    PARAMETERS = (
+        Parameter(
+            "address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."
+        ),
+        Parameter("port", 5006, "TCP port; 0: any free port.", "", 0, 65535),
+        Parameter("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
+        Parameter("control", False, "Whether the page may set the set-point, clear faults and stop."),
+    )
+    CLOSING = 4
+
+    _server: PageServer | None = None
+
+    def read_parameters(self) -> None:
+        """Read the parameters of the twin's nodes.
+
+        Raises:
+            ParameterError: the file cannot be used.
+        """
+        path = self.values["config"]
+        self._settings = read_settings(Path(path) if path else None)
+
+    def open(self) -> None:
+        """Subscribe to the graph and serve the page.
+
+        Raises:
+            DashboardError: the address or port cannot be used.
+        """
+        known = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
+        self.state = DashboardState(described=known)
+        self._queued: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._requests = Requests(
+            self,
+            self.state,
+            self._queued.put,
+            control=self.values["control"],
+            plant=lambda: self._settings.plant,
+        )
+        self._subscribe(PlantDescription, "plant/description", self._on_description, LATCHED)
+        self._subscribe(LoopSample, "plant/sample", self._on_sample, ALL)
+        self._subscribe(TwinState, "twin/state", self._on_twin, ALL)
+        self._subscribe(Forecast, "twin/forecast", self._on_forecast, ALL)
+        self._subscribe(ModelScore, "twin/model_score", self._on_score, ALL)
+        self._subscribe(PwmApplied, "plant/pwm_applied", self._on_pwm, ALL)
+        self._subscribe(PlantApplied, "plant/applied", self._on_applied, ALL)
+        self._subscribe(DiagnosticArray, "/diagnostics", self._on_health, ALL)
+        self._subscribe(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
+        self._summed_up = 0
+        self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        address = self.values["address"]
+        self._server = PageServer(address, self.values["port"], self._fill)
+        if not is_loopback(address):
+            able = "read this page and command the plant" if self.values["control"] else "read this page"
+            print(
+                f"PAGE OPEN: anyone who can reach {address} may {able}; the connection is not encrypted",
+                flush=True,
+            )
+        print(f"page: {self._server.url}", flush=True)
+        self.report_on()
+
+    @property
+    def failure(self) -> Exception | None:
+        """The error that ended the server."""
+        return None if self._server is None else self._server.failure
+
+    def report(self) -> Report:
+        """Report the page's address and the number of open tabs."""
+        if self._server is not None:
+            self.health.set("page", self._server.url)
+            self.health.set("tabs", self._server.tabs)
+        return super().report()
+
+    def close(self) -> bool:
+        """Stop the server."""
+        return self._server is None or self._server.close()
+
+    def _fill(self, document: Any) -> None:
+        Page(self.state, self._requests).build(document)
+
+    def _subscribe(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> None:
+        """Subscribe; an invalid message is reported and dropped."""
+
+        def receive(message: Any) -> None:
+            try:
+                take(message)
+            except TwinmatchError as error:
+                self.health.flag(topic, Level.WARN, f"{topic}: {error}")
+
+        self.create_subscription(kind, topic, receive, qos)
+
+    def _on_description(self, message: PlantDescription) -> None:
+        self.state.describe(description_from(message))
+        if not self.values["config"] and message.plant != self._settings.plant.name:
+            self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
+
+    def _on_sample(self, message: LoopSample) -> None:
+        self.state.push_sample(sample_from(message), time.monotonic())
+
+    def _on_twin(self, message: TwinState) -> None:
+        row = TwinRow(**{name: one_of(message, name) for name in TwinRow._fields})
+        self.state.push_twin(message.index, row)
+
+    def _on_forecast(self, message: Forecast) -> None:
+        self.state.push_forecast(forecast_from(message))
+
+    def _on_score(self, message: ModelScore) -> None:
+        self.state.push_verdict(verdict_from(message))
+
+    def _on_applied(self, message: PlantApplied) -> None:
+        self.state.push_drive(Drive(message.input, math.nan, message.fault))
+
+    def _on_pwm(self, message: PwmApplied) -> None:
+        self.state.push_drive(Drive(message.pwm, message.current, message.fault))
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
+        for status in message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            level = int.from_bytes(status.level, "little")
+            self.state.push_health(status.name, level, status.message, values, now)
+
+    def _on_image(self, message: Image) -> None:
+        if message.encoding != "32FC1" or message.step != 4 * message.width or not message.height:
+            return
+        kind = np.dtype(">f4" if message.is_bigendian else "<f4")
+        pixels = np.frombuffer(bytes(message.data), dtype=kind)
+        if pixels.size == message.height * message.width:
+            self.state.push_image(pixels.astype(np.float32).reshape(message.height, message.width))
+
+    def _sum_up(self) -> None:
+        if self._summed_up != self.state.verdicts:
+            self._summed_up = self.state.verdicts
+            update_sentence(self.state, self._settings.gains)
+
+    def _run_requests(self) -> None:
+        while True:
+            try:
+                self._queued.get_nowait()()
+            except Empty:
+                return

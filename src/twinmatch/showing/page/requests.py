@@ -1,0 +1,169 @@
+"""Requests made on the page, as service calls and messages to the graph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from twinmatch.dynamics import Plant
+from twinmatch.nodes.forecast_messages import forecast_from
+from twinmatch.nodes.samples import RELIABLE
+from twinmatch.showing.forecast import forecast_words
+from twinmatch.showing.page.state import Answered, DashboardState
+from twinmatch_msgs.srv import WhatIf
+
+__all__ = ["Requests"]
+
+SOURCE = ("reference_source", "profile.lowest", "profile.highest")
+"""Parameters of the controller that show whether it follows a set-point from outside."""
+
+
+class Requests:
+    """`Actions` through a node. Callable from any thread; the work is done in the node's own thread.
+
+    Without `control` there is no publisher or client that could move the rig.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        state: DashboardState,
+        later: Callable[[Callable[[], None]], None],
+        *,
+        control: bool,
+        plant: Callable[[], type[Plant]],
+    ) -> None:
+        """Make clients; `later` queues a function for the node's thread, `plant` returns the plant in use."""
+        self._node, self._state, self._later, self._plant = node, state, later, plant
+        self._control = control
+        self._pause = node.create_client(SetBool, "player/pause")
+        self._rate = node.create_client(SetParameters, "player/set_parameters")
+        self._ahead = node.create_client(WhatIf, "twin/what_if")
+        if control:
+            self._clear = node.create_client(Trigger, "plant/clear_fault")
+            self._stop = node.create_client(Trigger, "plant/stop")
+            self._limits = node.create_client(GetParameters, "controller/get_parameters")
+            # Not latched: a restarted controller must not receive an old request.
+            quiet = PublisherEventCallbacks(use_default_callbacks=False)
+            self._reference = node.create_publisher(
+                Float64, "plant/reference", RELIABLE, event_callbacks=quiet
+            )
+
+    @property
+    def control(self) -> bool:
+        """Whether the page may set the set-point, clear faults and stop."""
+        return self._control
+
+    def pause(self, paused: bool) -> None:
+        """Pause the player of a session, or continue."""
+        self._call(self._pause, SetBool.Request(data=paused), "the player", self._show_result)
+
+    def rate(self, rate: float) -> None:
+        """Set its speed in recorded seconds per second; 0: as fast as possible."""
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
+        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        self._call(self._rate, request, "the player", self._show_rate_result)
+
+    def what_if(self, level: float, hold: float | None) -> None:
+        """Ask the discriminator for a forecast with the set-point at a level, and back after a time (s)."""
+        said = self._state.described.reference
+        question = f"set-point {level:g} {said.unit}" + ("" if hold is None else f" for {hold:g} s")
+        request = WhatIf.Request(times=[0.0], levels=[level])
+        if hold is not None:
+            now = (self._state.plant.newest() or {"reference": level})["reference"]
+            request = WhatIf.Request(times=[0.0, hold], levels=[level, now])
+
+        def show(answer: WhatIf.Response) -> None:
+            if not answer.success:
+                self._state.answer(Answered(question, (answer.message,)))
+                return
+            forecast = forecast_from(answer.forecast)
+            lines = (*forecast_words(forecast, self._plant()), *forecast.notes)
+            self._state.answer(Answered(question, lines, forecast))
+
+        def show_text(why: str) -> None:
+            self._state.answer(Answered(question, (why,)))
+
+        show_text("waiting for the forecast")
+        self._call(self._ahead, request, "the discriminator", show, show_text)
+
+    def clear_fault(self) -> None:
+        """Allow the output to be driven again after a fault."""
+        if self._control:
+            self._call(self._clear, Trigger.Request(), "the node that drives the plant", self._show_result)
+
+    def stop(self) -> None:
+        """Hold the output at zero."""
+        if self._control:
+            self._call(self._stop, Trigger.Request(), "the node that drives the plant", self._show_result)
+
+    def set_point(self, level: float) -> None:
+        """Send the controller a set-point, once its parameters show that it follows one."""
+        if not self._control:
+            return
+
+        def send(answer: Any) -> None:
+            self._send_set_point(level, answer.values)
+
+        self._call(self._limits, GetParameters.Request(names=list(SOURCE)), "the controller", send)
+
+    def _send_set_point(self, level: float, values: list[Any]) -> None:
+        found = {name: value for name, value in zip(SOURCE, values, strict=False) if value.type}
+        if len(found) < len(SOURCE):
+            self._state.notify(False, "the controller does not report which set-points it follows")
+            return
+        unit = self._state.described.reference.unit
+        low, high = found["profile.lowest"].double_value, found["profile.highest"].double_value
+        if found["reference_source"].string_value != "topic":
+            self._state.notify(
+                False,
+                "the controller follows its own profile; start it with reference_source: topic",
+            )
+        elif not (math.isfinite(level) and low <= level <= high):
+            self._state.notify(
+                False, f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
+            )
+        else:
+            self._reference.publish(Float64(data=level))
+            self._state.notify(
+                True, f"requested {level:g} {unit}; the set-point above follows with the next sample"
+            )
+
+    def _call(
+        self,
+        client: Any,
+        request: Any,
+        server: str,
+        then: Callable[[Any], None],
+        otherwise: Callable[[str], None] | None = None,
+    ) -> None:
+        def call() -> None:
+            if not client.service_is_ready():
+                fail = otherwise or partial(self._state.notify, False)
+                fail(f"{server} is not running (no service {client.srv_name})")
+                return
+            client.call_async(request).add_done_callback(done)
+
+        def done(future: Any) -> None:
+            answer = future.result()
+            if answer is not None:
+                then(answer)
+
+        self._later(call)
+
+    def _show_result(self, answer: Any) -> None:
+        self._state.notify(answer.success, answer.message)
+
+    def _show_rate_result(self, answer: Any) -> None:
+        for result in answer.results:
+            if not result.successful:
+                self._state.notify(False, result.reason)

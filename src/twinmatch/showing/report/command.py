@@ -1,0 +1,73 @@
+"""`twinmatch report`: a session as a document to share."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twinmatch.offline.interrupt import held_interrupts
+from twinmatch.offline.options import add_terms
+from twinmatch.offline.outputs import check_writable
+from twinmatch.offline.progress import Progress
+
+if TYPE_CHECKING:
+    from twinmatch.showing.report.report import Report
+
+__all__ = ["add_arguments", "run"]
+
+FORMATS = ("png", "pdf")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    parser.add_argument("session", type=Path, help="session folder, .mcap file, or a recording (.mat, .csv)")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT", help="the file to write (default: SESSION.html, here)"
+    )
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="also write the figures into this folder")
+    parser.add_argument("--format", choices=FORMATS, default="png", help="their format (default: png)")
+    add_terms(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the report; returns the exit code.
+
+    Raises:
+        TwinmatchError: the session cannot be used, or a file cannot be written.
+    """
+    output: Path = options.output or Path(f"{_stem(options.session)}.html")
+    check_writable(output, example="report.html")
+    with held_interrupts():
+        report = _make(options)
+    report.write(output)
+    print(report.sentence)
+    print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB, opens in any browser, offline)")
+    if options.figures is not None:
+        from twinmatch.showing.report.pictures import write_pictures  # noqa: PLC0415 — keeps --help fast
+
+        written = write_pictures(report.pictures, options.figures, options.format)
+        print(f"figures: {len(written)} {options.format.upper()} files in {options.figures}")
+    return 0
+
+
+def _make(options: argparse.Namespace) -> Report:
+    from twinmatch.showing.report.report import make_report  # noqa: PLC0415 — keeps --help fast
+
+    with Progress() as progress:
+        return make_report(
+            options.session,
+            config=options.config,
+            candidates=options.candidates,
+            plant=options.plant,
+            watch=progress.advance,
+            progress=progress.reading,
+            command=shlex.join(["twinmatch", *sys.argv[1:]]),
+        )
+
+
+def _stem(session: Path) -> str:
+    resolved = session.resolve()
+    return resolved.name if resolved.is_dir() else resolved.stem

@@ -1,0 +1,100 @@
+"""Style of all figures: colours, line styles, fonts.
+
+A colour has the same meaning in every figure, on the live page and in the report. The colours are those of
+Okabe and Ito, which people with the common colour deficiencies can distinguish; where a colour carries
+information (a trust level, an accepted match), a shape or a word repeats it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from twinmatch.comparing import TrustLevel
+
+__all__ = [
+    "CLOSED",
+    "DRIVEN",
+    "FAMILY_MAP",
+    "GRID",
+    "LEVELS",
+    "LEVEL_WORDS",
+    "MATRIX_MAP",
+    "MODEL",
+    "ORDERS",
+    "PLANT",
+    "SET_POINT",
+    "TEXT",
+    "rc",
+]
+
+PLANT: Final = "#0072B2"
+"""Measurements of the plant."""
+CLOSED: Final = "#D55E00"
+"""The closed-loop twin, driven by the set-point."""
+DRIVEN: Final = "#A3417C"
+"""The driven twin, driven by the measured input."""
+MODEL: Final = "#1A1A1A"
+"""A Box–Jenkins model."""
+SET_POINT: Final = "#5C5C5C"
+TEXT: Final = "#1A1A1A"
+GRID: Final = "#D9D9D9"
+
+LEVELS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
+    {
+        TrustLevel.UNKNOWN: "#B5B5B5",
+        TrustLevel.TRUSTED: "#009E73",
+        TrustLevel.DOUBTFUL: "#E69F00",
+        TrustLevel.FAULT: "#B3001B",
+    }
+)
+LEVEL_WORDS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
+    {
+        TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
+        TrustLevel.TRUSTED: "measurements lie within the forecast bands",
+        TrustLevel.DOUBTFUL: "measurements lie outside the forecast bands",
+        TrustLevel.FAULT: "no twin explains the plant's behaviour",
+    }
+)
+
+ORDERS: Final = ("#56B4E9", "#0072B2", "#E69F00", "#5C5C5C")
+"""Of the Box–Jenkins orders, lowest first."""
+FAMILY_MAP: Final = "cividis"
+"""Colour map over the candidates of the family, coldest operating point first."""
+MATRIX_MAP: Final = "cividis_r"
+"""Colour map of the ν-gap matrix: light is close, dark is far."""
+
+
+def rc() -> dict[str, Any]:
+    """Settings for `matplotlib.rc_context`: dark text on white, quiet axes, the same file on every run."""
+    return {
+        "axes.axisbelow": True,
+        "axes.edgecolor": "#8C8C8C",
+        "axes.grid": True,
+        "axes.labelcolor": TEXT,
+        "axes.linewidth": 0.8,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "axes.titlelocation": "left",
+        "axes.titlesize": 10,
+        "figure.facecolor": "white",
+        "font.family": ["DejaVu Sans"],
+        "font.size": 9,
+        "grid.color": GRID,
+        "grid.linewidth": 0.6,
+        "legend.fontsize": 8,
+        "legend.frameon": False,
+        "lines.linewidth": 1.2,
+        "path.simplify": True,
+        "path.simplify_threshold": 0.3,
+        "pdf.fonttype": 42,
+        "savefig.dpi": 130,
+        "svg.fonttype": "path",
+        "svg.hashsalt": "twinmatch",
+        "text.color": TEXT,
+        "xtick.color": TEXT,
+        "xtick.labelsize": 8,
+        "ytick.color": TEXT,
+        "ytick.labelsize": 8,
+    }

@@ -1,0 +1,213 @@
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.comparing import (
+    DiscriminationError,
+    GraphSymbol,
+    chordal_distance,
+    graph_symbol,
+    nu_gap,
+    nu_gap_matrix,
+    nu_gap_of,
+)
+
+S = control.tf("s")
+
+PUBLISHED = [
+    (1 / (S - 0.001), 1 / (S + 0.001), 0.00199999, 1e-8),
+    ((S + 2) / (S**2 + 5 * S + 10), (S + 1) / (S**2 + 3 * S + 10), 0.1390482, 1e-7),
+    (100 / (S + 1), 100 / (S - 1), 0.019998, 1e-6),
+    (100 / (S + 1), 100 / ((S + 1) * (0.025 * S + 1) ** 2), 0.88841, 1e-5),
+    (0.1 / (S + 1), 0.1 / (S - 1), 1.0, 0),
+    (1 / (S + 1), -1 / (S + 1), 1.0, 0),
+]
+
+seeds = st.integers(0, 10**9)
+
+
+@pytest.mark.parametrize(("p1", "p2", "published", "digit"), PUBLISHED)
+def test_published_pairs(p1: object, p2: object, published: float, digit: float) -> None:
+    assert nu_gap(p1, p2) == pytest.approx(published, abs=digit)
+    assert nu_gap(control.ss(p1), control.ss(p2)) == pytest.approx(published, abs=digit)
+    tustin = [control.sample_system(p, 0.5, method="bilinear") for p in (p1, p2)]
+    assert nu_gap(*tustin) == pytest.approx(published, abs=digit + 1e-11)
+
+
+def test_closed_forms() -> None:
+    """First-order pairs whose maximum can be found by hand."""
+    # static gains: |a − b| / √(1 + a²) √(1 + b²)
+    assert nu_gap(control.tf([2], [1]), control.tf([3], [1])) == pytest.approx(1 / math.sqrt(50), rel=1e-15)
+    # 1/s and a/s: at Ω² = a the distance is (a − 1)/(a + 1)
+    assert nu_gap(1 / S, 1.1 / S) == pytest.approx(0.1 / 2.1, rel=1e-14)
+    # 1/s and 1/s²: largest where Ω⁴ = 1: 1/√2
+    assert nu_gap(1 / S, 1 / S**2) == pytest.approx(math.sqrt(0.5), rel=1e-14)
+    # a lag against its own gain: antipodal nowhere, largest at infinity
+    assert nu_gap(2 / (S + 1), control.tf([2], [1])) == pytest.approx(2 / math.sqrt(5), rel=1e-14)
+
+
+@pytest.mark.parametrize("damping", [1e-3, 1e-6, 1e-9])
+def test_a_resonance_of_vanishing_width_is_not_missed(damping: float) -> None:
+    """A residue as small as the damping moves the gain at resonance by a half, however narrow it is."""
+    resonant = [damping * p for p in (1.0, 1.0)]
+    pole = np.array([1.0, 2 * damping, 1.0])
+    g1 = GraphSymbol.of_polynomials([1.0, 1.0], [[1.0]], 0.0)
+    g2 = GraphSymbol.of_polynomials(np.polymul([1.0, 1.0], pole), [np.polyadd(pole, resonant)], 0.0)
+    assert nu_gap_of(g1, g2) == pytest.approx(0.27472, abs=3e-5)
+
+
+def test_an_unstable_pole_that_nearly_cancels_fails_the_winding_condition() -> None:
+    near = np.polymul([1.0, 2.0], [1.0, -1.3])
+    p1 = GraphSymbol.of_polynomials(near, [[1.0, -1.3 + 1e-6]], 0.0)
+    p2 = GraphSymbol.of_polynomials([1.0, 2.1], [[1.1]], 0.0)
+    assert chordal_distance(p1, p2, np.logspace(-3, 3, 50)).max() < 0.03
+    assert nu_gap(p1, p2) == 1.0
+
+
+def closed_loop(rng: np.random.Generator, order: int) -> GraphSymbol:
+    """Like a model from set-point to [temperature; control]: slow poles, gains 1 and some 45."""
+    fractions = []
+    for gain in (1.0, 45.0):
+        poles = [1 - 10 ** rng.uniform(-3, -1.5)]
+        while len(poles) < order:
+            if order - len(poles) > 1 and rng.random() < 0.5:
+                pole = rng.uniform(0.8, 0.99) * np.exp(1j * rng.uniform(0, 0.3))
+                poles += [pole, pole.conjugate()]
+            else:
+                poles.append(rng.uniform(0.2, 0.99))
+        f = np.poly(poles).real
+        b = np.poly(rng.uniform(0, 0.995, order - 1)).real
+        b *= (f.sum() if gain == 1 else gain * rng.uniform(0.5, 1)) / (b.sum() if gain == 1 else 1)
+        fractions.append((np.concatenate([[0.0], b]), f))
+    return GraphSymbol.of_fractions(fractions, 1.0)
+
+
+@pytest.mark.parametrize("order", [2, 3, 4, 5])
+def test_closed_loop_models_against_a_dense_grid(order: int) -> None:
+    """The gap bounds every sample; where it is not a winding failure, a dense grid comes close to it."""
+    rng = np.random.default_rng(order)
+    grid = np.concatenate([[0], np.logspace(-6, math.log10(math.pi), 4000), [math.pi]])
+    reached = 0
+    for g1, g2 in combinations([closed_loop(rng, order) for _ in range(5)], 2):
+        gap = nu_gap_of(g1, g2)
+        top = float(chordal_distance(g1, g2, grid).max())
+        assert gap >= top * (1 - 1e-14)
+        reached += gap == pytest.approx(top, rel=1e-5)
+        assert gap == pytest.approx(top, rel=1e-5) or gap == 1.0
+    assert reached >= 3
+
+
+def model(rng: np.random.Generator, outputs: int = 2, order: int = 3, period: float = 0.0) -> GraphSymbol:
+    """Poles anywhere, some unstable."""
+    fractions = []
+    for _ in range(outputs):
+        roots = rng.normal(-0.5, 1.0, order) if period == 0 else rng.uniform(-1.1, 1.1, order)
+        fractions.append((rng.normal(size=order), np.poly(roots)))
+    return GraphSymbol.of_transfer_functions(fractions, period)
+
+
+@given(seeds, st.integers(1, 3), st.integers(1, 4), st.sampled_from([0.0, 1.0]))
+def test_it_is_a_distance(seed: int, outputs: int, order: int, period: float) -> None:
+    rng = np.random.default_rng(seed)
+    a, b, c = (model(rng, outputs, order, period) for _ in range(3))
+    ab, bc, ac = nu_gap_of(a, b), nu_gap_of(b, c), nu_gap_of(a, c)
+    assert all(0 <= gap <= 1 for gap in (ab, bc, ac))
+    assert nu_gap_of(b, a) == pytest.approx(ab, rel=1e-12)
+    assert nu_gap_of(a, a) == 0.0
+    assert ac <= ab + bc + 1e-12
+
+
+@given(seeds, st.sampled_from([0.0, 0.5]))
+def test_it_bounds_the_chordal_distance_at_every_frequency(seed: int, period: float) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = model(rng, period=period), model(rng, period=period)
+    frequencies = np.exp(rng.normal(0, 3, 20)) if period == 0 else rng.uniform(0, math.pi / period, 20)
+    assert np.all(chordal_distance(a, b, frequencies) <= nu_gap_of(a, b) + 1e-14)
+
+
+@given(seeds, st.integers(1, 3), st.floats(0.1, 10))
+def test_it_does_not_change_under_the_bilinear_map(seed: int, order: int, rate: float) -> None:
+    rng = np.random.default_rng(seed)
+    continuous, discrete = [], []
+    for _ in range(2):
+        polynomials = [np.poly(rng.normal(-0.5, 1.0, order)), rng.normal(size=order + 1)]
+        continuous.append(GraphSymbol.of_polynomials(polynomials[0], polynomials[1:], 0.0))
+        mapped = []
+        for p in polynomials:  # s = rate·(z − 1)/(z + 1)
+            terms = [
+                c * rate ** (order - k) * np.poly([1.0] * (order - k) + [-1.0] * k) for k, c in enumerate(p)
+            ]
+            mapped.append(np.sum(terms, axis=0))
+        discrete.append(GraphSymbol.of_polynomials(mapped[0], mapped[1:], 1.0))
+    # the map itself rounds the coefficients; what that does depends on how ill-placed they are
+    assert nu_gap_of(*discrete) == pytest.approx(nu_gap_of(*continuous), rel=1e-7)
+
+
+@given(seeds)
+def test_small_gain_changes_are_small_gaps(seed: int) -> None:
+    """P and (1 + ε)P are ε|P|/(1 + |P|²) apart, at most ε/2, to first order in ε."""
+    rng = np.random.default_rng(seed)
+    d, n = np.poly(rng.normal(-0.5, 1.0, 3)), rng.normal(size=3)
+    g1 = GraphSymbol.of_polynomials(d, [n], 0.0)
+    g2 = GraphSymbol.of_polynomials(d, [n * (1 + 2.0**-27)], 0.0)
+    frequencies = np.logspace(-4, 4, 4000)
+    size = np.abs(np.polyval(n, 1j * frequencies) / np.polyval(d, 1j * frequencies))
+    assert nu_gap_of(g1, g2) <= 2.0**-28 * (1 + 1e-7)
+    assert nu_gap_of(g1, g2) >= 2.0**-27 * np.max(size / (1 + size**2)) * (1 - 1e-7)
+
+
+def test_matrix_of_all_pairs() -> None:
+    systems = [1 / (S + k) for k in (1, 2, 3)]
+    gaps = nu_gap_matrix(systems)
+    assert gaps.shape == (3, 3)
+    assert np.array_equal(gaps, gaps.T)
+    assert np.all(np.diag(gaps) == 0)
+    assert gaps[0, 2] == nu_gap(systems[2], systems[0])
+    assert nu_gap_matrix([]).shape == (0, 0)
+
+
+def test_chordal_distance_of_known_points() -> None:
+    p1, p2 = 1 / S, 1.1 / S
+    w = np.array([[0.0, 1.0], [2.0, 1e9]])
+    expected = 0.1 * w / np.sqrt((1 + w**2) * (1.21 + w**2))
+    assert np.allclose(chordal_distance(p1, p2, w), expected, rtol=1e-14, atol=0)
+    z = control.tf([1, 0], [1], 0.1)
+    d = chordal_distance(0.5 / (z - 0.5), 0.25 / (z - 0.5), [0.0, math.pi / 0.1])
+    assert d == pytest.approx([0.5 / math.sqrt(2 * 1.25), (1 / 6) / math.sqrt((1 + 1 / 9) * (1 + 1 / 36))])
+
+
+@pytest.mark.parametrize("frequency", [-1.0, math.nan, 32.0])
+def test_frequencies_off_the_axis_are_refused(frequency: float) -> None:
+    z = control.tf([1, 0], [1], 0.1)
+    with pytest.raises(DiscriminationError, match=r"give 0 to 31\.4"):
+        chordal_distance(1 / z, 2 / z, [1.0, frequency])
+
+
+def test_models_of_different_kinds_are_refused() -> None:
+    z = control.tf([1, 0], [1], 0.1)
+    with pytest.raises(DiscriminationError, match=r"period 0\.0, the other 0\.1"):
+        nu_gap(1 / (S + 1), 1 / (z - 0.5))
+    with pytest.raises(DiscriminationError, match=r"period 0\.1, the other 0\.2"):
+        nu_gap(1 / (z - 0.5), control.tf([1], [1, -0.5], dt=0.2))
+    with pytest.raises(DiscriminationError, match="one model has 1 outputs, the other 2"):
+        nu_gap(1 / (S + 1), control.tf([[[1]], [[1]]], [[[1, 1]], [[1, 2]]]))
+
+
+def test_open_time_bases_agree_with_any_that_fits() -> None:
+    sampled = control.tf([1], [1, -0.5], dt=0.1)
+    unspecified = control.tf([1], [1, -0.5], dt=True)
+    assert nu_gap(sampled, unspecified) == 0.0
+    assert nu_gap(unspecified, sampled) == 0.0
+    with pytest.raises(DiscriminationError, match=r"period True, the other 0\.0"):
+        nu_gap(unspecified, 1 / (S + 1))
+    gain = control.tf([2], [1], dt=None)
+    assert nu_gap(gain, control.tf([2], [1], dt=0.1)) == 0.0
+    assert nu_gap(1 / (S + 1), gain) == nu_gap(1 / (S + 1), control.tf([2], [1]))
+    assert graph_symbol(control.tf([1], [1, 1], dt=None)).period == 0.0

@@ -1,0 +1,204 @@
+"""The ν-gap against brute force with 60 digits that shares nothing with it but the definition."""
+
+from __future__ import annotations
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from twinmatch.comparing import GraphSymbol, nu_gap_of
+
+# mpmath 1.4 wants the order of coefficients named, 1.3 does not know the name
+pytestmark = pytest.mark.filterwarnings("ignore:Descending:DeprecationWarning")
+
+Fractions = list[tuple[np.ndarray, np.ndarray]]
+
+
+def on_axis(t: object, discrete: bool) -> object:
+    """t ∈ ℝ to the upper half of the unit circle or the positive imaginary axis."""
+    s = mp.mpc(0, mp.exp(t))
+    return (1 + s) / (1 - s) if discrete else s
+
+
+def distance(p1: Fractions, p2: Fractions, t: object, discrete: bool) -> object:
+    """√(1 − |1 + P2* P1|² / (1 + |P1|²)(1 + |P2|²)), to the letter."""
+    x = on_axis(t, discrete)
+    a, b = ([mp.polyval(list(n), x) / mp.polyval(list(d), x) for n, d in p] for p in (p1, p2))
+    inner = 1 + sum(mp.conj(v) * w for v, w in zip(b, a, strict=True))
+    sizes = (1 + sum(abs(v) ** 2 for v in a)) * (1 + sum(abs(v) ** 2 for v in b))
+    return mp.sqrt(max(mp.mpf(0), 1 - abs(inner) ** 2 / sizes))
+
+
+def largest(p1: Fractions, p2: Fractions, discrete: bool) -> object:
+    """Samples 0.06 apart in ln Ω, then golden section around the best three; and both ends."""
+    nodes = [mp.mpf(k) * 6 / 100 for k in range(-200, 201)]
+    values = [distance(p1, p2, t, discrete) for t in nodes]
+    best = max(*values, *(distance(p1, p2, mp.mpf(end), discrete) for end in (-60, 60)))
+    golden = (mp.sqrt(5) - 1) / 2
+    for k in sorted(range(1, len(nodes) - 1), key=lambda k: -values[k])[:3]:
+        low, high = nodes[k - 1], nodes[k + 1]
+        for _ in range(40):
+            left, right = high - golden * (high - low), low + golden * (high - low)
+            if distance(p1, p2, left, discrete) > distance(p1, p2, right, discrete):
+                high = right
+            else:
+                low = left
+        best = max(best, distance(p1, p2, (low + high) / 2, discrete))
+    return best
+
+
+def product(a: list[object], b: list[object]) -> list[object]:
+    out = [mp.mpf(0)] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            out[i + j] += x * y
+    return out
+
+
+def winds(p1: Fractions, p2: Fractions, discrete: bool) -> bool:
+    """Roots of d2~ d1 + N2~ N1 on the stable side: as many as the order of the first model."""
+
+    def column(p: Fractions) -> list[list[object]]:
+        (n, d), *more = [([mp.mpf(float(c)) for c in n], [mp.mpf(float(c)) for c in d]) for n, d in p]
+        whole = [d, n]
+        for n_more, d_more in more:
+            if d_more == d:
+                whole.append(n_more)
+            else:
+                whole = [*(product(e, d_more) for e in whole), product(n_more, d)]
+        width = max(map(len, whole))
+        return [[mp.mpf(0)] * (width - len(e)) + e for e in whole]
+
+    g1, g2 = column(p1), column(p2)
+    if discrete:
+        mirrored = [e[::-1] for e in g2]
+    else:
+        mirrored = [[c * (-1) ** (len(e) - 1 - k) for k, c in enumerate(e)] for e in g2]
+    terms = [product(a, b) for a, b in zip(g1, mirrored, strict=True)]
+    roots = mp.polyroots([mp.fsum(cs) for cs in zip(*terms, strict=True)], maxsteps=500, extraprec=400)
+    stable = sum(bool(abs(r) < 1) if discrete else bool(mp.re(r) < 0) for r in roots)
+    return stable != len(g1[0]) - 1
+
+
+def random_model(rng: np.random.Generator, order: int, discrete: bool, outputs: int) -> Fractions:
+    """Damping down to 0.1, corner frequencies within two decades, a third of the models unstable."""
+
+    def polynomial(degree: int, stable: bool) -> np.ndarray:
+        roots: list[complex] = []
+        while len(roots) < degree:
+            size, damping = 10 ** rng.uniform(-1.5, 0.5), rng.uniform(0.1, 1)
+            side = -1 if stable or rng.random() < 0.8 else 1
+            if degree - len(roots) > 1:
+                pair = size * (side * damping + 1j * np.sqrt(1 - damping**2))
+                roots += [pair, pair.conjugate()]
+            else:
+                roots.append(size * side)
+        s = np.array(roots)
+        return np.atleast_1d(np.poly((1 + s) / (1 - s) if discrete else s)).real
+
+    fractions = []
+    d = polynomial(order, bool(rng.random() < 0.7))
+    for _ in range(outputs):
+        n = polynomial(order - 1, False)
+        gain = 10 ** rng.uniform(-1, 1.5) * abs(np.polyval(d, 1j) / np.polyval(n, 1j))
+        fractions.append((n * gain, d))
+        if order <= 5:
+            d = polynomial(order, True)
+    return fractions
+
+
+def nudged(rng: np.random.Generator, p: Fractions, size: float) -> Fractions:
+    same = all(np.array_equal(d, p[0][1]) for _, d in p)
+    shared = p[0][1] * (1 + size * rng.standard_normal(p[0][1].size))
+    return [
+        (
+            n * (1 + size * rng.standard_normal(n.size)),
+            shared if same else d * (1 + size * rng.standard_normal(d.size)),
+        )
+        for n, d in p
+    ]
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("nudge", [None, 1e-3, 1e-8])
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 7, 10])
+def test_random_models_to_twelve_digits(order: int, nudge: float | None, discrete: bool) -> None:
+    rng = np.random.default_rng(100 * order + 10 * discrete + (0 if nudge is None else -int(np.log10(nudge))))
+    outputs = 1 + order % 2
+    p1 = random_model(rng, order, discrete, outputs)
+    p2 = random_model(rng, order, discrete, outputs) if nudge is None else nudged(rng, p1, nudge)
+    gap = nu_gap_of(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
+    with mp.workdps(60):
+        expected = mp.mpf(1) if winds(p1, p2, discrete) else largest(p1, p2, discrete)
+        assert abs(gap - expected) <= 1e-12 * expected
+
+
+def test_the_winding_condition_is_decided_as_the_roots_decide_it() -> None:
+    """First and second order, half of them unstable: both verdicts have to occur often."""
+    rng = np.random.default_rng(11)
+    failures = 0
+    for _ in range(60):
+        order = int(rng.integers(1, 3))
+        p1, p2 = ([(rng.normal(size=order), np.poly(rng.normal(0, 1, order)))] for _ in range(2))
+        g1, g2 = (GraphSymbol.of_transfer_functions(p, 0.0) for p in (p1, p2))
+        with mp.workdps(40):
+            expected = winds(p1, p2, False)
+        assert (nu_gap_of(g1, g2) == 1.0) == expected
+        failures += expected
+    assert 15 < failures < 45
+
+
+def on_the_boundary(rng: np.random.Generator, discrete: bool, order: int) -> Fractions:
+    """Two outputs with an integrator or an undamped pair each, exactly on the boundary, and damped poles."""
+    fractions = []
+    for k in range(2):
+        if k == 0:
+            edge = np.array([1.0, -1.0]) if discrete else np.array([1.0, 0.0])
+        else:  # binary fractions: the circle is hit exactly
+            edge = np.array([1.0, -1.25, 1.0]) if discrete else np.array([1.0, 0.0, 0.5625])
+        damped = np.atleast_1d(np.poly(rng.uniform(0.2, 0.9, order) - (0 if discrete else 1)))
+        fractions.append((rng.normal(size=edge.size + order - 1), np.polymul(edge, damped)))
+    return fractions
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("nudge", [None, 1e-8])
+@pytest.mark.parametrize("order", [1, 3])
+def test_poles_on_the_boundary_cost_no_digit(order: int, nudge: float | None, discrete: bool) -> None:
+    rng = np.random.default_rng(1000 + order)
+    p1 = on_the_boundary(rng, discrete, order)
+    if nudge is None:
+        p2 = on_the_boundary(rng, discrete, order)
+    else:  # only the numerators: both keep their poles on the boundary
+        p2 = [(n * (1 + nudge * rng.standard_normal(n.size)), d) for n, d in p1]
+    gap = nu_gap_of(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
+    with mp.workdps(60):
+        expected = mp.mpf(1) if winds(p1, p2, discrete) else largest(p1, p2, discrete)
+        assert abs(gap - expected) <= 1e-12 * expected
+    assert (gap < 1e-6) == (nudge is not None)
+
+
+def balanced(rng: np.random.Generator, order: int, discrete: bool, outputs: int) -> Fractions:
+    """Small gain, one denominator, every root as likely unstable as stable."""
+    s = rng.uniform(0.1, 2.0, order) * rng.choice([-1, 1], order) + 0j
+    if order > 1:
+        s[1] = s[0].conjugate() if rng.random() < 0.5 else s[1]
+        s[:2] += 1j * rng.uniform(0, 2) * np.array([1, -1]) if s[0] == s[1] else 0
+    d = np.atleast_1d(np.poly((1 + s) / (1 - s) if discrete else s)).real
+    return [(0.05 * rng.normal(size=order + discrete), d) for _ in range(outputs)]
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_every_failing_of_the_winding_condition_is_found(outputs: int, discrete: bool) -> None:
+    """With small gains distances stay below 1 but near a pole, so that mostly the winding makes a 1."""
+    rng = np.random.default_rng(7 * outputs + discrete)
+    failures = 0
+    for k in range(32):
+        p1, p2 = (balanced(rng, 1 + k % 4, discrete, outputs) for _ in range(2))
+        g1, g2 = (GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2))
+        with mp.workdps(30):
+            expected = winds(p1, p2, discrete)
+        assert (nu_gap_of(g1, g2) == 1.0) == expected
+        failures += expected
+    assert 8 <= failures <= 28

@@ -1,0 +1,257 @@
+"""ν-gaps between the plants of twins, against a grid of frequencies and against how the twins behave."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import spearmanr
+
+from tests.support.plants import Lag
+from twinmatch.comparing import (
+    DiscriminationError,
+    Held,
+    Scales,
+    loop_plant,
+    nu_gap_of,
+    plant_gap,
+    plant_gaps,
+    spans_of,
+)
+from twinmatch.comparing.held import ANGLES, held, held_slopes, held_symbol
+from twinmatch.dynamics import (
+    Parameters,
+    PidGains,
+    PlantError,
+    advance,
+    begin,
+    gains_of,
+    linearised,
+    rest_at,
+    simulate_closed_loop,
+)
+from twinmatch.plants import Peltier
+from twinmatch.signals import FloatArray
+
+MODEL = Peltier.model()
+RICH = Peltier.model("sink with mass, free ambient, switched drive")
+GAINS = gains_of(Peltier, 1.0)
+TERMS = Held(GAINS, spans_of(Peltier))
+POINTS = (30.0, 50.0, 70.0, 90.0)
+ONE = MODEL.parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+OTHER = MODEL.parameters(seebeck=0.075, conductance=0.4, heat_capacity=24.0)
+
+
+def plates() -> st.SearchStrategy[Parameters]:
+    """Twins with a held sink or with one that has a mass."""
+    held_sink = st.builds(
+        MODEL.parameters,
+        seebeck=st.floats(0.03, 0.12),
+        conductance=st.floats(0.1, 1.0),
+        heat_capacity=st.floats(15.0, 60.0),
+    )
+    massive = st.builds(
+        RICH.parameters,
+        seebeck=st.floats(0.03, 0.12),
+        conductance=st.floats(0.1, 1.0),
+        heat_capacity=st.floats(15.0, 60.0),
+        ambient=st.floats(285.0, 305.0),
+        sink_heat_capacity=st.floats(50.0, 2000.0),
+        sink_convection=st.floats(0.2, 20.0),
+    )
+    return held_sink | massive
+
+
+def brute_force(one: Parameters, other: Parameters, point: float) -> float:
+    """Largest chordal distance on a grid of frequencies, the plants from differences of single ticks."""
+    scale = 255.0 / 35.0
+    z = np.exp(1j * np.concatenate([[0.0], np.geomspace(1e-5, np.pi, 20_000)]))
+    p, q = (scale * tick_response(twin, point, z) for twin in (one, other))
+    return float(np.max(np.abs(p - q) / np.sqrt((1 + np.abs(p) ** 2) * (1 + np.abs(q) ** 2))))
+
+
+def tick_response(twin: Parameters, point: float, z: FloatArray) -> FloatArray:
+    """b/(z − a) of a plate on a held sink."""
+    rest = rest_at(twin, point)
+    h = 1e-3
+
+    def after(states: FloatArray, u: float) -> float:
+        return float(advance(twin, states, u, 1.0)[0])
+
+    a = (after(rest.states + h, rest.input) - after(rest.states - h, rest.input)) / (2 * h)
+    b = (after(rest.states, rest.input + h) - after(rest.states, rest.input - h)) / (2 * h)
+    return b / (z - a)
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_it_is_the_largest_chordal_distance_of_the_physics(point: float) -> None:
+    """The loop holds a plate on a held sink at its rest, but for what a regime leaves of the transient."""
+    assert plant_gap(ONE, OTHER, [point], TERMS) == pytest.approx(brute_force(ONE, OTHER, point), rel=1e-3)
+
+
+def test_over_points_it_is_the_largest() -> None:
+    found = plant_gaps([ONE, OTHER], POINTS, TERMS)
+    assert found.points == POINTS
+    assert found.left_out == ()
+    single = [plant_gap(ONE, OTHER, [point], TERMS) for point in POINTS]
+    assert found.at[:, 0, 1].tolist() == single
+    assert found.matrix[0, 1] == max(single)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(plates(), min_size=3, max_size=3), st.sets(st.floats(25.0, 95.0), min_size=1, max_size=3))
+def test_it_is_a_metric(twins: list[Parameters], points: set[float]) -> None:
+    gaps = plant_gaps(twins, sorted(points), TERMS).matrix
+    assert np.array_equal(gaps, gaps.T)
+    assert np.all(np.diag(gaps) == 0.0)
+    assert np.all((gaps >= 0.0) & (gaps <= 1.0))
+    for i, j, k in itertools.permutations(range(3)):
+        assert gaps[i, j] <= gaps[i, k] + gaps[k, j] + 1e-12
+
+
+@settings(max_examples=20, deadline=None)
+@given(plates(), plates(), st.floats(0.01, 100.0))
+def test_it_does_not_depend_on_order_or_common_units(
+    one: Parameters, other: Parameters, factor: float
+) -> None:
+    gap = plant_gap(one, other, POINTS, TERMS)
+    assert plant_gap(other, one, POINTS, TERMS) == pytest.approx(gap, abs=1e-9)
+    scaled = Held(GAINS, Scales(35.0 * factor, 255.0 * factor))
+    assert plant_gap(one, other, POINTS, scaled) == pytest.approx(gap, abs=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(plates())
+def test_equal_twins_are_at_no_distance(twin: Parameters) -> None:
+    again = twin.model.parameters(**twin)
+    assert again is not twin
+    assert plant_gap(twin, again, POINTS, TERMS) == 0.0
+
+
+def test_what_a_plant_is_called_does_not_matter() -> None:
+    """The paper's structure and one whose ambient happens to be the paper's are one plant."""
+    values = {"seebeck": 0.06, "conductance": 0.6, "heat_capacity": 28.0, "ambient": ONE["ambient"]}
+    named_otherwise = Peltier.model("held sink, free ambient").parameters(**values)
+    assert plant_gap(ONE, named_otherwise, POINTS, TERMS) == 0.0
+
+
+def test_a_heavy_sink_comes_near_a_held_one() -> None:
+    """Structures with different states are compared, and the richer one has the poorer as its limit."""
+    values = {"seebeck": 0.06, "conductance": 0.6, "heat_capacity": 28.0, "ambient": ONE["ambient"]}
+    model = Peltier.model("sink with mass, free ambient")
+    gaps = [
+        plant_gap(
+            ONE, model.parameters(**values, sink_heat_capacity=mass, sink_convection=cooling), POINTS, TERMS
+        )
+        for mass, cooling in ((100.0, 3.0), (1e3, 30.0), (1e5, 3e3), (1e7, 3e5))
+    ]
+    assert gaps[0] > gaps[1] > gaps[2] > gaps[3]
+    assert gaps[0] > 0.05
+    assert gaps[3] < 1e-4
+
+
+def test_a_twin_that_cannot_rest_is_taken_as_the_loop_holds_it() -> None:
+    """With little convection no input is found that holds it at 70 °C for ever; for minutes one does."""
+    adrift = RICH.parameters(sink_heat_capacity=2000.0, sink_convection=0.5)
+    with pytest.raises(PlantError, match="no PWM between"):
+        rest_at(adrift, 70.0)
+    found = plant_gaps([ONE, adrift], [70.0], TERMS)
+    assert found.points == (70.0,)
+    assert 0.0 < found.matrix[0, 1] < 1.0
+
+
+def test_beyond_the_drive_it_is_taken_where_the_drive_holds_it() -> None:
+    found = held(ONE, 300.0, TERMS)
+    assert found.rest.input == 255.0
+    top = found.rest.states[0] - 273.15
+    assert 80.0 < top < 300.0
+    assert plant_gap(ONE, OTHER, [300.0], TERMS) < 1.0
+
+
+def test_a_point_at_which_one_twin_has_no_plant_is_left_out_for_all() -> None:
+    """A plate without heat capacity is too fast for samples of a second."""
+    hopeless = MODEL.parameters(heat_capacity=1e-9)
+    found = plant_gaps([ONE, OTHER, hopeless], POINTS, TERMS)
+    assert found.points == ()
+    assert len(found.left_out) == 4
+    assert "too short for a period of 1 s" in found.left_out[0]
+    np.testing.assert_array_equal(found.matrix, 1.0 - np.eye(3))
+    with pytest.raises(PlantError):
+        held_symbol(hopeless, 50.0, TERMS)
+
+
+def test_a_loop_that_diverges_is_refused() -> None:
+    lag, scales = Lag.model().parameters(), spans_of(Lag)
+    calm = Held(PidGains(1.0, 0.1, 0.0, 1.0, -10.0, 10.0), scales)
+    assert held(lag, 3.0, calm).rest.states[0] == pytest.approx(3.0, abs=1e-6)
+    wild = Held(PidGains(1e6, 0.0, 0.0, 0.0, -1e308, 1e308), scales)
+    with pytest.raises(DiscriminationError, match="the loop of Lag, lag does not hold it at 3 m"):
+        held(lag, 3.0, wild)
+    assert len(plant_gaps([lag, lag.replace(gain=3.0)], [3.0], wild).left_out) == 1
+
+
+def test_it_is_the_plant_of_the_margin_in_other_units() -> None:
+    """At one point and in units of the margin both say the same."""
+    terms = Held(GAINS, Scales.of(GAINS))
+    expected = nu_gap_of(loop_plant(ONE, 60.0), loop_plant(OTHER, 60.0))
+    assert plant_gap(ONE, OTHER, [60.0], terms) == pytest.approx(expected, rel=1e-3)
+
+
+@settings(max_examples=15, deadline=None)
+@given(plates(), st.floats(30.0, 80.0))
+def test_slopes_are_those_of_the_exact_responses(twin: Parameters, point: float) -> None:
+    """Along one direction in all free parameters, against two plants ten times farther apart."""
+    free = twin.model.structure.free
+    response, slopes = held_slopes(twin, free, point, TERMS)
+    scales = {name: twin.model.declared[name].scale for name in free}
+    moved = [
+        twin.replace(**{name: twin[name] + sign * 5e-3 * scale for name, scale in scales.items()})
+        for sign in (1, -1)
+    ]
+    difference = np.subtract(*(held_slopes(m, (), point, TERMS)[0] for m in moved)) / 1e-2
+    found = sum(scale * row for scale, row in zip(scales.values(), slopes, strict=True))
+    assert response.shape == ANGLES.shape
+    np.testing.assert_allclose(found, difference, atol=0.03 * np.abs(difference).max())
+
+
+def test_a_parameter_on_the_edge_of_what_is_possible_has_a_slope() -> None:
+    edge = ONE.replace(conductance=0.0)
+    inside = ONE.replace(conductance=1e-3)
+    (slope,) = held_slopes(edge, ("conductance",), 50.0, TERMS)[1]
+    (near,) = held_slopes(inside, ("conductance",), 50.0, TERMS)[1]
+    np.testing.assert_allclose(slope, near, atol=0.05 * np.abs(near).max())
+
+
+def test_at_rest_the_linearisation_is_that_of_the_rest() -> None:
+    at, rest = held(ONE, 50.0, TERMS), linearised(ONE, 50.0, 1.0)
+    np.testing.assert_allclose(at.rest.states, rest.rest.states, atol=1e-3)
+    np.testing.assert_allclose(at.A, rest.A, rtol=1e-5)
+    np.testing.assert_allclose(at.B, rest.B, rtol=1e-4)
+
+
+def test_it_ranks_how_differently_twins_behave() -> None:
+    """RMS of the differences in units of the noise, both outputs together, over twenty minutes in closed
+    loop; twins of both structures around the real rig's parameters."""
+    rng = np.random.default_rng(12)
+    reference = np.repeat([30.0, 50.0, 75.0, 60.0, 40.0, 70.0], 200)
+    twins = []
+    for k in range(14):
+        plate = {
+            "seebeck": rng.uniform(0.05, 0.08),
+            "conductance": rng.uniform(0.4, 0.8),
+            "heat_capacity": rng.uniform(22.0, 36.0),
+        }
+        sink = {"sink_heat_capacity": rng.uniform(200.0, 500.0), "sink_convection": rng.uniform(3.0, 8.0)}
+        twins.append(RICH.parameters(**plate, **sink) if k % 2 else MODEL.parameters(**plate))
+    runs = [simulate_closed_loop(t, reference, states=begin(t, 30.0), gains=GAINS) for t in twins]
+    gaps = plant_gaps(twins, (30.0, 50.0, 75.0), TERMS).matrix
+    apart, behaviour = [], []
+    for i, j in itertools.combinations(range(len(twins)), 2):
+        y = (runs[i].output - runs[j].output) / 0.1
+        u = (runs[i].input - runs[j].input) / 7.0
+        behaviour.append(np.sqrt(np.mean(y**2) + np.mean(u**2)))
+        apart.append(gaps[i, j])
+    assert spearmanr(apart, behaviour)[0] > 0.6

@@ -1,0 +1,194 @@
+"""Many sessions at once: the same results as one by one, bad ones skipped, runs that continue."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from twinmatch.offline.archive import judge_archive
+from twinmatch.offline.archive.fingerprint import content_of
+from twinmatch.offline.archive.job import Job, Terms, judge
+from twinmatch.offline.archive.processes import judge_in_processes
+from twinmatch.offline.judgement import judge_session
+from twinmatch.showing import document
+from twinmatch.twin import TwinSettings
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+Make = Callable[..., Path]
+
+TERMS = Terms(TwinSettings(), (), None)
+
+
+def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_continues(
+    archive_folder: Path, tmp_path: Path, run_twinmatch: Run
+) -> None:
+    out, table = tmp_path / "results", tmp_path / "all.json"
+    result = run_twinmatch("replay", archive_folder, "--jobs", 2, "--out", out, "--json", table)
+    assert result.returncode == 3, result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert "skipped" in result.stderr
+    assert "bad.csv" in result.stderr
+    assert "2 sessions judged" in result.stdout
+
+    found = json.loads(table.read_text())
+    kept = {
+        entry["result"]["session"]: entry for entry in map(json.loads, map(Path.read_text, out.iterdir()))
+    }
+    paths = {"second": archive_folder / "deeper" / "second", "first": archive_folder / "first"}
+    assert [s["session"] for s in found["sessions"]] == list(paths) == sorted(kept, reverse=True)
+    for name, path in paths.items():
+        alone = judge_session(path)
+        expected = json.loads(json.dumps(document(name, alone.verdicts, alone.summary, alone.matches)))
+        assert {key: kept[name]["result"][key] for key in expected} == expected
+        rows = [row for row in found["candidates"] if row["session"] == name]
+        assert [row["name"] for row in rows] == [c.name for c in alone.verdicts[-1].modelled]
+        for row, candidate in zip(rows, alone.verdicts[-1].modelled, strict=True):
+            assert row["parameters"]["seebeck"] == candidate.parameters["seebeck"]
+            assert row["nu_gap_sum"] == candidate.nu_gap_sum
+            assert row["chosen_order"] == candidate.chosen_order
+            chosen = next(o for o in candidate.orders if o.order == candidate.chosen_order)
+            assert row["criteria"]["naic"] == chosen.total.naic
+        nominal = [row for row in rows if row["nominal"]]
+        assert [row["name"] for row in nominal] == [alone.summary.nominal]
+        assert nominal[0]["fit"] == {"y": alone.summary.fit_y, "u": alone.summary.fit_u}
+        assert nominal[0]["name"] in result.stdout
+
+    # What was kept is what the next run shows: a mark in it shows too.
+    for file in out.iterdir():
+        file.write_text(file.read_text().replace('"nominal": true', '"nominal": true, "mark": 1'))
+    again = judge_archive([archive_folder], out=out)
+    assert again.reused == 2
+    assert [row.get("mark") for row in again.candidates if row["nominal"]] == [1, 1]
+    assert [failure.path.name for failure in again.failed] == ["bad.csv"]
+
+
+def test_a_result_is_used_again_as_long_as_session_and_parameters_stay_the_same(tmp_path: Path) -> None:
+    session, config, out = tmp_path / "quiet.csv", tmp_path / "config.yaml", tmp_path / "out"
+    lines = [f"{k},30.0,{30 + k % 2},10.0" for k in range(130)]
+    session.write_text("\n".join(["time,reference,temperature,pwm", *lines]))
+    config.write_text("/**:\n  ros__parameters:\n    decimals: 1\n")
+
+    def reused(**terms: Path) -> int:
+        archive = judge_archive([session], out=out, jobs=1, **terms)  # type: ignore[arg-type]
+        assert [s["session"] for s in archive.sessions] == ["quiet"]
+        return archive.reused
+
+    assert [reused(), reused()] == [0, 1]
+    assert [reused(config=config), reused(config=config)] == [0, 1]
+    session.write_text(session.read_text().replace("129,30.0,31", "129,30.0,30.5"))
+    assert [reused(config=config), reused(config=config)] == [0, 1]
+
+
+def test_progress_counts_every_session_once(tmp_path: Path) -> None:
+    bad = [tmp_path / "absent.mat", tmp_path / "empty.csv"]
+    bad[1].touch()
+    seen: list[tuple[int, int]] = []
+    passed = []
+    archive = judge_archive(bad, watch=lambda *at: seen.append(at), on_skip=passed.append)
+    assert seen[-1] == (2, 2)
+    assert [done for done, _ in seen] == sorted({done for done, _ in seen})
+    assert list(archive.failed) == passed
+    assert [failure.path for failure in archive.failed] == bad
+    assert not archive.sessions
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["absent.mat", "--jobs", "1"], 2, "does not exist"),
+        (["absent.mat", "gone.csv"], 2, "does not exist"),
+        (["*.nothing"], 2, "pattern"),
+        (["a.csv", "b.csv", "--figure", "x.png"], 2, "--figure"),
+        (["a.csv", "--jobs", "0"], 2, "processes"),
+        (["a.csv", "b.csv", "--config", "gone.yaml"], 2, "gone.yaml"),
+    ],
+)
+def test_mistakes_are_named(arguments: list[str], code: int, words: str, run_twinmatch: Run) -> None:
+    result = run_twinmatch("replay", *arguments)
+    assert result.returncode == code, result.stderr
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+class _Fatal(TwinSettings):
+    """Settings that end the process that unpickles them, as a lack of memory would."""
+
+    def __reduce__(self) -> tuple[object, tuple[int]]:
+        return os._exit, (1,)
+
+
+def test_a_process_that_dies_takes_only_its_session_along(tmp_path: Path) -> None:
+    jobs = []
+    for number in range(3):
+        path = tmp_path / f"{number}.csv"
+        path.write_text("time,reference\n")  # no recording; what is wrong with it says that it was looked at
+        jobs.append(Job(number, path, content_of(path), TERMS))
+    jobs[1] = replace(jobs[1], terms=Terms(_Fatal(), (), None))
+    errors = {outcome.number: outcome.error for outcome in judge_in_processes(jobs, 2)}
+    assert set(errors) == {0, 1, 2}
+    assert "died" in errors[1]
+    assert "died" not in errors[0] + errors[2]
+
+
+def test_a_session_elsewhere_has_to_be_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    job = Job(4, path, "0" * 64, TERMS)
+    absent = judge(job, " on worker tcp://10.0.0.7:41")
+    assert (absent.number, absent.record) == (4, None)
+    assert "on worker tcp://10.0.0.7:41" in absent.error
+    assert "same path" in absent.error
+    path.touch()
+    assert "differs on worker" in judge(job, " on worker tcp://10.0.0.7:41").error
+    assert "changed" in judge(job).error
+
+
+def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, make_session: Make) -> None:
+    for number in range(4):
+        make_session(tmp_path / "runs" / str(number), seed=number, seebeck=0.06)
+    out = tmp_path / "out"
+    command = [
+        sys.executable,
+        "-m",
+        "twinmatch.cli",
+        "replay",
+        tmp_path / "runs",
+        "--jobs",
+        "1",
+        "--out",
+        out,
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as running:
+        while not list(out.glob("*.json")) and running.poll() is None:
+            time.sleep(0.05)
+        os.killpg(running.pid, signal.SIGINT)  # as a terminal does it: to all of the group
+        _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130, errors
+    assert errors.strip().splitlines() == ["twinmatch: interrupted"]
+    assert _is_gone(running.pid)
+    done = len(list(out.iterdir()))
+    assert 1 <= done < 4
+    assert all(file.suffix == ".json" and json.loads(file.read_text()) for file in out.iterdir())
+    sessions = sorted((tmp_path / "runs").iterdir())[:done]
+    assert judge_archive(sessions, out=out, jobs=1).reused == done
+
+
+def _is_gone(group: int) -> bool:
+    """Whether nobody of a process group is left, or not for long."""
+    for _ in range(100):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False

@@ -1,0 +1,130 @@
+"""The same sessions on a Dask cluster: two workers on this machine, the same results."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from tests.support.processes import Process
+from tests.support.waiting import wait_for
+from twinmatch.offline.archive import Archive, ClusterError, judge_archive
+
+pytest.importorskip("distributed", reason="distributed is not installed; it is in the extra 'cluster'")
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def dask(stack: ExitStack, folder: Path, *arguments: str) -> None:
+    """Run one of Dask's programs until the stack ends; what it says goes into the folder."""
+    quiet = os.environ | {"DASK_DISTRIBUTED__ADMIN__LOW_LEVEL_LOG_LENGTH": "0"}
+    command = [sys.executable, "-m", "dask", *arguments, "--host", "127.0.0.1", "--no-dashboard"]
+    process = Process(*command, output=folder / f"{arguments[0]}.log", environment=quiet, folder=folder)
+    stack.callback(process.end)
+
+
+def address_in(file: Path) -> str:
+    """The address a scheduler writes into its file once it listens."""
+    wait_for(lambda: file.exists() and file.read_text().rstrip().endswith("}"), f"a scheduler in {file}")
+    return str(json.loads(file.read_text())["address"])
+
+
+@pytest.fixture(scope="module")
+def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ExitStack, Path, str]]:
+    """A scheduler without workers."""
+    folder = tmp_path_factory.mktemp("cluster")
+    with ExitStack() as stack:
+        dask(stack, folder, "scheduler", "--port", "0", "--scheduler-file", "scheduler.json")
+        yield stack, folder, address_in(folder / "scheduler.json")
+
+
+def test_a_cluster_without_workers_is_named(
+    idle: tuple[ExitStack, Path, str], archive_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, _, address = idle
+    monkeypatch.setattr("twinmatch.offline.archive.cluster.PATIENCE", 3.0)
+    with pytest.raises(ClusterError, match="no workers") as caught:
+        judge_archive([archive_folder], scheduler=address)
+    assert address in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def address(idle: tuple[ExitStack, Path, str]) -> str:
+    """A scheduler with two workers of one thread each."""
+    stack, folder, address = idle
+    dask(stack, folder, "worker", address, "--nworkers", "2", "--nthreads", "1")
+    from distributed import Client
+
+    with Client(address, set_as_default=False, timeout=60) as client:
+        client.wait_for_workers(2, timeout=120)
+    return address
+
+
+def results(out: Path) -> list[object]:
+    return [json.loads(file.read_text()) for file in sorted(out.iterdir())]
+
+
+def test_two_workers_find_what_processes_find(
+    address: str, archive_folder: Path, tmp_path: Path, run_twinmatch: Run
+) -> None:
+    outputs = {}
+    for where, choice in (("cluster", ["--scheduler", address]), ("here", ["--jobs", 1])):
+        out, table = tmp_path / where, tmp_path / f"{where}.json"
+        done = run_twinmatch("replay", archive_folder, *choice, "--out", out, "--json", table)
+        assert done.returncode == 3, done.stderr
+        assert "bad.csv" in done.stderr
+        assert "Traceback" not in done.stderr
+        outputs[where] = (table.read_text(), results(out), done.stdout)
+    assert outputs["cluster"] == outputs["here"]
+    assert len(outputs["here"][1]) == 2
+
+
+def test_real_hours_are_judged_alike_on_the_cluster(
+    address: str, recordings: dict[int, Path], tmp_path: Path
+) -> None:
+    chosen = [recordings[number] for number in sorted(recordings)[:2]]
+
+    def judged(**where: object) -> Archive:
+        return judge_archive(chosen, out=tmp_path / str(len(list(tmp_path.iterdir()))), **where)  # type: ignore[arg-type]
+
+    there, here = judged(scheduler=address), judged(jobs=1)
+    assert not here.failed
+    assert there == here
+    assert results(tmp_path / "0") == results(tmp_path / "1")
+
+
+@pytest.mark.parametrize("bad", ["foo", "127.0.0.1", "http://127.0.0.1:8786", "tcp://127.0.0.1:1"])
+def test_an_address_that_leads_nowhere_is_one_line(
+    bad: str, archive_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twinmatch.offline.archive.cluster.PATIENCE", 1.0)
+    with pytest.raises(ClusterError, match="cannot be reached") as caught:
+        judge_archive([archive_folder / "first"], scheduler=bad)
+    assert bad in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_without_distributed_the_extra_is_named(archive_folder: Path) -> None:
+    code = (
+        "import sys; sys.modules['distributed'] = None; from twinmatch.cli import main; "
+        f"sys.exit(main(['replay', {str(archive_folder / 'first')!r}, '--scheduler', 'tcp://127.0.0.1:1']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "twinmatch[cluster]" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_nothing_of_dask_is_loaded_unasked() -> None:
+    code = (
+        "import sys, twinmatch.cli, twinmatch.offline.archive, twinmatch.offline.judgement\n"
+        "print('distributed' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "False", done.stderr

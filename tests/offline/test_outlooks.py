@@ -1,0 +1,166 @@
+"""What is known at a sample of the samples after it: nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.plants import Motor
+from tests.support.steps import drive_lost
+from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
+from twinmatch.forecasting import Forecast, ForecastError
+from twinmatch.offline.outlooks import Prospect, prospects, samples_at
+from twinmatch.offline.terms import Terms
+from twinmatch.sessions import Session, read_session, samples_of, write_session
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import TwinSettings
+
+FIRST, MIDDLE, LAST = 420, 610, 640
+"""Of the motor's samples: the second is two after a step, in the middle of a transient."""
+
+
+def motor_samples() -> list[Sample]:
+    """Forty seconds of a motor under a measured load that changes from sample to sample."""
+    truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
+    reference = np.repeat([50.0, 150.0, 90.0, -60.0], [200, 200, 208, 192])
+    load = 0.02 * np.sin(np.arange(reference.size) / 31.0)[:, None]
+    sensor = Sensor(noise=0.2).realise(reference.size, 0.05, 3)
+    run = simulate_closed_loop(
+        truth, reference, states=begin(truth, 0.0), gains=Motor.loop, sensor=sensor, disturbances=load
+    )
+    return [
+        Sample(k, k * 50_000_000, float(r), float(y), float(u), (float(d),))
+        for k, (r, y, u, d) in enumerate(zip(reference, run.output, run.input, load[:, 0], strict=True))
+    ]
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    return motor_samples()
+
+
+@pytest.fixture(scope="module")
+def session(samples: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Session:
+    return stored(samples, tmp_path_factory.mktemp("motor") / "whole")
+
+
+@pytest.fixture(scope="module")
+def known(session: Session) -> dict[int, Prospect]:
+    return prospects(session, TERMS, [LAST, FIRST, MIDDLE])
+
+
+TERMS = Terms(TwinSettings.of(Motor, period=0.05))
+
+
+def stored(samples: list[Sample], folder: Path) -> Session:
+    return read_session(write_session(folder, samples))
+
+
+def numbers(forecast: Forecast) -> list[np.ndarray]:
+    bands = (forecast.output, forecast.input)
+    return [forecast.time, *(v for band in bands for v in (band.mean, band.low, band.high))]
+
+
+def assert_same(one: Forecast, other: Forecast) -> None:
+    """To the last bit."""
+    assert (one.sample, one.candidate, one.structure, one.notes) == (
+        *(other.sample, other.candidate, other.structure, other.notes),
+    )
+    for mine, yours in zip(numbers(one), numbers(other), strict=True):
+        np.testing.assert_array_equal(mine, yours)
+
+
+@pytest.mark.parametrize("at", [FIRST, MIDDLE, LAST])
+def test_a_session_that_ends_there_gives_the_same_bits(
+    at: int, samples: list[Sample], known: dict[int, Prospect], tmp_path: Path
+) -> None:
+    ahead = np.linspace(100.0, 60.0, 100)
+    cut = stored(samples[: at + 1], tmp_path / "cut")
+    alone = prospects(cut, TERMS, [at])[at]
+    assert alone.leader == known[at].leader
+    assert alone.leader_confidence == known[at].leader_confidence
+    assert_same(alone.outlook.forecast(ahead), known[at].outlook.forecast(ahead))
+
+
+def test_so_it_is_for_every_candidate(samples: list[Sample], session: Session, tmp_path: Path) -> None:
+    cut = stored(samples[: MIDDLE + 1], tmp_path / "cut")
+    for name in ("with friction", "90 rad/s", "150 rad/s"):
+        whole = prospects(session, TERMS, [MIDDLE, LAST], candidate=name)[MIDDLE]
+        alone = prospects(cut, TERMS, [MIDDLE], candidate=name)[MIDDLE]
+        assert whole.outlook.candidate == name
+        assert whole.leads == (name == whole.leader)
+        assert_same(alone.outlook.forecast([90.0] * 50), whole.outlook.forecast([90.0] * 50))
+
+
+def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Prospect]) -> None:
+    outlook = known[MIDDLE].outlook
+    ahead, here = np.full(40, 90.0), session.samples[MIDDLE]
+    held = outlook.foretold(ahead, np.tile(here.disturbances, (41, 1)))
+    np.testing.assert_array_equal(outlook.forecast(ahead).output.mean, held.output)
+    other = outlook.foretold(ahead, np.tile(here.disturbances, (41, 1)) + 0.05)
+    assert np.abs(other.output - held.output).max() > 1.0  # the load matters
+
+
+def test_the_band_covers_the_measurements(session: Session, known: dict[int, Prospect]) -> None:
+    """The load keeps changing, slowly; within two seconds it moves the speed by less than its noise."""
+    reference = [s.reference for s in session.samples[LAST + 1 : LAST + 41]]
+    forecast = known[LAST].outlook.forecast(reference)
+    came = np.array([s.output for s in session.samples[LAST + 1 : LAST + 41]])
+    held = (forecast.output.low <= came) & (came <= forecast.output.high)
+    # Of 40 readings each held with probability 0.9, fewer than 28 come once in 5000 times.
+    assert held.sum() >= 28
+
+
+@pytest.mark.parametrize(
+    ("at", "words"),
+    [
+        ([10], ["no candidate at sample 10", "from sample"]),
+        ([FIRST, 5], ["no candidate at sample 5", "from sample"]),
+        ([800], ["has no sample 800", "0 to 799"]),
+        ([-1], ["has no sample -1"]),
+    ],
+)
+def test_samples_nothing_can_be_said_of(session: Session, at: list[int], words: list[str]) -> None:
+    with pytest.raises(ForecastError) as caught:
+        prospects(session, TERMS, at)
+    assert all(word in str(caught.value) for word in words)
+
+
+def test_the_first_sample_that_is_named_has_a_candidate(session: Session) -> None:
+    with pytest.raises(ForecastError) as caught:
+        prospects(session, TERMS, [10])
+    first = int(str(caught.value).split("from sample ")[1].split(" ")[0])
+    assert prospects(session, TERMS, [first])[first].leads
+    with pytest.raises(ForecastError, match=f"from sample {first} on"):
+        prospects(session, TERMS, [first - 1])
+
+
+def test_an_unknown_candidate_is_answered_with_the_known_ones(session: Session) -> None:
+    with pytest.raises(ForecastError, match=rf"sample {MIDDLE}: .*'nobody'; there are: .*150 rad/s"):
+        prospects(session, TERMS, [MIDDLE], candidate="nobody")
+
+
+def test_a_sample_that_is_missing_is_named(tmp_path: Path) -> None:
+    reference = np.full(60, 30.0)
+    whole = samples_of(Window(reference, reference, reference / 2))
+    session = stored(whole, tmp_path / "gap")
+    session = replace(session, samples=[s for s in whole if s.index != 31])
+    with pytest.raises(ForecastError, match=r"has no sample 31 .* it has 0 to 59 without that one"):
+        samples_at(session, [31])
+
+
+def test_a_session_without_any_candidate_says_so(tmp_path: Path) -> None:
+    reference = np.full(200, 30.0)
+    session = stored(samples_of(Window(reference, reference, reference / 2)), tmp_path / "still")
+    with pytest.raises(ForecastError, match="or later, since no match was accepted"):
+        prospects(session, Terms(TwinSettings()), [150])
+
+
+def test_a_fault_is_in_the_notes(tmp_path: Path) -> None:
+    session = stored(drive_lost(at=640), tmp_path / "fault")
+    found = prospects(session, Terms(TwinSettings()), [630, 700])
+    assert not [n for n in found[630].outlook.notes if "drive-lost" in n]
+    assert [n for n in found[700].outlook.notes if "has shown drive-lost since sample 6" in n]

@@ -1,0 +1,253 @@
+"""Verifying sessions: the recorded verdicts are those of the core, to the last bit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+from rclpy.serialization import serialize_message
+
+from tests.support.steps import quarter_of_an_hour
+from twinmatch.cli import main
+from twinmatch.nodes.conversions import match_message, score_message
+from twinmatch.nodes.twin_parameters import twin_values
+from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.terms import TermsError
+from twinmatch.offline.verification import VerifyError, verify_session
+from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic
+from twinmatch.sessions.candidates import parse_candidates
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.installed import schema_of
+from twinmatch.sessions.settings import CANDIDATES, parameters_of, parameters_record
+from twinmatch.sessions.topics import SAMPLE
+from twinmatch.showing import summarise
+from twinmatch.signals import Sample
+from twinmatch.twin import Outcome, Twin, TwinSettings
+
+pytestmark = pytest.mark.ros
+
+FAMILY = "candidates:\n  - {name: a guess, operating_point: 75.0, seebeck: 0.07, heat_capacity: 25.0}\n"
+
+
+def topic_of(name: str, kind: str) -> Topic:
+    return Topic(name, kind, schema_of(kind), "", Qos("reliable", "volatile", 100))
+
+
+SCORE = topic_of("/twin/model_score", "twinmatch_msgs/msg/ModelScore")
+MATCH = topic_of("/twin/match", "twinmatch_msgs/msg/Match")
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    """A simulated rig with two set-point steps that count."""
+    return quarter_of_an_hour()
+
+
+@pytest.fixture(scope="module")
+def outcomes(samples: list[Sample]) -> list[Outcome]:
+    twin = Twin(TwinSettings(), parse_candidates(FAMILY, "family"))
+    return [twin.push(sample) for sample in samples]
+
+
+Change = Callable[[list[Any], list[Any]], None]
+
+
+@pytest.fixture
+def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Callable[..., Path]:
+    """A session as the recorder makes one; `change` may spoil matches and scores before they are written."""
+
+    def write(
+        change: Change = lambda _matches, _scores: None,
+        parameters: dict[str, Any] | None = None,
+        family: str | None = FAMILY,
+        unknown: dict[str, Any] | None = None,
+        nodes: tuple[str, ...] = ("/matcher", "/discriminator"),
+    ) -> Path:
+        stamps = {sample.index: sample.stamp for sample in samples}
+        matches = [match_message(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
+        scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
+        change(matches, scores)
+        values = twin_values("twin", {"candidates": "family.yaml", **(parameters or {})})
+        values |= unknown or {}
+        with SessionWriter(tmp_path / "run") as writer:
+            for node in nodes:
+                entries = {name: json.dumps(value) for name, value in values.items()}
+                writer.add_record(parameters_record(node), {**entries, "use_sim_time": "false"})
+            if family is not None:
+                writer.add_record(CANDIDATES, {"text": family})
+            for topic in (SAMPLE, SCORE, MATCH):
+                writer.add_topic(topic)
+            for sample in samples:
+                writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
+            for topic, messages in ((MATCH, matches), (SCORE, scores)):
+                for message in messages:
+                    writer.write(topic.name, serialize_message(message), samples[-1].stamp)
+        return tmp_path / "run"
+
+    return write
+
+
+def test_a_recorded_session_is_identical(record: Callable[..., Path], capsys: Any) -> None:
+    folder = record()
+    found = verify_session(folder)
+    assert found.identical
+    assert (found.samples, found.notes) == (920, ())
+    assert found.verdicts > 10
+    assert found.matches == 3
+    assert main(["verify", str(folder)]) == 0
+    assert "identical, bit for bit" in capsys.readouterr().out
+
+
+@pytest.fixture
+def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Saves the judging where only the comparison is of interest."""
+    verdicts = tuple(v for o in outcomes for v in o.verdicts)
+    found = Judgement(
+        name="run",
+        samples=samples,
+        settings=TwinSettings(),
+        matches=tuple(o.match for o in outcomes if o.match is not None),
+        verdicts=verdicts,
+        summary=summarise(samples, verdicts, TwinSettings().gains),
+    )
+    monkeypatch.setattr("twinmatch.offline.verification.judge", lambda *_, **__: found)
+
+
+def nudge(value: float) -> float:
+    """The next float64."""
+    return float(np.nextafter(value, np.inf))
+
+
+def spoil_score(_matches: list[Any], scores: list[Any]) -> None:
+    judged = next(s for s in scores if len(s.candidates) > 1 and not s.stands)
+    judged.candidates[1].orders[2].y.naic = nudge(judged.candidates[1].orders[2].y.naic)
+
+
+def spoil_match(matches: list[Any], _scores: list[Any]) -> None:
+    matches[0].parameters.values[0] = nudge(matches[0].parameters.values[0])
+
+
+def spoil_stamp(_matches: list[Any], scores: list[Any]) -> None:
+    scores[0].header.stamp.nanosec += 1
+
+
+def spoil_level(_matches: list[Any], scores: list[Any]) -> None:
+    scores[2].level_name = "trusted?"
+
+
+@pytest.mark.usefixtures("judged")
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (spoil_score, ["verdict", "candidate a guess: candidates[1].orders[2].y.naic was recorded as"]),
+        (spoil_match, ["match 1 at sample", "parameters.seebeck was recorded as"]),
+        (spoil_stamp, ["verdict 1 at sample", "stamp was recorded as"]),
+        (spoil_level, ["verdict 3 at sample", "level_name was recorded as 'trusted?'"]),
+        (lambda matches, _: matches.pop(0), ["match 1 at sample", "sample"]),
+        (
+            lambda _, scores: scores.append(scores[-1]),
+            ["all of it was recorded as 'there' and is 'absent' now"],
+        ),
+        (lambda _, scores: scores.__delitem__(slice(3, None)), ["verdict 4", "'absent' and is 'there' now"]),
+    ],
+)
+def test_a_single_bit_is_found(
+    record: Callable[..., Path], capsys: Any, spoil: Change, words: list[str]
+) -> None:
+    folder = record(spoil)
+    found = verify_session(folder)
+    assert not found.identical
+    for word in words:
+        assert word in str(found.difference)
+    assert main(["verify", str(folder)]) == 1
+    assert str(found.difference) in capsys.readouterr().out.replace("\n", " ")
+
+
+@pytest.mark.usefixtures("judged")
+def test_a_last_verdict_may_have_come_too_late_for_the_recorder(record: Callable[..., Path]) -> None:
+    found = verify_session(record(lambda _, scores: scores.pop()))
+    assert found.identical
+    assert found.notes == ("1 verdict at the very end came after the recording had stopped",)
+
+
+@pytest.mark.usefixtures("judged")
+def test_sentences_may_be_worded_better_by_a_later_version(record: Callable[..., Path]) -> None:
+    def word(matches: list[Any], scores: list[Any]) -> None:
+        matches[0].suggestion = "A step up, please."
+        scores[0].reason = "There was nothing to judge."
+
+    found = verify_session(record(word))
+    assert found.identical
+    assert found.notes == (
+        "this version words some texts differently; they were not compared: reason, suggestion",
+    )
+
+
+@pytest.mark.usefixtures("judged")
+def test_a_match_that_was_published_twice_is_compared_once(record: Callable[..., Path]) -> None:
+    """The discriminator may have asked again just when the answer came."""
+    found = verify_session(record(lambda matches, _: matches.insert(1, matches[0])))
+    assert found.identical
+    assert found.matches == 3
+
+
+def test_other_parameters_give_other_verdicts(record: Callable[..., Path]) -> None:
+    found = verify_session(record(parameters={"decimals": 1}))
+    assert found.difference is not None
+    assert found.difference.field == "decimals"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"change": lambda _, scores: scores.clear()}, "has no verdicts on /twin/model_score"),
+        (
+            {"nodes": ("/matcher",)},
+            "the parameters of /discriminator were not recorded; give them with --config",
+        ),
+        ({"family": None}, "from family.yaml, were not recorded; give them with --candidates"),
+        ({"family": ""}, "were not recorded"),
+    ],
+)
+def test_what_cannot_be_verified_is_said(
+    record: Callable[..., Path], capsys: Any, arguments: dict[str, Any], message: str
+) -> None:
+    folder = record(**arguments)
+    with pytest.raises((VerifyError, TermsError), match=message):
+        verify_session(folder)
+    assert main(["verify", str(folder)]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_parameters_of_another_version_are_said(record: Callable[..., Path]) -> None:
+    folder = record(unknown={"schedule.hurry": 3})
+    with pytest.raises(TermsError, match=r"cannot be used: .*there is no parameter schedule.hurry"):
+        verify_session(folder)
+
+
+def test_parameters_under_the_names_they_had_are_understood(record: Callable[..., Path]) -> None:
+    old = {"noise.temperature": 0.1, "camera.resolution": 0.01, "pid.limit": 255.0}
+    old |= {"start.sink_heat_capacity": 0.0, "start.sensor_lag": 0.0}
+    assert verify_session(record(unknown=old)).identical
+
+
+def test_files_stand_in_for_what_was_not_recorded(record: Callable[..., Path], tmp_path: Path) -> None:
+    folder = record(nodes=(), family=None)
+    config, family = tmp_path / "twin.yaml", tmp_path / "family.yaml"
+    config.write_text("/**:\n  ros__parameters:\n    period: 1.0\n")
+    family.write_text(FAMILY)
+    assert verify_session(folder, config=config, candidates=family).identical
+    assert not verify_session(folder, config=config).identical
+
+
+def test_recorded_parameters_have_to_be_json() -> None:
+    with pytest.raises(SessionError, match="the recorded parameters of /matcher cannot be read"):
+        parameters_of({parameters_record("/matcher"): {"seed": "seven"}}, "/matcher")

@@ -1,0 +1,196 @@
+"""Samples of a loop from values and times: exactly its ticks, and no sample that is not whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.sessions.resampling import resample
+from twinmatch.sessions.sampling import Limits, Sampler, SamplingError
+from twinmatch.sessions.sampling.held import Held
+from twinmatch.signals import Sample
+
+SECOND = 1_000_000_000
+SIGNALS = {"reference": Limits(), "output": Limits(2.0), "input": Limits(2.0, -255.0, 255.0)}
+
+
+def ns(at: float) -> int:
+    return round(at * SECOND)
+
+
+def run(sampler: Sampler, told: list[tuple[float, str, float]], until: float) -> list[Sample]:
+    """What the sampler makes of values by time, name and value, looked for every 10 ms."""
+    samples, waiting = [], sorted(told, key=lambda entry: entry[0])
+    for now in np.arange(0.0, until, 0.01):
+        while waiting and waiting[0][0] <= now:
+            at, name, value = waiting.pop(0)
+            if name == "timer":
+                sampler.tick(ns(at))
+            else:
+                sampler.take(name, value, ns(at), ns(at))
+            samples += sampler.look(ns(at))
+        samples += sampler.look(ns(now))
+    return samples
+
+
+def loop(ticks: int, pause: tuple[float, float] = (0.0, 0.0)) -> list[tuple[float, str, float]]:
+    """A foreign loop: a reading, 20 ms later the command; the set-point is sent once, at the beginning."""
+    told = [(0.0, "reference", 40.0)]
+    for k in range(ticks):
+        at = k + (pause[1] if k >= pause[0] and pause[1] else 0.0)
+        told += [(at, "output", 20.0 + k), (at + 0.02, "input", 100.0 - k)]
+    return told
+
+
+@pytest.mark.parametrize("paced_by", ["input", "output"])
+def test_each_tick_of_the_loop_is_a_sample_with_what_belongs_to_it(paced_by: str) -> None:
+    samples = run(Sampler(SIGNALS, 1.0, paced_by), loop(30), 35.0)
+    if paced_by == "input":
+        assert [(s.index, s.output, s.input) for s in samples] == [
+            (k, 20.0 + k, 100.0 - k) for k in range(30)
+        ]
+        assert [s.stamp for s in samples] == [ns(k + 0.02) for k in range(30)]
+    else:  # the first reading has no command yet; from the others on, the one before stands for 20 ms more
+        assert [(s.index, s.output) for s in samples] == [(k - 1, 20.0 + k) for k in range(1, 30)]
+        expected = [100.0 - k + 0.02 for k in range(1, 30)]
+        assert [s.input for s in samples] == pytest.approx(expected)
+    assert {s.reference for s in samples} == {40.0}
+
+
+def test_what_is_sent_behind_the_tick_belongs_to_it() -> None:
+    """A program that publishes its command before the reading it was made from."""
+    told = [(0.0, "reference", 40.0)]
+    for k in range(10):
+        told += [(k, "input", 100.0 - k), (k + 0.03, "output", 20.0 + k)]
+    samples = run(Sampler(SIGNALS, 1.0, "input", settle=0.1), told, 12.0)
+    assert [(s.output, s.input) for s in samples] == [(20.0 + k, 100.0 - k) for k in range(10)]
+    late = run(Sampler(SIGNALS, 1.0, "input", settle=0.0), told, 12.0)
+    assert (late[1].output, late[1].input) == (21.0, 98.0)  # without waiting it is that of the tick before
+
+
+def test_a_pause_of_the_loop_is_a_gap_in_the_indices() -> None:
+    samples = run(Sampler(SIGNALS, 1.0), loop(30, pause=(10, 5.0)), 40.0)
+    assert [s.index for s in samples] == [*range(10), *range(15, 35)]
+
+
+def test_a_timer_continues_while_a_value_grows_old_and_says_so() -> None:
+    told = [entry for entry in loop(40) if not (entry[1] == "output" and 10 < entry[0] < 18)]
+    told += [(k + 0.5, "timer", 0.0) for k in range(40)]
+    sampler = Sampler(SIGNALS, 1.0, "timer")
+    samples = run(sampler, told, 12.8)
+    assert samples[-1].index == 11
+    assert not sampler.troubles
+    samples += run(sampler, [e for e in told if e[0] > 12.8], 14.8)
+    assert "the newest output is 3.5 s old" in sampler.troubles["output"]
+    samples += run(sampler, [e for e in told if e[0] > 14.8], 30.0)
+    assert sampler.counts["output"].late == sampler.idle == 6
+    assert [s.index for s in samples][:20] == [*range(12), *range(18, 26)]
+
+
+def test_without_a_reference_it_is_one_that_says_nothing() -> None:
+    signals = {name: limits for name, limits in SIGNALS.items() if name != "reference"}
+    samples = run(Sampler(signals, 1.0), [e for e in loop(10) if e[1] != "reference"], 12.0)
+    assert {s.reference for s in samples} == {20.0}
+
+
+def test_disturbances_are_in_the_plants_order_and_unmapped_ones_have_their_default() -> None:
+    signals = {**SIGNALS, "room": Limits(), "load": Limits()}
+    sampler = Sampler(signals, 1.0, disturbances={"load": 0.0, "sun": 7.0, "room": 20.0})
+    samples = run(sampler, [(0.0, "room", 19.0), (0.0, "load", 3.0), *loop(5)], 6.0)
+    assert {s.disturbances for s in samples} == {(3.0, 7.0, 19.0)}
+
+
+def test_a_value_beyond_what_the_plant_can_be_given_makes_no_sample() -> None:
+    sampler = Sampler({**SIGNALS, "input": Limits(2.0, 0.0, 97.5)}, 1.0)
+    samples = run(sampler, loop(8), 10.0)
+    assert [s.input for s in samples] == [97.0, 96.0, 95.0, 94.0, 93.0]
+    assert sampler.counts["input"].beyond == 3
+    run(sampler, [(20.0, "output", 20.0), (20.0, "input", 101.0)], 22.0)
+    assert sampler.troubles["input"] == "input is 101, outside 0 to 97.5"
+
+
+def test_a_reading_beyond_the_span_is_another_unit_at_first_and_a_failed_sensor_later() -> None:
+    signals = {**SIGNALS, "output": Limits(2.0, -20.0, 25.0, lenient=True)}
+    kelvin = [(at, name, value + 273.15 * (name == "output")) for at, name, value in loop(10)]
+    sampler = Sampler(signals, 1.0)
+    assert not run(sampler, kelvin, 12.0)
+    assert "outside -20 to 25" in sampler.troubles["output"]
+    assert len(run(Sampler(signals, 1.0), loop(10), 12.0)) == 10  # up to 29
+
+
+def test_no_sample_is_made_with_a_wrong_period() -> None:
+    sampler = Sampler(SIGNALS, 0.9)
+    samples = run(sampler, loop(30), 32.0)
+    assert len(samples) <= 5
+    assert "input arrives every 1 s, but the period is 0.9 s" in sampler.troubles["pace"]
+
+
+def test_ticks_that_come_at_once_with_their_own_times_are_not_mixed() -> None:
+    """This machine slept: messages of several ticks wait, each stamped with its own time."""
+    sampler = Sampler(SIGNALS, 1.0)
+    samples = run(sampler, loop(5), 5.5)
+    for k in range(5, 9):
+        sampler.take("output", 20.0 + k, ns(k), ns(8.6))
+        sampler.take("input", 100.0 - k, ns(k + 0.02), ns(8.6))
+        samples += sampler.look(ns(8.6))
+    samples += sampler.look(ns(8.8))
+    assert [(s.index, s.output, s.input) for s in samples[-2:]] == [(4, 24.0, 96.0), (8, 28.0, 92.0)]
+
+
+def test_a_clock_that_was_set_back_leaves_no_value_of_the_time_to_come() -> None:
+    sampler = Sampler(SIGNALS, 1.0)
+    run(sampler, [(100.0 + at, name, value) for at, name, value in loop(5)], 106.0)
+    run(sampler, [(10.0, "input", 50.0)], 12.0)
+    assert "after the tick" in sampler.troubles["output"]
+
+
+def test_values_that_are_not_numbers_are_only_counted() -> None:
+    sampler = Sampler(SIGNALS, 1.0)
+    told = [(k + 0.01, "output", np.nan) for k in range(10)] + [(3.02, "input", np.inf)]
+    samples = run(sampler, sorted(told + loop(10)), 12.0)
+    assert len(samples) == 10
+    assert (sampler.refused("output"), sampler.refused("input")) == (10, 1)
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.0, 0.9), st.floats(-100.0, 100.0)), min_size=1, max_size=8),
+    st.floats(-100.0, 100.0),
+)
+def test_the_mean_of_an_input_is_that_of_an_imported_recording(
+    steps: list[tuple[float, float]], before: float
+) -> None:
+    """`resample` puts rows of a table on a clock in its own way, by differences of a running sum."""
+    rows = {-1.0: before, 0.95: before}
+    rows.update({round(at, 3): value for at, value in steps})
+    held = Held()
+    for at, value in sorted(rows.items()):
+        held.push(value, ns(at))
+    times = np.array(sorted(rows))
+    table = resample(times, {"u": [rows[at] for at in times]}, {"u": "held"}, 1.0, longest=10.0)
+    at = int(np.flatnonzero(np.abs(table.time) < 1e-9)[0])
+    mean = held.mean(0, ns(1.0))
+    assert mean == pytest.approx(table.columns["u"][at], abs=1e-6)
+
+
+def test_what_always_stands_is_its_own_mean_to_the_last_digit() -> None:
+    held = Held()
+    for k in range(100):
+        held.push(0.1, ns(0.037 * k))
+    assert held.mean(ns(0.5), ns(1.7)) == 0.1
+    assert Held().mean(0, 1) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"signals": {"output": Limits()}}, "input is not mapped"),
+        ({"paced_by": "clock"}, "paced_by is 'clock'; choose one of reference, output, input, timer"),
+        ({"settle": 0.6}, "settle is 0.6"),
+        ({"period": 0.0}, "period is 0 s"),
+    ],
+)
+def test_rules_by_which_nothing_can_be_sampled_are_refused(given: dict, words: str) -> None:
+    with pytest.raises(SamplingError, match=words):
+        Sampler(**{"signals": SIGNALS, "period": 1.0, **given})

@@ -1,0 +1,290 @@
+"""The whole command: a real graph on one side, a viewer that decodes what it is given on the other."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from mcap.reader import make_reader
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+from rclpy.context import Context
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image
+from std_msgs.msg import Float64
+
+from tests.support.places import SHIPPED
+from tests.support.plants import Motor
+from tests.support.processes import Process
+from tests.support.schemas import bare
+from tests.support.waiting import wait_for
+from twinmatch.nodes.descriptions import description_message
+from twinmatch.plants.named import description_of
+from twinmatch.sessions import read_session, write_session
+from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore, PlantDescription
+
+pytestmark = pytest.mark.ros
+RELIABLE = QoSProfile(depth=100)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Graph:
+    """Publishers as the graph has them, under one namespace."""
+
+    def __init__(self, namespace: str = "") -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("graph", namespace=namespace, context=self.context)
+        make = self.node.create_publisher
+        self.samples = make(LoopSample, "plant/sample", RELIABLE)
+        self.references = make(Float64, "plant/reference", LATCHED)
+        self.scores = make(ModelScore, "twin/model_score", RELIABLE)
+        self.images = make(Image, "thermal/image", SENSOR)
+        self.clocks: Any = None
+
+    def sample(self, index: int) -> LoopSample:
+        message = LoopSample(index=index, reference=[60.0], output=[25.5 + index], input=[-255.0 / 3])
+        message.header.stamp.sec = 100 + index
+        self.samples.publish(message)
+        return message
+
+    def is_heard(self) -> bool:
+        return all(p.get_subscription_count() for p in (self.samples, self.scores, self.images))
+
+    def tell_clock(self, seconds: int) -> None:
+        if self.clocks is None:
+            self.clocks = self.node.create_publisher(Clock, "/clock", 10)
+        message = Clock()
+        message.clock.sec = seconds
+        self.clocks.publish(message)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+@pytest.fixture
+def graph(ros: None) -> Iterator[Callable[..., Graph]]:  # noqa: ARG001
+    started: list[Graph] = []
+
+    def start(namespace: str = "") -> Graph:
+        started.append(Graph(namespace))
+        return started[-1]
+
+    yield start
+    for made in started:
+        made.close()
+
+
+def decode(channel: dict[str, Any], data: bytes) -> Any:
+    """A message by the definition that the channel came with, as a viewer has to."""
+    schema = Schema(
+        id=1, name=channel["schemaName"], encoding=channel["schemaEncoding"], data=channel["schema"].encode()
+    )
+    decoder = DecoderFactory().decoder_for(channel["encoding"], schema)
+    assert decoder is not None
+    return decoder(data)
+
+
+def definition(channel: dict[str, Any]) -> tuple[str, ...]:
+    """What a viewer is sent about a topic."""
+    return tuple(channel[key] for key in ("encoding", "schemaName", "schemaEncoding", "schema"))
+
+
+def definitions(path: Path) -> dict[str, tuple[str, ...]]:
+    """What a recorded session says of its topics."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    found = {}
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        found[channel.topic] = channel.message_encoding, schema.name, schema.encoding, schema.data.decode()
+    return found
+
+
+def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_with_them(
+    serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph]
+) -> None:
+    rig = graph()
+    viewer = view(serve().url)
+    viewer.subscribe("/plant/sample", "/twin/model_score", "/thermal/image")
+    viewer.wait(rig.is_heard, "its reader")
+    sent = [rig.sample(k) for k in range(3)]
+    score = ModelScore(sample=7, level=1, level_name="trusted", nominal="60 °C", decided=True)
+    score.candidates = [Candidate(name="60 °C", nu_gap_low=[0.0, 0.25])]
+    score.candidates[0].orders = [OrderScore(order="22221", y=Criteria(gain=12.5))]
+    image = Image(height=2, width=3, encoding="32FC1", step=12, data=bytes(range(24)))
+    raw = serialize_message(score)  # published as it is: what is between the fields is not always the same
+    rig.scores.publish(raw)
+    rig.images.publish(image)
+    viewer.wait(lambda: {m.topic for m in viewer.messages} == set(viewer.subscribed), "one of each")
+    assert viewer.heard("/twin/model_score")[0].data == raw
+    first = deserialize_message(viewer.heard("/plant/sample")[0].data, LoopSample)
+    assert first == sent[first.index]
+    seen = decode(viewer.channels["/plant/sample"], viewer.heard("/plant/sample")[0].data)
+    assert (list(seen.output), list(seen.input)) == ([25.5 + seen.index], [-85.0])
+    seen = decode(viewer.channels["/twin/model_score"], viewer.heard("/twin/model_score")[-1].data)
+    assert (seen.nominal, seen.decided, list(seen.candidates[0].nu_gap_low)) == ("60 °C", True, [0.0, 0.25])
+    assert seen.candidates[0].orders[0].y.gain == 12.5
+    seen = decode(viewer.channels["/thermal/image"], viewer.heard("/thermal/image")[-1].data)
+    assert bytes(seen.data) == bytes(range(24))
+
+
+def test_definitions_are_those_of_an_imported_session_and_there_before_the_graph(
+    serve: Callable[..., Any], view: Callable[[str], Any], tmp_path: Path
+) -> None:
+    viewer = view(serve().url)
+    [path] = write_session(tmp_path / "today", read_session(SHIPPED).samples).glob("*.mcap")
+    recorded = definitions(path)
+    assert {"/plant/sample", "/plant/reference", "/plant/temperature"} <= set(recorded)
+    viewer.wait(lambda: set(recorded) <= set(viewer.channels), "the topics")
+    shown = {topic: definition(viewer.channels[topic]) for topic in recorded}
+    assert {t: (*d[:-1], bare(d[-1])) for t, d in recorded.items()} == {
+        t: (*d[:-1], bare(d[-1])) for t, d in shown.items()
+    }
+
+
+def test_definitions_are_those_of_a_session_recorded_at_the_same_time(
+    serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph], tmp_path: Path
+) -> None:
+    rig = graph()
+    viewer = view(serve().url)
+    options = ["--ros-args", "-p", f"folder:={tmp_path}", "-p", "name:=session"]
+    command = [sys.executable, "-m", "twinmatch.nodes.recorder", *options]
+    recorder = Process(*command, output=tmp_path / "recorder.txt")
+    try:
+        readers = (rig.samples, rig.scores, rig.images, rig.references)
+        viewer.wait(lambda: all(p.get_subscription_count() == 2 for p in readers), "both readers")
+        rig.sample(0)
+        rig.scores.publish(ModelScore())
+    finally:
+        assert recorder.end(signal.SIGINT) == 0, recorder.text
+    [path] = (tmp_path / "session").glob("*.mcap")
+    recorded = definitions(path)
+    assert {"/plant/sample", "/twin/model_score", "/thermal/image", "/diagnostics"} <= set(recorded)
+    assert recorded == {topic: definition(viewer.channels[topic]) for topic in recorded}
+
+
+def test_it_survives_the_graph_and_shows_the_next_one(
+    serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph]
+) -> None:
+    server = serve()
+    viewer = view(server.url)
+    first = graph()
+    first.references.publish(Float64(data=30.0))
+    viewer.subscribe("/plant/reference", "/plant/sample")
+    viewer.wait(lambda: viewer.heard("/plant/reference"), "the latched set-point")
+    first.close()
+    second = graph()
+    second.references.publish(Float64(data=45.0))
+    viewer.wait(lambda: len(viewer.heard("/plant/reference")) == 2, "the set-point of the next graph")
+    assert decode(viewer.channels["/plant/reference"], viewer.heard("/plant/reference")[1].data).data == 45.0
+    viewer.wait(lambda: second.sample(3) and viewer.heard("/plant/sample"), "a sample of the next graph")
+    late = view(server.url)
+    late.subscribe("/plant/reference")
+    late.wait(lambda: late.heard("/plant/reference"), "what was said before it came")
+    assert late.heard("/plant/reference")[0].data == viewer.heard("/plant/reference")[1].data
+
+
+def test_time_is_that_of_the_plant(
+    serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph]
+) -> None:
+    rig = graph()
+    viewer = view(serve().url)
+    viewer.subscribe("/plant/sample")
+    viewer.wait(lambda: viewer.times, "a time")
+    assert abs(viewer.times[-1] - time.time_ns()) < 60 * 10**9
+    viewer.wait(lambda: rig.tell_clock(1234) or viewer.times[-1] == 1234 * 10**9, "the time of the plant")
+    viewer.wait(rig.is_heard, "its reader")
+    rig.sample(0)
+    viewer.wait(lambda: viewer.heard("/plant/sample"), "a sample")
+    assert viewer.heard("/plant/sample")[-1].at == 1234 * 10**9
+
+
+def test_it_shows_the_rig_of_its_namespace_and_tells_how_it_is(
+    serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph]
+) -> None:
+    rig = graph("/rig_a")
+    other = graph("/rig_b")
+    viewer = view(serve("--namespace", "/rig_a").url)
+    viewer.subscribe("/diagnostics", "/rig_a/plant/sample")
+    viewer.wait(rig.is_heard, "its reader")
+    rig.sample(0)
+    viewer.wait(lambda: viewer.heard("/rig_a/plant/sample"), "a sample")
+    assert not other.samples.get_subscription_count()
+    assert not any(name.startswith(("/rig_b", "/plant", "/twin")) for name in viewer.channels)
+    viewer.wait(lambda: viewer.heard("/diagnostics"), "its health")
+    status = deserialize_message(viewer.heard("/diagnostics")[-1].data, DiagnosticArray).status[0]
+    assert "foxglove" in status.name
+    assert status.level == b"\x00"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_cleanly_while_somebody_looks(
+    serve: Callable[..., Any], view: Callable[[str], Any], number: signal.Signals
+) -> None:
+    server = serve()
+    viewer = view(server.url)
+    viewer.wait(lambda: viewer.info, "the greeting")
+    assert server.end(number) == 0
+    assert len(server.text.splitlines()) == 1
+    assert "OPEN" not in server.text
+
+
+def test_an_open_server_says_so(serve: Callable[..., Any]) -> None:
+    server = serve("--address", "0.0.0.0")
+    assert server.url
+    assert "FOXGLOVE OPEN: anyone who can reach 0.0.0.0 may read this graph;" in server.text
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--port", "70000"], "foxglove: --port is 70000; give a port from 0 to 65535"),
+        (["--address", "203.0.113.7"], "foxglove: 203.0.113.7:8765 cannot be used: Cannot assign"),
+        (["--namespace", "no name"], "foxglove: 'no name' is not a namespace; give one such as /rig_a"),
+    ],
+)
+def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None:  # noqa: ARG001
+    command = [sys.executable, "-m", "twinmatch.showing.foxglove", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2, done.stderr
+    assert line in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_layout_is_written_when_the_plant_says_what_it_is(
+    serve: Callable[..., Any], graph: Callable[..., Graph], tmp_path: Path
+) -> None:
+    out = tmp_path / "motor.json"
+    rig = graph("rig_a")
+    serving = serve("--namespace", "/rig_a", "--layout", str(out))
+    assert not out.exists()
+    describer = rig.node.create_publisher(PlantDescription, "plant/description", LATCHED)
+    describer.publish(description_message(description_of(Motor), 0.05))
+    wait_for(
+        lambda: out.exists() and "Image!thermal" in out.read_text("utf-8"), "a panel for the graph's image"
+    )
+    assert f"layout for DC motor: {out}" in serving.text
+    made = json.loads(out.read_text("utf-8"))["configById"]
+    assert made["Plot!output"]["yAxisLabel"] == "speed / rad/s"
+    assert made["Plot!input"]["paths"][0]["value"] == "/rig_a/plant/sample.input[0]"
+    assert len(made["Plot!input"]["paths"]) == 2  # nobody applies a PWM here

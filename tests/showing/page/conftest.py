@@ -1,0 +1,186 @@
+"""A session with its verdicts, a page in a process of its own, and a browser to look at it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.processes import Process, Processes
+from tests.support.steps import quarter_of_an_hour
+from tests.support.waiting import wait_for
+from twinmatch.offline.judgement import Judgement, judge_samples
+from twinmatch.signals import Sample
+from twinmatch.twin import TwinSettings
+
+DEEP = """
+const deep = (root) => [...root.querySelectorAll('*')].flatMap(
+    (e) => e.shadowRoot ? [e, ...deep(e.shadowRoot)] : [e]);
+"""
+"""Bokeh's widgets live in shadow trees, which selectors do not look into."""
+
+
+@pytest.fixture(scope="session")
+def steps() -> list[Sample]:
+    return quarter_of_an_hour()
+
+
+@pytest.fixture(scope="session")
+def judged(steps: list[Sample]) -> Judgement:
+    """Matches and verdicts of those samples."""
+    return judge_samples("steps", steps, TwinSettings())
+
+
+class PageProcess:
+    """`twinmatch dashboard` in a process of its own."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+
+    @property
+    def text(self) -> str:
+        return self._process.text
+
+    @property
+    def url(self) -> str:
+        return self._process.said(r"^page: (\S+)$")[1]
+
+    def end(self) -> int:
+        return self._process.end()
+
+
+@pytest.fixture(scope="module")
+def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., PageProcess]]:  # noqa: ARG001
+    """Start a page: `page_process("--control")`; it ends with the module."""
+    processes = Processes(tmp_path_factory.mktemp("pages"))
+    yield lambda *options: PageProcess(
+        processes.python("-m", "twinmatch.cli", "dashboard", "--port", "0", *options)
+    )
+    ended = processes.end()
+    assert all(Process.well(code) and "Traceback" not in text for code, text in ended), ended
+
+
+class Browser:
+    """Headless Chromium that reaches nothing but this machine."""
+
+    def __init__(self, profile: Path) -> None:
+        from selenium import webdriver
+        from selenium.webdriver.chrome.service import Service
+
+        options = webdriver.ChromeOptions()
+        options.binary_location = str(shutil.which("chromium"))
+        for flag in (
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-quic",
+            "--disable-dev-shm-usage",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--window-size=1440,1000",
+            "--js-flags=--expose-gc",
+            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+            f"--user-data-dir={profile}",
+        ):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))
+
+    def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
+        return wait_for(condition, what)
+
+    def run(self, script: str, *arguments: Any) -> Any:
+        return self.driver.execute_script(DEEP + script, *arguments)
+
+    def open(self, url: str) -> None:
+        self.driver.get(url)
+        wait_for(lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"), "the document")
+        wait_for(lambda: "what to do" in self.text, "the first text")
+
+    @property
+    def text(self) -> str:
+        """Everything that can be read, shadow trees included; hidden parts are left out."""
+        return str(
+            self.run(
+                "return deep(document).filter((e) => e.checkVisibility())"
+                ".filter((e) => !['SCRIPT', 'STYLE'].includes(e.tagName))"
+                ".flatMap((e) => [...e.childNodes].filter((n) => n.nodeType == 3 && n.data.trim())"
+                ".map((n) => n.data.trim())).join(' ')"
+            )
+        )
+
+    @contextmanager
+    def sized(self, width: int, height: int) -> Iterator[None]:
+        """The page loaded again in a window of this size, a telephone's if it is narrow."""
+        narrow = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", narrow)
+        try:
+            self.open(self.driver.current_url)
+            yield
+        finally:
+            self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+            self.open(self.driver.current_url)
+
+    def keys(self, *keys: str) -> None:
+        """Press keys, wherever the focus is."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        ActionChains(self.driver).send_keys(*keys).perform()
+
+    def button(self, label: str) -> Any:
+        """A button that can be seen, by its label; None if there is none."""
+        return self.run(
+            "return deep(document).find((e) => e.tagName == 'BUTTON' && e.innerText.trim() == arguments[0]"
+            " && e.checkVisibility()) || null",
+            label,
+        )
+
+    def click(self, label: str) -> None:
+        wait_for(lambda: self.button(label), f"the button {label}").click()
+
+    def column(self, chart: str, renderer: int, name: str) -> list[float]:
+        """What a chart draws."""
+        return list(
+            self.run(
+                "return Array.from(Bokeh.documents[0].get_model_by_name(arguments[0])"
+                ".renderers[arguments[1]].data_source.data[arguments[2]])",
+                chart,
+                renderer,
+                name,
+            )
+        )
+
+    def picture(self, chart: str) -> bytes:
+        """What of a chart is on the screen."""
+        element = self.run(
+            "return Bokeh.index.get_one(Bokeh.documents[0].get_model_by_name(arguments[0])).el",
+            chart,
+        )
+        return bytes(element.screenshot_as_png)
+
+    def warnings(self) -> list[str]:
+        """Errors in the console since the last look."""
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+    def elsewhere(self, url: str) -> list[str]:
+        """What the page loaded from somewhere else."""
+        names = self.run("return performance.getEntriesByType('resource').map((e) => e.name)")
+        own = (url, url.replace("http", "ws"), "data:", "blob:")
+        return [name for name in names if not name.startswith(own)]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    pytest.importorskip("selenium", reason="selenium is not installed; it is in the extra 'test'")
+    for program in ("chromium", "chromedriver"):
+        if shutil.which(program) is None:
+            pytest.skip(f"{program} is not installed: apt-get install chromium chromium-driver")
+    opened = Browser(tmp_path_factory.mktemp("profile"))
+    yield opened
+    opened.driver.quit()

@@ -1,0 +1,309 @@
+"""The documents of the tabs, without a browser: what they are sent, and that they do not grow."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+
+from bokeh.document import Document
+from bokeh.events import ButtonClick
+from bokeh.models import ColumnDataSource
+
+from twinmatch.forecasting import Band, Forecast
+from twinmatch.offline.judgement import Judgement
+from twinmatch.showing.page import DashboardState, TwinRow
+from twinmatch.showing.page.feed import POINTS, Feed, stride_for
+from twinmatch.showing.page.history import History
+from twinmatch.showing.page.page import Page
+from twinmatch.showing.page.state import Answered
+from twinmatch.showing.page.widgets import QuestionForm
+from twinmatch.signals import Sample
+
+
+class Nothing:
+    """A page that can ask for nothing."""
+
+    control = False
+
+    def pause(self, paused: bool) -> None:
+        raise AssertionError(paused)
+
+    def rate(self, rate: float) -> None:
+        raise AssertionError(rate)
+
+    def what_if(self, level: float, hold: float | None) -> None:
+        raise AssertionError(level, hold)
+
+    def set_point(self, level: float) -> None:
+        raise AssertionError(level)
+
+    def clear_fault(self) -> None:
+        raise AssertionError
+
+    def stop(self) -> None:
+        raise AssertionError
+
+
+def fill(state: DashboardState, first: int, number: int, period: float = 0.1) -> None:
+    for k in range(first, first + number):
+        temperature = 40.0 + np.sin(k / 100)
+        state.push_sample(Sample(k, round(k * period * 1e9), 50.0, temperature, k % 7), k * period)
+        state.push_twin(k, TwinRow(*[float(k % 13)] * len(TwinRow._fields)))
+
+
+def opened(state: DashboardState, now: float = 0.0) -> tuple[Page, Document]:
+    page, document = Page(state, Nothing(), clock=lambda: now), Document()
+    page.build(document)
+    return page, document
+
+
+def source(document: Document, chart: str, renderer: int = 0) -> ColumnDataSource:
+    found: ColumnDataSource = document.get_model_by_name(chart).renderers[renderer].data_source
+    return found
+
+
+@pytest.mark.parametrize("samples", [1, 300, POINTS, POINTS + 1, 12_000, 36_000])
+def test_no_line_has_more_points_than_a_screen(samples: int) -> None:
+    history = History(("value",), 36_000)
+    feed = Feed(history)
+    for k in range(2 * samples):
+        history.push(k, (float(k),))
+        if k % max(1, samples // 5) == 0:
+            feed.update(0.1, samples)
+    feed.update(0.1, samples)
+    drawn = feed.source.data["t"]
+    assert len(drawn) <= POINTS + 2
+    stride = stride_for(samples)
+    newest, oldest = drawn[-1] / 0.1, drawn[0] / 0.1
+    assert 2 * samples - 1 - stride <= newest <= 2 * samples - 1
+    assert samples - 2 * stride <= newest - oldest + 1 <= samples + stride
+    assert np.all(np.diff(drawn) > 0)
+
+
+def test_only_what_is_new_is_sent() -> None:
+    history = History(("value",), 1000)
+    feed, sent = Feed(history), []
+    document = Document()
+    document.add_root(feed.source)
+    document.on_change(sent.append)
+    for k in range(100):
+        history.push(k, (float(k),))
+    feed.update(1.0, 500)
+    history.push(100, (100.0,))
+    feed.update(1.0, 500)
+    feed.update(1.0, 500)
+    assert [type(event).__name__ for event in sent] == ["ColumnDataChangedEvent", "ColumnsStreamedEvent"]
+    assert sent[1].data["value"].tolist() == [100.0]
+
+
+def test_a_new_session_or_period_is_drawn_again() -> None:
+    history = History(("value",), 1000)
+    feed = Feed(history)
+    for k in range(50):
+        history.push(k, (1.0,))
+    feed.update(1.0, 500)
+    feed.update(0.5, 500)
+    assert feed.source.data["t"][-1] == 24.5
+    history.clear()
+    for k in range(60):
+        history.push(k, (2.0,))
+    feed.update(0.5, 500)
+    assert set(feed.source.data["value"]) == {2.0}
+    assert len(feed.source.data["t"]) == 60
+
+
+def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
+    state = DashboardState()
+    early, first = opened(state)
+    for k, sample in enumerate(judged.samples):
+        state.push_sample(sample, 0.0)
+        if k % 37 == 0:
+            early.update()
+    for verdict in judged.verdicts:
+        state.push_verdict(verdict)
+        early.update()
+    _, second = opened(state)
+    for chart, renderer in (
+        ("output", 0),
+        ("matrix", 0),
+        ("matrix", 1),
+        ("happened", 0),
+        ("happened", 1),
+    ):
+        one, other = source(first, chart, renderer).data, source(second, chart, renderer).data
+        assert {k: list(v) for k, v in one.items()} == {k: list(v) for k, v in other.items()}, chart
+    for name in ("first", "reasons", "family", "events", "tiles", "status"):
+        assert first.get_model_by_name(name).text == second.get_model_by_name(name).text
+
+
+def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
+    last = judged.verdicts[-1]
+    count = len(last.candidates)
+    low, high = tuple(0.1 * k for k in range(count)), tuple(0.1 * k + 0.05 for k in range(count))
+    sure = replace(
+        last, candidates=tuple(replace(c, nu_gap_low=low, nu_gap_high=high) for c in last.candidates)
+    )
+    for verdict, interval in ((sure, "0.100 to 0.150"), (last, None)):
+        state = DashboardState()
+        state.push_verdict(verdict)
+        _, document = opened(state)
+        cells, sums = source(document, "matrix", 0).data, source(document, "matrix", 2).data
+        nominal = str(1 + [c.name for c in verdict.candidates].index(verdict.nominal or ""))
+        assert cells["gap"] == [gap for line in verdict.nu_gap for gap in line]
+        assert sums["gap"] == [c.nu_gap_sum for c in verdict.candidates]
+        assert [sums["column"][k] for k, s in enumerate(sums["style"]) if s == "bold"] == [nominal]
+        assert interval is None or cells["interval"][1] == interval
+
+
+def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged: Judgement) -> None:
+    """Columns bear numbers, rows the names on two lines at most; tooltips say all of it."""
+    verdict, name = judged.verdicts[-1], "sink with mass, free ambient, free ripple, sensor lag"
+    eight = tuple(replace(verdict.candidates[0], name=f"{name}, {k}") for k in range(8))
+    gaps = tuple(tuple(abs(i - j) / 10 for j in range(8)) for i in range(8))
+    state = DashboardState()
+    state.push_verdict(replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps))
+    _, document = opened(state)
+    chart, cells = document.get_model_by_name("matrix"), source(document, "matrix", 0).data
+    assert chart.x_range.factors == [str(k) for k in range(1, 9)]
+    assert len(set(chart.y_range.factors)) == 9
+    for row in chart.y_range.factors:
+        assert row.count("\n") <= 1
+        assert max(len(line) for line in row.split("\n")) <= 24
+    assert chart.height >= 9 * 30
+    assert cells["pair"][1] == f"{eight[0].name} and {eight[1].name}"
+    assert set(cells["ink"]) == {"#FFFFFF", "#000000"}
+
+
+def forecast(sample: int) -> Forecast:
+    time = np.array([1.0, 10.0, 60.0, 75.0, 90.0, 300.0])
+    level = 40.0 + time / 100
+    bands = [Band(level, level - 1.0, level + 1.0), Band(time, time - 9.0, time + 9.0)]
+    return Forecast(sample, "50 °C", "held sink", 0.9, time, np.full(time.size, 50.0), *bands)
+
+
+def test_what_comes_is_drawn_as_far_as_the_span_has_room() -> None:
+    """A quarter of five minutes is 75 s; of twenty, all of it. The axis reaches as much further."""
+    state = DashboardState()
+    page, document = opened(state)
+    fill(state, 0, 400, period=1.0)
+    time = document.get_model_by_name("output").x_range
+    page.update()
+    assert (list(source(document, "output", 3).data["t"]), time.follow_interval) == ([], 1200.0)
+    state.push_forecast(forecast(399))
+    page.update()
+    drawn = source(document, "output", 3).data
+    assert list(drawn["t"]) == [400.0, 409.0, 459.0, 474.0, 489.0, 699.0]
+    assert list(drawn["output_low"]) == list(drawn["output"] - 1.0)
+    assert source(document, "control", 2) is source(document, "output", 3)
+    assert time.follow_interval == 1500.0
+    document.get_model_by_name("span").active = 0
+    page.update()
+    assert list(source(document, "output", 3).data["t"]) == [400.0, 409.0, 459.0, 474.0]
+    assert time.follow_interval == 375.0
+
+
+def test_an_answer_stays_until_the_next_and_goes_with_the_session() -> None:
+    state = DashboardState()
+    page, document = opened(state)
+    fill(state, 0, 400, period=1.0)
+    state.answer(Answered("set-point <b>60</b> °C", ("so <i>it</i> is",), forecast(350)))
+    page.update()
+    text = document.get_model_by_name("answer").text
+    assert "set-point &lt;b&gt;60&lt;/b&gt; °C" in text
+    assert "so &lt;i&gt;it&lt;/i&gt; is" in text
+    assert source(document, "output", 6).data["t"][0] == 351.0
+    state.answer(Answered("set-point 400 °C", ("no",)))
+    page.update()
+    assert len(source(document, "output", 6).data["t"]) == 0
+    state.push_forecast(forecast(399))
+    assert state.ahead is not None
+    assert state.leader == "50 °C"
+    fill(state, 0, 2, period=1.0)
+    page.update()
+    assert document.get_model_by_name("answer").visible is False
+    state.push_forecast(forecast(400))  # one of the session before that came late
+    page.update()
+    assert state.ahead is None
+    assert len(source(document, "output", 3).data["t"]) == 0
+
+
+@pytest.mark.parametrize(("hold", "asked"), [(None, (55.0, None)), (90.0, (55.0, 90.0))])
+def test_the_form_asks_what_is_entered(hold: float | None, asked: tuple[float, float | None]) -> None:
+    heard: list[tuple[float, float | None]] = []
+
+    class Asked(Nothing):
+        def what_if(self, level: float, hold: float | None) -> None:
+            heard.append((level, hold))
+
+    form = QuestionForm(Asked(), "set-point / °C")
+    level, time, button = form.root.children
+    button._trigger_event(ButtonClick(button))
+    assert heard == []  # nothing was entered
+    level.value, time.value = 55.0, hold
+    button._trigger_event(ButtonClick(button))
+    assert heard == [asked]
+
+
+def test_without_control_the_document_has_no_button_for_it() -> None:
+    _, document = opened(DashboardState())
+    assert document.get_model_by_name("rig") is None
+    assert document.template_variables["control"] is False
+
+
+def test_an_open_page_takes_no_more_room_however_long(judged: Judgement) -> None:
+    state = DashboardState(capacity=1_000)
+    page, _ = opened(state)
+    state.push_verdict(judged.verdicts[-1])
+
+    def run(first: int, number: int) -> None:
+        for k in range(first, first + number, 25):
+            fill(state, k, 25)
+            page.update()
+
+    run(0, 1_500)
+    gc.collect()
+    tracemalloc.start()
+    run(1_500, 500)
+    gc.collect()
+    settled = tracemalloc.get_traced_memory()[0]
+    run(2_000, 3_000)
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - settled
+    tracemalloc.stop()
+    assert grown < 200_000, f"{grown} bytes more"
+
+
+def luminance(colour: str) -> float:
+    """Of `#rrggbb`, as the WCAG compute it."""
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+def contrast(one: str, other: str) -> float:
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_letters_in_the_charts_can_be_read(judged: Judgement) -> None:
+    """The browser's check sees text of the page only; titles, ticks, legends and labels are drawn."""
+    assert contrast("#777777", "#FFFFFF") == pytest.approx(4.48, abs=0.01)  # the WCAG's own example
+    state = DashboardState()
+    for verdict in judged.verdicts:
+        state.push_verdict(verdict)
+    fill(state, 0, 300)
+    _, document = opened(state, 30.0)
+    looked_at = set()
+    for model in document.models:
+        for name in model.properties():
+            colour = getattr(model, name) if name.endswith("text_color") else None
+            if isinstance(colour, str) and colour.startswith("#"):
+                looked_at.add(name)
+                assert contrast(colour, "#FFFFFF") >= 4.5, (model, name, colour)
+    assert looked_at >= {"text_color", "axis_label_text_color", "major_label_text_color", "label_text_color"}

@@ -1,0 +1,493 @@
+"""The page in a real browser, beside real publishers, a real controller, PWM bridge and player."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Image, Temperature
+
+from tests.support.processes import Process, Processes
+from twinmatch.comparing import ADMITTED
+from twinmatch.dynamics import Plant
+from twinmatch.nodes.conversions import score_message, state_message
+from twinmatch.nodes.descriptions import description_message
+from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.samples import LATCHED, RELIABLE
+from twinmatch.offline.judgement import Judgement
+from twinmatch.plants import Peltier
+from twinmatch.plants.named import description_of
+from twinmatch.sessions import write_session
+from twinmatch.signals import Sample
+from twinmatch.twin import Mirror, TwinSettings
+from twinmatch_msgs.msg import LoopSample, ModelScore, PlantDescription, PwmApplied, TwinState
+
+pytestmark = pytest.mark.ros
+
+FORECAST, ANSWER = 3, 6
+"""Where the chart of the output draws what comes next, among its lines."""
+
+
+FITS = "const page = document.documentElement; return page.scrollWidth <= page.clientWidth"
+ON_SCREEN = """
+return deep(document).filter((e) => e.checkVisibility() && e.children.length == 0)
+    .filter((e) => { const r = e.getBoundingClientRect(); return r.top >= 0 && r.bottom <= innerHeight })
+    .map((e) => e.textContent).join(' ');
+"""
+CLICKABLE = """
+return deep(document).filter((e) => ['BUTTON', 'SUMMARY'].includes(e.tagName) && e.checkVisibility())
+    .filter((e) => !e.closest('.bk-toolbar')).map((e) => e.innerText.trim());
+"""
+FOCUSED = """
+let e = document.activeElement;
+while (e && e.shadowRoot && e.shadowRoot.activeElement) e = e.shadowRoot.activeElement;
+return e ? (e.innerText || '').trim() : '';
+"""
+FAINT = """
+const up = (e) => e.parentElement || (e.getRootNode().host ?? null);
+const parts = (c) => (c.match(/[\\d.]+/g) || []).map(Number);
+const light = (c) => { const [r, g, b] = c.slice(0, 3).map((v) => v / 255)
+    .map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b };
+const below = (e) => { for (; e; e = up(e)) { const c = parts(getComputedStyle(e).backgroundColor);
+    if (c.length == 3 || c[3] > 0.9) return c } return [255, 255, 255] };
+return deep(document).filter((e) => e.checkVisibility())
+    .filter((e) => !['SCRIPT', 'STYLE'].includes(e.tagName))
+    .filter((e) => [...e.childNodes].some((n) => n.nodeType == 3 && /[a-z0-9]/i.test(n.data)))
+    .map((e) => { const [a, b] = [light(parts(getComputedStyle(e).color)), light(below(e))];
+        return [(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), e.textContent.trim().slice(0, 40)] })
+    .filter(([contrast]) => contrast < 4.5);
+"""
+"""Text with a contrast below 4.5 to what is behind it, as the WCAG reckon it."""
+
+
+class Graph:
+    """What the nodes of a rig publish, from this process."""
+
+    def __init__(self, context: Context) -> None:
+        self.node = Node("graph", context=context)
+        kinds = {
+            "plant/sample": LoopSample,
+            "twin/state": TwinState,
+            "twin/model_score": ModelScore,
+            "plant/pwm_applied": PwmApplied,
+        }
+        self._publishers = {
+            name: self.node.create_publisher(kind, name, RELIABLE) for name, kind in kinds.items()
+        }
+        self._publishers["plant/description"] = self.node.create_publisher(
+            PlantDescription, "plant/description", LATCHED
+        )
+        for name, kind in (("thermal/image", Image), ("plant/temperature", Temperature)):
+            self._publishers[name] = self.node.create_publisher(kind, name, qos_profile_sensor_data)
+
+    def publish(self, name: str, message: Any) -> None:
+        self._publishers[name].publish(message)
+
+    def heard(self, name: str) -> int:
+        return int(self._publishers[name].get_subscription_count())
+
+    def session(self, samples: list[Sample], judged: Judgement | None = None, rate: float = 400.0) -> None:
+        """Samples with the twins' state at each, and what a judgement has to say at some."""
+        mirror = Mirror(TwinSettings().start, TwinSettings().gains)
+        for sample in samples:
+            self.publish("plant/sample", sample_message(sample))
+            self.publish("twin/state", state_message(mirror.push(sample), "", Peltier.states))
+            for verdict in judged.verdicts if judged else ():
+                if verdict.sample == sample.index:
+                    self.publish("twin/model_score", score_message(verdict, sample.stamp))
+            time.sleep(1 / rate)
+
+    def describe(self, plant: type[Plant]) -> None:
+        self.publish("plant/description", description_message(description_of(plant), 1.0))
+
+    def fault(self, text: str) -> None:
+        self.publish("plant/pwm_applied", PwmApplied(pwm=0.0, current=0.1, fault=text))
+
+    def image(self, pixels: Any) -> None:
+        rows, columns = pixels.shape
+        message = Image(height=rows, width=columns, encoding="32FC1", step=4 * columns)
+        message.data = pixels.astype("<f4").tobytes()
+        self.publish("thermal/image", message)
+
+
+@pytest.fixture(scope="module")
+def graph(ros: None) -> Iterator[Graph]:  # noqa: ARG001
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    made = Graph(context)
+    yield made
+    made.node.destroy_node()
+    rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture(scope="module")
+def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
+    started = page_process()
+    browser.open(started.url)
+    for name in ("plant/sample", "twin/state", "twin/model_score", "plant/pwm_applied"):
+        browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
+    assert "°C" not in browser.text  # nobody has said what plant this is
+    graph.describe(Peltier)
+    browser.wait_for(lambda: "set-point / °C" in browser.text, "the plant's own words")
+    return started
+
+
+@pytest.fixture
+def node(tmp_path: Path) -> Iterator[Callable[..., Process]]:
+    """Start one of the project's nodes in its own process."""
+    processes = Processes(tmp_path / "nodes")
+
+    def start(name: str, *parameters: str) -> Process:
+        words = [word for parameter in parameters for word in ("-p", parameter)]
+        return processes.python("-m", f"twinmatch.nodes.{name}", "--ros-args", *words)
+
+    yield start
+    processes.end()
+
+
+def counted(number: int, period: float = 1.0, first: int = 0) -> list[Sample]:
+    return [
+        Sample(k, 10**18 + round(k * period * 1e9), 50.0, 40.0 + np.sin(k / 9), 20.0)
+        for k in range(first, first + number)
+    ]
+
+
+def test_it_loads_from_this_machine_alone_and_says_that_it_waits(page: Any, browser: Any) -> None:
+    assert "waiting for the first sample" in browser.text
+    assert "unknown" in browser.text
+    assert browser.elsewhere(page.url) == []
+    assert browser.driver.title == "twinmatch: Peltier rig"
+
+
+def test_data_move_as_they_come(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    enough = threading.Event()
+    sent: list[int] = []
+
+    def publish() -> None:
+        for sample in counted(100_000):
+            graph.session([sample], rate=50.0)
+            sent.append(sample.index)
+            if enough.is_set():
+                return
+
+    publishing = threading.Thread(target=publish)
+    publishing.start()
+    try:
+        browser.wait_for(lambda: len(browser.column("output", 0, "t")) > 20, "the first samples")
+        picture = browser.picture("output")
+        before = len(browser.column("output", 0, "t"))
+        browser.wait_for(lambda: len(browser.column("output", 0, "t")) >= before + 50, "more samples")
+        assert browser.picture("output") != picture
+    finally:
+        enough.set()
+        publishing.join()
+    browser.wait_for(lambda: f"sample {sent[-1]}, {sent[-1]} s" in browser.text, "the last sample")
+    browser.wait_for(lambda: browser.column("output", 0, "t")[-1] == sent[-1], "the last point")
+    shown = sent[-1200:]  # twenty minutes
+    assert browser.column("output", 0, "t") == shown
+    drawn = browser.column("output", 0, "output")
+    assert drawn == [40.0 + np.sin(k / 9) for k in shown]
+    browser.wait_for(lambda: browser.column("output", 1, "t")[-1] == sent[-1], "the twin's last")
+    assert browser.warnings() == []
+
+
+def test_verdicts_family_and_events_are_shown(
+    page: Any,  # noqa: ARG001
+    graph: Graph,
+    browser: Any,
+    judged: Judgement,
+) -> None:
+    graph.session(list(judged.samples), judged)
+    last = judged.verdicts[-1]
+    assert last.nominal is not None
+    browser.wait_for(lambda: f"sample {judged.samples[-1].index}" in browser.text, "the last sample")
+    browser.wait_for(lambda: last.level.value in browser.text and "nominal" in browser.text, "the verdict")
+    for candidate in last.candidates:
+        assert f"{candidate.name}" in browser.text
+    gaps = browser.column("matrix", 0, "gap")
+    assert gaps == [gap for row in last.nu_gap for gap in row]
+    assert browser.column("matrix", 2, "gap") == [c.nu_gap_sum for c in last.candidates]
+    browser.run("document.querySelector('details.reasons').open = true")
+    browser.wait_for(lambda: last.reason in browser.text, "why")
+    accepted = sum(v.match == ADMITTED for v in judged.verdicts)
+    assert browser.text.count("match admitted") >= accepted
+    rows = browser.run("return deep(document).filter((e) => e.tagName == 'TR').length")
+    browser.click("all orders")
+    more = sum(len(c.orders) - 1 for c in last.candidates if c.orders)  # structures are not identified
+    browser.wait_for(
+        lambda: browser.run("return deep(document).filter((e) => e.tagName == 'TR').length") == rows + more,
+        "a row for every order",
+    )
+    browser.click("all orders")
+    assert browser.warnings() == []
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 1000), (1024, 900), (390, 844)])
+def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
+    page: Any,  # noqa: ARG001
+    browser: Any,
+    width: int,
+    height: int,
+) -> None:
+    """After the test above: there is a verdict, a family, and everything that belongs to it."""
+    with browser.sized(width, height):
+        browser.wait_for(lambda: browser.run(FITS), "a page that fits")
+        seen = browser.run(ON_SCREEN)
+        for answer in ("leader, the twin", "plant health", "what to do", "closed-loop twin / °C"):
+            assert answer in seen, answer
+        assert browser.run(FAINT) == []
+        assert browser.warnings() == []
+
+
+def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
+    page: Any,  # noqa: ARG001
+    browser: Any,
+) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    browser.run("document.body.tabIndex = -1; document.body.focus()")
+    wanted = set(browser.run(CLICKABLE))
+    assert {"Help", "Ask", "all orders", "5 min"} <= wanted
+    reached: set[str] = set()
+    for _ in range(2 * len(wanted) + 30):
+        browser.keys(Keys.TAB)
+        found = browser.run(FOCUSED)
+        reached.add(found)
+        if found == "Help" and "what it means, what to do" not in browser.text:
+            browser.keys(Keys.ENTER)
+    assert wanted <= reached, wanted - reached
+    assert "No twin explains the plant's behaviour." in browser.text
+    assert browser.run(FAINT) == []
+    browser.run("document.getElementById('help').open = false")
+
+
+def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
+    page: Any,  # noqa: ARG001
+    graph: Graph,
+    browser: Any,
+    judged: Judgement,
+    node: Callable[..., Process],
+) -> None:
+    """A real discriminator: its forecast ahead of the newest sample, its answer beside the question."""
+    discriminator, _ = node("discriminator"), node("matcher")
+    browser.wait_for(lambda: graph.heard("plant/sample") == 2, "the discriminator")
+    browser.wait_for(lambda: graph.node.count_publishers("twin/match"), "the matcher")
+    graph.session(list(judged.samples))
+    last = float(judged.samples[-1].index)
+    browser.wait_for(lambda: browser.column("output", FORECAST, "t")[:1] == [last + 1.0], "the forecast")
+    assert browser.column("output", FORECAST, "t")[-1] == last + 300.0
+    low, mean, high = (browser.column("control", 2, f"input{edge}") for edge in ("_low", "", "_high"))
+    assert all(a <= b <= c for a, b, c in zip(low, mean, high, strict=True))
+    assert "leader, the twin to ask what comes next" in browser.text
+    ends = browser.run("return Bokeh.documents[0].get_model_by_name('output').x_range.end")
+    assert ends == last + 300.0
+    _ask(browser, "55.5", "120")
+    browser.wait_for(lambda: "set-point 55.5 °C for 120 s" in browser.text, "the question")
+    browser.wait_for(lambda: "temperature after 300 s" in browser.text, "the answer")
+    asked = browser.column("output", ANSWER, "reference")
+    assert (asked[0], asked[118], asked[119]) == (55.5, 55.5, judged.samples[-1].reference)
+    _ask(browser, "400", "")
+    browser.wait_for(lambda: "the set-point is 400 °C; give one from" in browser.text, "the refusal")
+    assert browser.column("output", ANSWER, "t") == []
+    browser.click("5 min")
+    browser.wait_for(lambda: browser.column("output", FORECAST, "t")[-1] <= last + 75.0, "less of it")
+    browser.click("20 min")
+    assert discriminator.end() == 0
+
+    def missed() -> bool:
+        _ask(browser, "50", "")
+        time.sleep(0.5)
+        return "the discriminator is not running" in browser.text
+
+    browser.wait_for(missed, "a word of it")
+    assert browser.warnings() == []
+
+
+def _ask(browser: Any, level: str, hold: str) -> None:
+    fields = browser.run("return deep(document).filter((e) => e.tagName == 'INPUT' && e.checkVisibility())")
+    for field, value in zip(fields, (level, hold), strict=True):
+        field.clear()
+        field.send_keys(value, "\n")
+    browser.click("Ask")
+
+
+def test_a_fault_is_shown_and_goes(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    graph.session(counted(5))
+    graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>")
+    browser.wait_for(lambda: "Output held at zero: over temperature" in browser.text, "the alarm")
+    assert "111.0 °C is above 110.0 °C <b>" in browser.text  # as text, whatever it looks like
+    assert len(browser.column("happened", 1, "t")) == 1
+    graph.fault("")
+    browser.wait_for(lambda: "Output held at zero: over temperature" not in browser.text, "the end of it")
+    browser.wait_for(lambda: "fault cleared" in browser.text, "a word of it")
+    assert browser.warnings() == []
+
+
+def test_the_thermal_image_is_shown(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    assert "Thermal image" not in browser.text  # most plants have none
+    pixels = np.full((60, 80), 25.0)
+    pixels[10:20, 30:50] = 71.25
+    browser.wait_for(lambda: graph.heard("thermal/image"), "a reader")
+
+    def shown() -> bool:
+        graph.image(pixels)
+        return "Thermal image / °C" in browser.text
+
+    browser.wait_for(shown, "the image")
+    largest = browser.run(
+        "return Bokeh.documents[0].get_model_by_name('thermal').renderers[0].data_source.data.image[0]"
+        ".reduce((a, b) => Math.max(a, b))"
+    )
+    assert largest == 71.25
+    assert browser.warnings() == []
+
+
+def test_it_survives_that_the_graph_is_started_again(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    graph.session(counted(50))
+    browser.wait_for(lambda: "sample 49, 49 s" in browser.text, "the first session's last sample")
+    graph.session(counted(20, period=0.1))
+    browser.wait_for(lambda: "sample 19, 1.9 s" in browser.text, "the second session's last sample")
+    # Twenty minutes at 10 Hz: ten samples are drawn as two points, their least and greatest.
+    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 4, "its samples alone")
+    assert browser.column("output", 0, "t") == pytest.approx([0.0, 0.9, 1.0, 1.9])
+    browser.wait_for(lambda: "a new session began" in browser.text, "a word of it")
+    assert browser.warnings() == []
+
+
+def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser: Any) -> None:
+    first = browser.driver.current_window_handle
+    browser.driver.switch_to.new_window("tab")
+    browser.open(page.url)
+    graph.session(counted(400))
+    browser.click("5 min")
+    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 300, "five minutes")
+    assert browser.column("output", 0, "t")[-1] == 399.0
+    browser.driver.close()
+    browser.driver.switch_to.window(first)
+    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 400, "twenty minutes")
+    assert browser.warnings() == []
+
+
+def test_without_control_nothing_can_be_asked_of_the_rig(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+    for label in ("Set", "Clear fault", "Output off"):
+        assert browser.button(label) is None
+    assert graph.node.count_publishers("plant/reference") == 0
+    services = {name for name, _ in graph.node.get_client_names_and_types_by_node("dashboard", "/")}
+    assert services == {"/player/pause", "/player/set_parameters", "/twin/what_if"}
+
+
+def test_control_asks_the_controller_and_the_bridge(
+    page_process: Callable[..., Any], graph: Graph, browser: Any, node: Callable[..., Process]
+) -> None:
+    """A set-point entered on the page is the reference of the next sample of a real controller."""
+    commanding = page_process("--control")
+    ending = threading.Event()
+
+    def measure() -> None:
+        while not ending.wait(0.1):
+            message = Temperature(temperature=30.0)
+            message.header.stamp = graph.node.get_clock().now().to_msg()
+            graph.publish("plant/temperature", message)
+
+    measuring = threading.Thread(target=measure)
+    measuring.start()
+    try:
+        node("controller", "reference_source:=topic", "period:=0.2")
+        node("pwm_bridge", "port:=/dev/no-such-board")
+        browser.open(commanding.url)
+        browser.wait_for(lambda: browser.button("Output off"), "the buttons")
+
+        def ask(value: str) -> None:
+            entry = browser.run(
+                "return deep(document).find((e) => e.tagName == 'INPUT' && e.checkVisibility())"
+            )
+            entry.clear()
+            entry.send_keys(value, "\n")
+            browser.click("Set")
+
+        def asked(value: str, answer: str) -> bool:
+            ask(value)
+            time.sleep(1.0)
+            return answer in browser.text
+
+        browser.wait_for(lambda: asked("42.5", "requested 42.5 °C"), "the answer")
+        browser.wait_for(lambda: browser.column("output", 2, "reference")[-1:] == [42.5], "the set-point")
+        browser.wait_for(
+            lambda: asked("180", "180 °C not set: the controller allows 0 to 100 °C"), "the refusal"
+        )
+        assert browser.column("output", 2, "reference")[-1] == 42.5
+        browser.click("Output off")
+        browser.wait_for(
+            lambda: "stopped on request; call clear_fault to continue" in browser.text, "the fault"
+        )
+        browser.click("Clear fault")
+        browser.wait_for(lambda: "the PWM board is not connected" in browser.text, "the answer")
+        assert browser.warnings() == []
+    finally:
+        ending.set()
+        measuring.join()
+
+
+def test_an_open_tab_comes_back_with_the_server(
+    page_process: Callable[..., Any], graph: Graph, browser: Any
+) -> None:
+    first = page_process()
+    address = first.url
+    browser.open(address)
+    assert first.end() == 0
+    browser.wait_for(lambda: "connection was lost" in browser.text, "a word of it")
+    again = page_process("--port", address.rsplit(":", 1)[1].strip("/"))
+    assert again.url == address
+    browser.wait_for(lambda: "connection was lost" not in browser.text, "the page")
+
+    def shown() -> bool:
+        graph.session(counted(3))
+        return "sample 2, 2 s" in browser.text
+
+    browser.wait_for(shown, "samples")
+    browser.warnings()  # those of the lost connection
+
+
+def test_a_replay_is_paused_and_hurried(
+    page: Any, browser: Any, node: Callable[..., Process], tmp_path: Path
+) -> None:
+    session = write_session(tmp_path / "hour", counted(3600))
+    browser.open(page.url)
+    assert browser.button("Pause") is None
+    player = node("player", f"session:={session}", "rate:=10.0")
+    browser.wait_for(lambda: "playing: " in browser.text, "the player")
+    browser.click("Pause")
+    browser.wait_for(lambda: "paused: " in browser.text, "the pause")
+    stands = browser.column("output", 0, "t")[-1]
+    time.sleep(1.0)
+    assert browser.column("output", 0, "t")[-1] - stands <= 1.0
+    browser.click("200 ×")
+    browser.wait_for(lambda: "200 × recorded speed" in browser.text, "the speed")
+    browser.click("Continue")
+    browser.wait_for(lambda: browser.column("output", 0, "t")[-1] > stands + 300, "five minutes more")
+    browser.click("max")
+    assert player.wait() == 0
+    browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")
+    browser.wait_for(lambda: browser.button("Pause") is None, "that the player has gone")
+    browser.wait_for(lambda: "the replay has ended" in browser.text, "that this was the end")
+    time.sleep(6.0)  # longer than a node or a sample may keep silent
+    assert "the replay has ended" in browser.text
+    assert "silent" not in browser.text
+    assert "no sample for" not in browser.text
+    assert browser.warnings() == []

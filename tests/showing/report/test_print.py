@@ -1,0 +1,41 @@
+"""The report as a browser prints it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from pypdf import PdfReader
+
+from twinmatch.showing.report import Report
+
+
+def test_it_prints_on_numbered_a4_pages(shipped: Report, tmp_path: Path) -> None:
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    shipped.write(tmp_path / "report.html")
+    command = [
+        chromium,
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--no-pdf-header-footer",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        f"--print-to-pdf={tmp_path / 'report.pdf'}",
+        (tmp_path / "report.html").as_uri(),
+    ]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    pages = PdfReader(tmp_path / "report.pdf").pages
+    assert 5 <= len(pages) <= 15
+    for number, page in enumerate(pages, 1):
+        width, height = (float(v) / 72 * 25.4 for v in (page.mediabox.width, page.mediabox.height))
+        assert (width, height) == pytest.approx((210, 297), abs=1)
+        assert f"{number} / {len(pages)}" in page.extract_text()
+    text = " ".join(" ".join(page.extract_text().split()) for page in pages)
+    for title in ("Summary", "2. Health over time", "3. What comes next", "6. Which model order"):
+        assert title in text
+    pixels = sum(len(page.images) for page in pages)
+    assert pixels <= 2, "but for the heat map and its colour bar pictures stay drawings, sharp at any size"

@@ -1,0 +1,361 @@
+"""The report as a document: whole, self-contained, and with the figures of the verdict in it."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import hashlib
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.rig import rig, run
+from twinmatch.comparing import ADMITTED
+from twinmatch.errors import TwinmatchError
+from twinmatch.offline.backtest import sentences
+from twinmatch.offline.backtest.result import LEADER, TWINS
+from twinmatch.offline.backtest.table import cells
+from twinmatch.plants import Peltier
+from twinmatch.sessions import SessionWriter, samples_of, write_session
+from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.topics import SAMPLE
+from twinmatch.showing import sentence
+from twinmatch.showing.quantities import number
+from twinmatch.showing.report import Report, build_report, make_report, write_pictures
+from twinmatch.showing.report.provenance import settings_of
+from twinmatch.signals import Window
+from twinmatch.twin import TwinSettings
+
+from .conftest import SHIPPED, Element, grid, parse, tables_of
+
+LOADS = {"src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"}
+
+
+@pytest.fixture(scope="session")
+def page(shipped_page: str) -> Element:
+    return parse(shipped_page)
+
+
+def test_the_document_is_html_and_says_what_it_is(page: Element, shipped_page: str) -> None:
+    assert shipped_page.lstrip().startswith("<!DOCTYPE html>")
+    assert next(page.all("html")).attributes["lang"] == "en"
+    assert next(page.all("title")).text == "twinmatch report: four_setpoints"
+    assert next(page.all("h1")).text.endswith("four_setpoints")
+    ids = re.findall(r'\bid="([^"]+)"', shipped_page)
+    assert len(ids) == len(set(ids))
+    for link in page.all("a"):
+        assert link.attributes["href"].removeprefix("#") in ids
+
+
+def test_nothing_is_loaded_and_no_script_is_needed(page: Element, shipped_page: str) -> None:
+    assert not list(page.all("script"))
+    assert not list(page.all("link"))
+    assert not list(page.all("iframe"))
+    elements = [page, *(e for tag in ("img", "a", "svg", "use", "style", "meta") for e in page.all(tag))]
+    for element in elements:
+        for name, value in element.attributes.items():
+            assert not name.startswith("on")
+            if name in LOADS:
+                assert value.startswith(("data:", "#")), f"<{element.tag} {name}={value[:60]}>"
+    style = next(page.all("style")).text
+    assert "@import" not in style
+    assert "url(" not in style
+    assert "http" not in re.sub(r"data:[^\"]*", "", shipped_page)
+
+
+def test_it_is_made_for_printing(page: Element) -> None:
+    style = next(page.all("style")).text
+    assert "@page" in style
+    assert "@media print" in style
+
+
+def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(page: Element) -> None:
+    images = list(page.all("img"))
+    assert len(images) == 9
+    for image in images:
+        head, data = image.attributes["src"].split(",", 1)
+        assert head == "data:image/svg+xml;base64"
+        svg = base64.b64decode(data)
+        assert ET.fromstring(svg).tag.endswith("svg")
+        assert not re.search(rb"<script|(href|src)=\"http", svg)
+        assert len(image.attributes["alt"]) > 60
+    assert "trusted" in next(i for i in images if "Trust over time" in i.attributes["alt"]).attributes["alt"]
+
+
+def test_the_sentence_and_the_level_head_the_report(page: Element, shipped: Report) -> None:
+    header = next(page.all("header")).text
+    assert sentence(shipped.judged.judgement.summary) in header
+    assert "trusted" in header
+
+
+def test_the_criterion_tables_hold_the_verdict_and_the_best_is_bold(page: Element, shipped: Report) -> None:
+    verdict = shipped.judged.judgement.verdicts[-1]
+    tables = tables_of(page)
+    decimals = {"gain": 0, "explanation": 3, "naic": 3, "bic": 1, "mdl": 4}
+    for candidate in verdict.modelled:
+        mark = ", nominal" if candidate.name == verdict.nominal else ""
+        table = tables[f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"]
+        names = [h.text.split(" / ")[0] for h in next(table.all("thead")).all("th")]
+        rows = grid(table)
+        assert len(rows) == 12
+        for block, output in enumerate(("y", "u", "total")):
+            part = rows[4 * block : 4 * block + 4]
+            assert [r[1].text for r in part] == [o.order for o in candidate.orders]
+            for row, order in zip(part, candidate.orders, strict=True):
+                criteria = getattr(order, output)
+                assert row[names.index("l(t)")].text == str(criteria.trivial_length)
+                assert row[names.index("l(p)")].text == str(criteria.model_length)
+            for attribute, places in decimals.items():
+                name = {"gain": "gain", "explanation": "explained", "naic": "nAIC"}.get(
+                    attribute, attribute.upper()
+                )
+                values = [float(getattr(getattr(o, output), attribute)) for o in candidate.orders]
+                best = max(values) if attribute in {"gain", "explanation"} else min(values)
+                for row, value in zip(part, values, strict=True):
+                    cell = row[names.index(name)]
+                    assert cell.text == number(value, places)
+                    assert ("best" in cell.classes) is (value == best)
+
+
+def test_the_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, shipped: Report) -> None:
+    tested = shipped.judged.tested
+    tables = tables_of(page)
+    for horizon in tested.horizons:
+        held = [card for card in tested.cards if card.horizon == horizon]
+        rows = grid(tables[f"{horizon:g} s ahead, {held[0].count} forecasts"])
+        assert [[cell.text for cell in row] for row in rows] == [list(cells(c, Peltier)) for c in held]
+        best = [row[0].text for row in rows if "best" in row[1].classes]
+        asked = [c for c in held if c.who == LEADER or c.who not in TWINS]
+        assert best == [c.who for c in asked if c.median == min(a.median for a in asked)]
+    for line in sentences(tested):
+        assert line in page.text
+
+
+def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Report) -> None:
+    samples = {s.index: s for s in shipped.judged.judgement.samples}
+    shown = {f.sample: f for f in shipped.judged.tested.shown}
+    rows = grid(tables_of(page)["Forecasts of the leader, and the measurements"])
+    assert len(rows) == min(6, len(shown))
+    for row in rows:
+        forecast = shown[int(row[0].text)]  # one sample a second
+        last = samples[forecast.sample + forecast.time.size]
+        levels = [float(level) for level in row[2].text.split(" → ")]
+        assert row[1].text == forecast.candidate
+        assert (levels[0], levels[-1]) == (samples[forecast.sample + 1].reference, last.reference)
+        assert row[4].text == f"{last.output:.1f}"
+        came = np.array([samples[forecast.sample + 1 + k].output for k in range(forecast.time.size)])
+        assert float(row[5].text) == pytest.approx(
+            np.sqrt(np.mean((came - forecast.output.mean) ** 2)), abs=5.1e-3
+        )
+        held = (forecast.output.low <= came) & (came <= forecast.output.high)
+        assert row[6].text == f"{100 * held.mean():.0f} %"
+    assert "leader_forecasts" in shipped.pictures
+
+
+def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: Report) -> None:
+    verdict = shipped.judged.judgement.verdicts[-1]
+    table = tables_of(page)["ν-gap between the plants"]
+    rows = grid(table)
+    count = len(verdict.candidates)
+    shown = np.array([[float(c.text) for c in row[1 : count + 1]] for row in rows])
+    np.testing.assert_allclose(shown, verdict.nu_gap, atol=5.1e-4)
+    sums = [float(row[count + 1].text) for row in rows]
+    np.testing.assert_allclose(sums, [c.nu_gap_sum for c in verdict.candidates], atol=5.1e-4)
+    bold = [row[0].text for row in rows if "best" in row[count + 1].classes]
+    assert bold == [verdict.candidates[int(np.argmin(sums))].name]
+
+
+def test_the_gap_of_the_identified_models_has_a_table_of_its_own(page: Element, shipped: Report) -> None:
+    """As in the paper's table."""
+    verdict = shipped.judged.judgement.verdicts[-1]
+    rows = grid(tables_of(page)[f"ν-gap between the models of order {verdict.order}"])
+    count = len(verdict.identified_gap)
+    shown = np.array([[float(c.text) for c in row[1 : count + 1]] for row in rows])
+    np.testing.assert_allclose(shown, verdict.identified_gap, atol=5.1e-4)
+    sums = [float(row[count + 1].text) for row in rows]
+    known = [c.identified_gap_sum for c in verdict.candidates if np.isfinite(c.identified_gap_sum)]
+    np.testing.assert_allclose(sums, known, atol=5.1e-4)
+
+
+def test_the_nominal_parameters_have_units_errors_and_intervals(page: Element, shipped: Report) -> None:
+    nominal = shipped.nominal
+    assert nominal is not None
+    assert nominal.match is not None
+    rows = {
+        r[0].text: [c.text for c in r]
+        for r in grid(tables_of(page)[f"Parameters of the nominal twin, {nominal.score.name}"])
+    }
+    p = nominal.score.parameters
+    assert rows["α"][2:4] == [f"{1000 * p['seebeck']:.1f}", "mV/K"]
+    assert rows["R"][2:4] == ["3.30", "Ω"]
+    assert rows["K"][2:4] == [f"{p['conductance']:.3f}", "W/K"]
+    assert rows["C"][2:4] == [f"{p['heat_capacity']:.1f}", "J/K"]
+    error = nominal.match.standard_errors[nominal.match.free.index("heat_capacity")]
+    assert float(rows["C"][4]) == pytest.approx(error, abs=0.006)
+    low, high = (float(v) for v in rows["C"][5].split(" to "))
+    assert low < p["heat_capacity"] < high
+    assert rows["R"][4:6] == ["–", "–"]
+
+
+def test_the_coefficients_are_those_of_the_models_that_were_scored(page: Element, shipped: Report) -> None:
+    """What the table prints, run as a difference equation, explains the data as the verdict says."""
+    from twinmatch.comparing import score
+
+    nominal = shipped.nominal
+    assert nominal is not None
+    scored = tuple(score(m, nominal.measured, 2, absolute=Peltier.output.absolute) for m in nominal.models)
+    assert [s.total.gain for s in scored] == [o.total.gain for o in nominal.score.orders]
+    rows = grid(tables_of(page)[f"Box–Jenkins models of candidate {nominal.score.name}, nominal"])
+    assert [(r[0].text, r[1].text) for r in rows] == [
+        (output, polynomial) for output in ("output y/r", "control u/r") for polynomial in "BCDF"
+    ]
+    for k, model in enumerate(nominal.models):
+        for j, row in enumerate(rows):
+            printed = [float(v.replace("−", "-")) for v in row[2 + k].text.split()]
+            values = getattr((model.y, model.u)[j // 4], "BCDF"[j % 4])
+            np.testing.assert_allclose(printed, values, rtol=1e-5, atol=1e-12)
+
+
+def test_the_files_of_the_session_are_named_with_their_hashes(page: Element) -> None:
+    rows = {r[0].text: r for r in grid(tables_of(page)["Files of the session"])}
+    assert set(rows) == {f.name for f in SHIPPED.iterdir()}
+    for name, row in rows.items():
+        data = (SHIPPED / name).read_bytes()
+        assert row[1].text == str(len(data))
+        assert row[2].text == hashlib.sha256(data).hexdigest()
+
+
+def test_the_report_says_how_it_was_made(page: Element) -> None:
+    rows = {r[0].text: r[1].text for r in grid(tables_of(page)["How the report was made"])}
+    assert rows["command"] == "twinmatch report bags/four_setpoints"
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d[+-]\d\d:\d\d", rows["made"])
+    assert rows["numpy"] == np.__version__
+    assert {"twinmatch", "Python", "scipy", "numba"} <= set(rows)
+    parameters = next(t for c, t in tables_of(page).items() if c.startswith("All parameters"))
+    shown = {r[0].text: r[1].text for r in grid(parameters)}
+    assert shown["schedule.stride"] == "60"
+    assert shown["pid.proportional"] == "38.57"
+    assert shown["limits.doubtful"] == "2"
+
+
+def test_a_parameter_that_is_not_the_default_is_marked() -> None:
+    changed = [s.name for s in settings_of(TwinSettings(decimals=3)) if s.changed]
+    assert changed == ["decimals"]
+
+
+def test_names_from_files_are_shown_and_not_run(tmp_path: Path) -> None:
+    """A session may be called anything; none of it becomes markup."""
+    name = "a<script>alert(1)<"
+    window = Window([30.0] * 30, [30.0] * 30, [10.0] * 30)
+    session = write_session(tmp_path / name, samples_of(window))
+    text = make_report(session, command="x & y").html()
+    document = parse(text)
+    assert not list(document.all("script"))
+    assert next(document.all("h1")).text.endswith(name)
+    assert "x &amp; y" in text
+
+
+# Sessions out of the ordinary
+
+
+def simulated(reference: np.ndarray, **changes: float) -> Window:
+    return run(rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0).replace(**changes), reference, seed=5)
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        (np.full(3, 30.0), "There was no set-point step"),
+        (np.full(200, 40.0), "There was no set-point step"),
+        (np.repeat([30.0, 50.0], 45), "There was no set-point step"),
+    ],
+    ids=["three samples", "no step", "too short"],
+)
+def test_a_session_without_a_verdict_says_so(reference: np.ndarray, words: str, tmp_path: Path) -> None:
+    session = write_session(tmp_path / "short", samples_of(simulated(reference)))
+    report = make_report(session)
+    document = parse(report.html())
+    assert words in next(document.all("main")).text
+    assert "No nominal twin" in next(document.all("header")).text
+    assert "unknown" in next(document.all("header")).text
+    assert set(report.pictures) == {"session", "health"}
+
+
+def test_a_session_with_gaps_and_matches_that_were_refused(tmp_path: Path) -> None:
+    """Somebody warms and cools the plate by 2 °C: no parameters explain that, and no fault shows."""
+    reference = np.repeat([30.0, 60.0, 30.0], [60, 260, 260])
+    window = simulated(reference)
+    temperature = window.output + 2.0 * np.sin(np.arange(reference.size) / 15.0)
+    samples = samples_of(Window(reference, temperature, window.input))
+    samples = samples[:20] + samples[30:]
+    with SessionWriter(tmp_path / "odd") as writer:
+        writer.add_topic(SAMPLE)
+        for sample in samples:
+            writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
+    report = make_report(tmp_path / "odd")
+    document = parse(report.html())
+    told = [v for v in report.judged.judgement.verdicts if v.match]
+    assert told
+    assert not any(v.match == ADMITTED for v in told)
+    assert "match refused" in tables_of(document)["What happened"].text
+    assert f"of {len(told)} match" in next(document.all("main")).text
+    assert "indices step from" in next(document.all("main")).text
+
+
+def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
+    window = simulated(np.repeat([30.0, 50.0], [60, 250]))
+    path = tmp_path / "bench.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time", "reference", "temperature", "pwm"])
+        writer.writerows(zip(window.time, window.reference, window.output, window.input, strict=True))
+    report = make_report(path)
+    assert report.nominal is not None
+    assert "has no recorded verdicts" in report.html()
+    assert [f.name for f in report.provenance.files] == ["bench.csv"]
+
+
+def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path]) -> None:
+    """The rig lost its drive in this hour."""
+    if 27 not in recordings:
+        pytest.skip("recording 27 is not there")
+    report = make_report(recordings[27])
+    document = parse(report.html())
+    assert "fault" in next(document.all("header")).text
+    words = next(document.all("ul")).text
+    assert "Look at the plant" in words
+    assert "refused" in tables_of(document)["What happened"].text
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf"])
+def test_the_figures_are_written_by_themselves(shipped: Report, ending: str, tmp_path: Path) -> None:
+    from PIL import Image
+    from pypdf import PdfReader
+
+    written = write_pictures(shipped.pictures, tmp_path / "figures", ending)
+    assert {p.stem for p in written} == set(shipped.pictures)
+    for path in written:
+        if ending == "png":
+            with Image.open(path) as image:
+                assert min(image.size) > 300
+        else:
+            assert len(PdfReader(path).pages) == 1
+
+
+def test_the_same_session_gives_the_same_document(shipped: Report, shipped_page: str) -> None:
+    """But for the time at which it was made."""
+    command = "twinmatch report bags/four_setpoints"
+    again = build_report(shipped.judged, SHIPPED, command=command).html()
+    made = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d[+-]\d\d:\d\d")
+    assert made.sub("", again) == made.sub("", shipped_page)
+
+
+def test_what_cannot_be_written_is_one_message(shipped: Report, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(TwinmatchError, match="cannot be written"):
+        shipped.write(tmp_path / "no" / "report.html")
+    with pytest.raises(TwinmatchError, match="cannot be created"):
+        write_pictures(shipped.pictures, tmp_path / "file" / "figures", "png")

@@ -1,0 +1,141 @@
+"""Tables that hold more when more is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from tests.support.rig import rig
+from twinmatch.comparing import Verdict
+from twinmatch.showing.report import Report
+from twinmatch.showing.report.match_tables import match_table, nominal_table
+from twinmatch.showing.report.model_tables import gap_table, order_table
+from twinmatch.showing.report.words import duration
+
+from .conftest import grid, parse, tables_of
+
+RIG = rig("sink with mass", seebeck=0.06, sink_heat_capacity=250.0, sink_convection=6.0)
+
+
+def verdict_of(report: Report) -> Verdict:
+    return report.judged.judgement.verdicts[-1]
+
+
+def silent(verdict: Verdict) -> Verdict:
+    """The verdict with nothing said of how sure it is."""
+    candidates = tuple(
+        replace(
+            c,
+            margin=None,
+            plant_gap_to_nominal=None,
+            nu_gap_sum_low=math.nan,
+            nu_gap_sum_high=math.nan,
+            nominal_probability=math.nan,
+            orders=tuple(replace(o, weight=math.nan, aic_difference=math.nan) for o in c.orders),
+        )
+        for c in verdict.candidates
+    )
+    return replace(verdict, candidates=candidates, certainty="", structure="", structure_parameters=None)
+
+
+def telling(verdict: Verdict) -> Verdict:
+    candidates = tuple(
+        replace(
+            c,
+            margin=0.31 + 0.01 * k,
+            plant_gap_to_nominal=0.05 * k,
+            nu_gap_sum_low=c.nu_gap_sum / 2,
+            nu_gap_sum_high=c.nu_gap_sum + 0.2,
+            nominal_probability=0.25,
+            orders=tuple(
+                replace(o, weight=w, aic_difference=d)
+                for o, w, d in zip(c.orders, (0.7, 0.2, 0.1, 0.0), (0.0, 2.5, 3.9, 40.0), strict=True)
+            ),
+        )
+        for k, c in enumerate(verdict.modelled)
+    )
+    return replace(
+        verdict,
+        candidates=candidates,
+        nu_gap=tuple(row[: len(candidates)] for row in verdict.nu_gap[: len(candidates)]),
+        certainty="the choice is certain",
+        structure="sink with mass",
+        structure_parameters=RIG,
+    )
+
+
+def test_columns_without_a_figure_are_left_out(shipped: Report) -> None:
+    quiet = silent(verdict_of(shipped))
+    assert order_table(quiet) is None
+    assert not {"90 % interval of Σ", "P(nominal)", "margin b(P, C)"} & set(gap_table(quiet).columns)
+
+
+def test_what_is_known_of_the_uncertainty_is_shown(shipped: Report) -> None:
+    table = gap_table(telling(verdict_of(shipped)))
+    row = dict(zip(table.columns, (c.text for c in table.rows[1]), strict=True))
+    total = verdict_of(shipped).candidates[1].nu_gap_sum
+    assert row["90 % interval of Σ"] == f"{total / 2:.3f} to {total + 0.2:.3f}"
+    assert row["P(nominal)"] == "0.25"
+    assert row["margin b(P, C)"] == "0.320"
+    weights = order_table(telling(verdict_of(shipped)))
+    assert weights is not None
+    assert [c.text for c in weights.rows[0]][1:] == [
+        "0.700", "0.200", "0.100", "0.000", "0.0", "2.5", "3.9", "40.0",
+    ]  # fmt: skip
+    assert [c.best for c in weights.rows[0]][1:5] == [True, False, False, False]
+
+
+def test_the_page_shows_it_too(shipped: Report) -> None:
+    judgement = shipped.judged.judgement
+    told = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
+    text = replace(shipped, judged=replace(shipped.judged, judgement=told)).html()
+    document = parse(text)
+    assert "The choice is certain." in text
+    rows = {
+        row[0].text: row[2].text
+        for row in grid(tables_of(document)["Peltier rig with the structure “sink with mass”"])
+    }
+    assert rows["C_S"] == "250"
+    assert "Akaike weights of the orders" in tables_of(document)
+
+
+def test_a_given_candidate_has_no_intervals(shipped: Report) -> None:
+    score = verdict_of(shipped).candidates[0]
+    rows = {row[0].text: row for row in nominal_table(score, None).rows}
+    assert rows["α"][2].text == f"{1000 * score.parameters['seebeck']:.1f}"
+    assert rows["α"][6].text == "candidate file"
+    assert rows["α"][5].text == "–"
+
+
+def test_open_intervals_are_shown_as_open(shipped: Report) -> None:
+    nominal = shipped.nominal
+    assert nominal is not None
+    assert nominal.match is not None
+    place = nominal.match.free.index("conductance")
+    ends = np.array([[0.0, 1.0]] * len(nominal.match.free))
+    ends[place] = (-np.inf, 0.6)
+    open_ended = replace(nominal.match, intervals=ends, believed=("seebeck",))
+    rows = {row[0].text: row for row in nominal_table(nominal.score, open_ended).rows}
+    assert rows["K"][5].text == "−∞ to 0.600"
+    assert rows["K"][6].text == "fitted, poorly determined"
+    assert rows["α"][6].text == "fitted, well determined"
+
+
+def test_a_refused_match_is_reported_with_its_reason(shipped: Report) -> None:
+    report = shipped.judged.judgement.matches[0]
+    unfitted = replace(report.match, chi2=math.nan, reason="nothing moved")
+    table = match_table([report._replace(match=unfitted)], [], 1.0)
+    assert table.rows[0][-1].text == "nothing moved"
+    assert {c.text for c in table.rows[0][3:-3]} == {"–"}
+
+
+def test_spans_of_time_read_well() -> None:
+    assert [duration(s) for s in (0.5, 59, 60, 3599, 3601)] == [
+        "0.5 s",
+        "59 s",
+        "1 min",
+        "59 min 59 s",
+        "1 h 1 s",
+    ]

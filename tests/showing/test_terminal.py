@@ -1,0 +1,166 @@
+"""The view of a run on a terminal, of a simulated session whose drive is lost."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+
+import pytest
+from rich.console import Console
+
+from tests.support.steps import drive_lost
+from twinmatch.offline.judgement import Judgement, judge_samples
+from twinmatch.plants import Peltier
+from twinmatch.showing import nominal_score, number, quantity
+from twinmatch.showing.line import Lines
+from twinmatch.showing.terminal import Screen, view_on
+from twinmatch.twin import TwinSettings
+
+LOST = 640
+"""Sample at which the drive is lost."""
+ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+@pytest.fixture(scope="module")
+def judged() -> Judgement:
+    return judge_samples("drive_lost", drive_lost(LOST), TwinSettings())
+
+
+def shown(judged: Judgement, width: int, height: int = 60, *, until: int = 720, **options: object) -> str:
+    """Everything that was written to a terminal of this size while the run continued and ended."""
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=True, width=width, height=height, **options)  # type: ignore[arg-type]
+    screen = Screen(console, judged.name, 1.0, len(judged.samples))
+    screen.open()
+    tell(screen, judged, until)
+    screen.close()
+    screen.close()
+    return stream.getvalue()
+
+
+def tell(screen: Screen, judged: Judgement, until: int) -> None:
+    for match in judged.matches:
+        if match.sample <= until:
+            screen.take_match(match)
+    for verdict in judged.verdicts:
+        if verdict.sample <= until:
+            screen.take_verdict(verdict)
+    screen.advance(until)
+
+
+def last_screen(written: str) -> list[str]:
+    """What stays: all after the last time the cursor went up to draw again."""
+    return ESCAPE.sub("", re.split(r"\x1b\[1A\x1b\[2K", written)[-1]).splitlines()
+
+
+def table_of(screen: Sequence[str]) -> dict[str, list[str]]:
+    """The cells of every candidate, by its name; marks are left out."""
+    rows = [re.sub("^[▶○]* *", "", line.strip()) for line in screen]
+    found = [re.split(r" {2,}", row) for row in rows if re.match(r"\d+ °C  ", row)]
+    return {cells[0]: [cell.strip() for cell in cells[1:]] for cells in found}
+
+
+def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement) -> None:
+    screen = last_screen(shown(judged, 160, until=LOST - 1))
+    verdict = next(v for v in reversed(judged.verdicts) if v.sample < LOST)
+    table = table_of(screen)
+    assert list(table) == [c.name for c in verdict.modelled]
+    for score in verdict.modelled:
+        total = next(o for o in score.orders if o.order == score.chosen_order).total
+        assert table[score.name] == [
+            number(score.operating_point, 1),
+            *(
+                quantity(Peltier, name).text(score.parameters[name])
+                + ("*" if name in believed(judged, score.first) else "")
+                for name in ("seebeck", "conductance", "heat_capacity")
+            ),
+            score.chosen_order,
+            number(total.gain, 0),
+            number(total.naic, 3),
+            number(total.bic, 1),
+            number(total.mdl, 4),
+            number(score.nu_gap_sum, 3),
+            f"{number(score.nu_gap_sum_low, 2)}…{number(score.nu_gap_sum_high, 2)}",
+            number(score.nominal_probability, 2),
+            number(score.margin, 3),
+        ]
+    text = "\n".join(screen)
+    for unit in ("mV/K", "W/K", "J/K", "characters", "°C²+PWM²"):
+        assert unit in text
+    assert re.search(rf"▶? ?○ {verdict.nominal}", text)
+    assert f"{verdict.leader} (confidence " in text
+    assert ", its forecasts save " in text
+
+
+def believed(judged: Judgement, first: int) -> tuple[str, ...]:
+    return next(m.match.believed for m in judged.matches if m.match.samples[0] == first)
+
+
+def test_level_progress_fault_and_events_are_reported(judged: Judgement) -> None:
+    written = shown(judged, 120, color_system="truecolor")
+    text = " ".join(" ".join(last_screen(written)).split())
+    assert "drive_lost" in text
+    assert "100 %, 0:12:00 of 0:12:00 h" in text
+    assert " FAULT " in text
+    told = next(v for v in judged.verdicts if v.fault)
+    assert f"fault drive-lost since {told.fault_since} s" in text
+    assert f"{told.sample} s ! fault: drive-lost" in text
+    assert "match admitted: candidate 70 °C" in text
+    assert f"{nominal_score(told).name} is nominal" in text  # type: ignore[union-attr]
+    assert f"{next(v.leader for v in judged.verdicts if v.leader)} leads" in text
+    assert re.search(r"\x1b\[[0-9;]*31[0-9;]*m FAULT ", written)
+
+
+@pytest.mark.parametrize("width", [30, 60, 80, 100])
+def test_no_line_is_wider_than_the_terminal_and_no_number_is_cut(judged: Judgement, width: int) -> None:
+    screen = last_screen(shown(judged, width))
+    assert max(len(line.rstrip()) for line in screen) <= width
+    wide = table_of(last_screen(shown(judged, 200)))
+    narrow = table_of(screen)
+    assert set(narrow) == set(wide)
+    for score in judged.verdicts[-1].modelled:
+        assert set(narrow[score.name]) <= set(wide[score.name])
+        assert score.chosen_order in narrow[score.name]
+
+
+def test_a_low_terminal_is_never_overfilled_while_the_run_continues(judged: Judgement) -> None:
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=True, width=80, height=24)
+    screen = Screen(console, judged.name, 1.0, None)
+    tell(screen, judged, len(judged.samples))
+    drawn = console.render_lines(screen)
+    assert len(drawn) < 24
+    assert "fault: drive-lost" in "".join(s.text for line in drawn for s in line)
+
+
+def test_without_colours_the_words_still_tell(judged: Judgement) -> None:
+    written = shown(judged, 120, no_color=True, color_system="truecolor")
+    assert not re.search(r"\x1b\[(?:[0-9]+;)*(?:3[0-8]|4[0-8]|9[0-7])[;m]", written)
+    assert " FAULT " in written
+
+
+def test_what_was_drawn_can_be_wiped_away(judged: Judgement) -> None:
+    stream = io.StringIO()
+    screen = Screen(Console(file=stream, force_terminal=True, width=80, height=24), "run", 1.0, None)
+    screen.open()
+    tell(screen, judged, 300)
+    screen.close(wipe=True)
+    assert last_screen(stream.getvalue() + "after") == ["after"]
+
+
+def test_a_line_of_somebody_else_stands_above_the_view(judged: Judgement) -> None:
+    stream = io.StringIO()
+    screen = Screen(Console(file=stream, force_terminal=True, width=80, height=40), "run", 1.0, None)
+    screen.open()
+    tell(screen, judged, 300)
+    screen.say("[twin] word", "red")
+    screen.close()
+    text = ESCAPE.sub("", stream.getvalue())
+    assert "[twin] word" in text
+    assert text.rindex("[twin] word") < text.rindex("plant time 0:05:00 h, 300 samples")
+
+
+def test_only_a_terminal_gets_the_view() -> None:
+    assert isinstance(view_on(Console(file=io.StringIO()), "run"), Lines)
+    assert isinstance(view_on(Console(file=io.StringIO(), force_terminal=True), "run"), Lines)
