@@ -14,7 +14,7 @@ from tests.support.places import PROJECT
 from tests.support.prose import read_prose
 from twinmatch.comparing.verdict import ADMITTED, REFUSED, TrustLevel
 from twinmatch.fitting.gate import Status
-from twinmatch.health.record import Fault, State
+from twinmatch.health.faults import Fault, State
 from twinmatch.safety import FaultKind
 
 PAGE = (PROJECT / "docs" / "troubleshooting.md").read_text("utf-8")

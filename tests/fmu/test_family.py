@@ -18,7 +18,7 @@ from twinmatch.nodes.twin_parameters import ParameterError, read_settings, recor
 from twinmatch.offline.foreign import ForeignError, check_fmus
 from twinmatch.offline.judgement import Judgement, judge_samples
 from twinmatch.plants import Peltier
-from twinmatch.record.named import parameters_of, parameters_tree
+from twinmatch.record.trees import parameters_of, parameters_tree
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Twin, TwinSettings

@@ -18,7 +18,7 @@ from twinmatch.forecasting import (
     ForecastError,
     Moment,
     largest_input,
-    time_held,
+    settling_time,
     time_to_reach,
 )
 from twinmatch.plants import Peltier
@@ -52,7 +52,7 @@ def test_a_lag_reaches_its_level_when_its_solution_does() -> None:
     assert found.expected == pytest.approx(when(5.5), abs=0.11)
     assert found.earliest == pytest.approx(when(7.5), abs=0.11)
     assert found.latest == pytest.approx(when(3.5), abs=0.11)
-    settled = time_held(said, 60.0, 1.0)
+    settled = settling_time(said, 60.0, 1.0)
     assert settled.expected == pytest.approx(when(1.0), abs=0.11)
     assert settled.earliest == pytest.approx(when(3.0), abs=0.11)
     assert settled.latest is None  # a band of ±2 never fits into ±1
@@ -63,7 +63,7 @@ def test_a_lag_reaches_its_level_when_its_solution_does() -> None:
 def test_a_level_that_is_passed_between_two_samples_is_reached() -> None:
     said = forecast(np.array([60.0, 55.0, 45.0, 30.0, 45.0]), np.zeros(5))
     assert time_to_reach(said, 50.0, 0.1).expected == 3.0
-    assert time_held(said, 50.0, 0.1).expected is None
+    assert settling_time(said, 50.0, 0.1).expected is None
     assert time_to_reach(said, 60.0, 0.1) == Moment(1.0, 1.0, 1.0)
 
 
@@ -72,7 +72,7 @@ def test_an_overshoot_holds_only_behind_it() -> None:
     rig, gains = Peltier.model().parameters(), dataclasses.replace(gains_of(Peltier, 1.0), integral=15.0)
     run = simulate_closed_loop(rig, np.full(200, 60.0), states=begin(rig, 40.0), gains=gains)
     said = forecast(run.output, run.input)
-    reached, settled = time_to_reach(said, 60.0, 0.2).expected, time_held(said, 60.0, 0.2).expected
+    reached, settled = time_to_reach(said, 60.0, 0.2).expected, settling_time(said, 60.0, 0.2).expected
     assert reached is not None
     assert settled is not None
     within = np.abs(run.output - 60.0) <= 0.2
@@ -107,12 +107,12 @@ def test_every_run_inside_the_band_keeps_what_is_said(
     said = forecast(mean, mean, width)
     inside = mean + width * rng.uniform(-1.0, 1.0, 60)
     inside[0] = mean[0]  # on the same side of the level
-    for ask in (time_to_reach, time_held):
+    for ask in (time_to_reach, settling_time):
         told, own = ask(said, level, tolerance), ask(forecast(inside, inside), level, tolerance).expected
         for one, other in ((told.earliest, told.expected), (told.expected, told.latest)):
             assert (one or math.inf) <= (other or math.inf)
         assert (told.earliest or math.inf) <= (own or math.inf)
-        if ask is time_held or abs(mean[0] - level) > tolerance:
+        if ask is settling_time or abs(mean[0] - level) > tolerance:
             assert (own or math.inf) <= (told.latest or math.inf)
     peak = largest_input(said)
     assert peak.least <= peak.expected <= peak.most
@@ -123,6 +123,6 @@ def test_a_question_without_meaning_is_refused() -> None:
     said = forecast(np.zeros(3), np.zeros(3))
     with pytest.raises(ForecastError, match="forecast of twin_1: the level is nan; give a finite one"):
         time_to_reach(said, math.nan, 0.1)
-    for ask in (time_to_reach, time_held):
+    for ask in (time_to_reach, settling_time):
         with pytest.raises(ForecastError, match="the tolerance is 0; give a positive one"):
             ask(said, 1.0, 0.0)

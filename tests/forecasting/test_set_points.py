@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.plants import Motor
-from twinmatch.control import Profile
 from twinmatch.forecasting import ForecastError, SetPoints
 from twinmatch.plants import Peltier
 
@@ -21,7 +20,7 @@ levels = st.floats(0.0, 100.0)
 
 
 def test_a_held_set_point_stays() -> None:
-    np.testing.assert_array_equal(SetPoints.held(45, PLATE).ahead(1.0, 5), 45.0)
+    np.testing.assert_array_equal(SetPoints.constant(45, PLATE).ahead(1.0, 5), 45.0)
 
 
 def test_steps_act_from_their_time_on() -> None:
@@ -69,10 +68,10 @@ def test_it_is_read_from_a_csv() -> None:
             lambda: SetPoints.planned([(1, 40), (2, 120)], 30.0, signal=PLATE),
             "row 2: the set-point is 120 °C; give one from 0 to 100 °C, the range of the plant's set-points",
         ),
-        (lambda: SetPoints.held(-5.0, PLATE), "the set-point now is -5 °C; give one from 0 to 100 °C"),
-        (lambda: SetPoints.held(900.0, Motor.output), "is 900 rad/s; give one from -500 to 500 rad/s"),
+        (lambda: SetPoints.constant(-5.0, PLATE), "the set-point now is -5 °C; give one from 0 to 100 °C"),
+        (lambda: SetPoints.constant(900.0, Motor.output), "is 900 rad/s; give one from -500 to 500 rad/s"),
         (lambda: SetPoints(30.0, (1.0,), ()), "1 times and 0 set-points are given; give one"),
-        (lambda: SetPoints.held(30.0).ahead(0.0, 5), "5 samples every 0 s requested; give positive"),
+        (lambda: SetPoints.constant(30.0).ahead(0.0, 5), "5 samples every 0 s requested; give positive"),
         (lambda: SetPoints.recorded([], 1.0), "there is no set-point; give at least that of the newest"),
     ],
 )  # fmt: skip
@@ -84,7 +83,7 @@ def test_a_faulty_profile_is_one_clear_line(make: Callable[[], object], message:
 
 
 def test_an_unusual_set_point_is_noted() -> None:
-    assert SetPoints.held(45.0, PLATE).notes == ()
+    assert SetPoints.constant(45.0, PLATE).notes == ()
     assert SetPoints.planned([(5, 95)], 45.0, signal=PLATE).notes == (
         "A set-point of 95 °C is outside the usual range of 20 to 90 °C.",
     )
@@ -95,15 +94,6 @@ def test_recorded_set_points_come_back(reference: list[float], period: float) ->
     """Also those that no plan could hold: what was recorded was."""
     found = SetPoints.recorded(reference, period).ahead(period, len(reference) - 1)
     np.testing.assert_array_equal(found, reference[1:])
-
-
-@given(since=st.floats(0.0, 300.0), ramp=st.sampled_from([0.0, 1.0]), period=st.sampled_from([0.05, 1.0]))
-def test_the_controllers_own_profile_is_followed(since: float, ramp: float, period: float) -> None:
-    profile = Profile((40.0, 60.0, 30.0), (50.0, 80.0, 70.0), True, ramp, lowest=0, highest=100, unit="°C")
-    plan = SetPoints.following(profile.reference, since, period=period, size=30, signal=PLATE)
-    expected = [profile.reference(since + k * period) for k in range(1, 31)]
-    np.testing.assert_array_equal(plan.ahead(period, 30), expected)
-    assert plan.before == profile.reference(since)
 
 
 @given(

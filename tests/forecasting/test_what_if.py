@@ -57,7 +57,7 @@ def test_the_answer_is_what_the_plant_then_does(outlook: Outlook) -> None:
     np.testing.assert_allclose(answer.forecast.input.mean, came.input, atol=1.0)
     there = ahead[np.abs(came.output - 62.0) <= 0.5]
     assert answer.reached.expected == pytest.approx(there[0], abs=1.0)
-    assert answer.held == Moment(None, None, None)
+    assert answer.settled == Moment(None, None, None)
     assert answer.largest.expected == pytest.approx(np.abs(came.input).max(), abs=1.0)
 
 
@@ -89,14 +89,14 @@ def test_answers_are_in_order(
     answer = what_if(outlook, Question(times, tuple(levels), ramps, float(horizon), tolerance=tolerance))
     assert answer.forecast.time.size == horizon
     assert answer.level == levels[-1]
-    for moment in (answer.reached, answer.held):
+    for moment in (answer.reached, answer.settled):
         given_times = [
             math.inf if t is None else t for t in (moment.earliest, moment.expected, moment.latest)
         ]
         assert given_times == sorted(given_times)
-    if answer.held.expected is not None:
+    if answer.settled.expected is not None:
         assert answer.reached.expected is not None
-        assert answer.reached.expected <= answer.held.expected
+        assert answer.reached.expected <= answer.settled.expected
     assert answer.largest.least <= answer.largest.expected <= answer.largest.most
     assert any("further than 300 s" in note for note in answer.forecast.notes) == (horizon > 300)
 

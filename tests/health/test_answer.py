@@ -17,7 +17,7 @@ from tests.support.faulty_kit import (
 )
 from tests.support.plants import Lag, Motor
 from twinmatch.health import Alarm, Fault
-from twinmatch.health.answer import answers_late
+from twinmatch.health.lagged_effect import is_lagged
 from twinmatch.plants import Peltier, TCLab
 
 pytest.importorskip("tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'")
@@ -95,7 +95,7 @@ def test_a_frozen_sensor_is_reported_once_the_plant_should_have_moved() -> None:
 
 
 def test_only_a_drive_behind_something_is_watched_so() -> None:
-    assert answers_late(TCLab.model().parameters(), 1.0)
-    assert not answers_late(Lag.model().parameters(), 1.0)
-    assert not answers_late(Motor.model().parameters(), 0.05)
-    assert not answers_late(Peltier.model().parameters(**Peltier.typical), 1.0)
+    assert is_lagged(TCLab.model().parameters(), 1.0)
+    assert not is_lagged(Lag.model().parameters(), 1.0)
+    assert not is_lagged(Motor.model().parameters(), 0.05)
+    assert not is_lagged(Peltier.model().parameters(**Peltier.typical), 1.0)

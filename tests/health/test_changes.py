@@ -11,7 +11,7 @@ from tests.support import faulty_rig as rig
 from tests.support.plants import Motor
 from twinmatch.dynamics import Parameter, Pid, PlantError, advance, begin, read
 from twinmatch.health import Fault, HealthSettings, Monitor
-from twinmatch.health.changes import Changes
+from twinmatch.health.changes import ChangeDetector
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 
@@ -63,11 +63,11 @@ def test_what_is_undone_is_over_and_what_stays_is_usual_after_ten_minutes() -> N
 def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
     """The simulated rig obeys the equations; one whose readings wander does not."""
     samples, _ = rig.run(rig.profile(3, 1500), rig=rig.some_rig(3), seed=3)
-    exact = Changes(HealthSettings().followed, 1.0)
+    exact = ChangeDetector(HealthSettings().followed, 1.0)
     for sample in samples:
         assert exact.push(sample) is None or not exact.suspected
     assert exact.level <= 0.5
-    random, rough = np.random.default_rng(1), Changes(HealthSettings().followed, 1.0)
+    random, rough = np.random.default_rng(1), ChangeDetector(HealthSettings().followed, 1.0)
     wander = np.cumsum(random.normal(0.0, 0.15, len(samples)))
     for sample, off in zip(samples, wander, strict=True):
         rough.push(Sample(sample.index, 0, sample.reference, sample.output + float(off), sample.input))

@@ -10,8 +10,7 @@ import pytest
 from tests.support.faulty_incubator import PERIOD, Lid, run, some_incubator, watch
 from tests.support.incubator import FIRST, LID, SECOND, read_run
 from twinmatch.health import Fault, HealthSettings, Monitor, State
-from twinmatch.health.changes import Changes
-from twinmatch.health.hypotheses import Kind
+from twinmatch.health.changes import ChangeDetector, Kind
 from twinmatch.plants import Incubator
 from twinmatch.signals import Sample, Window
 
@@ -42,7 +41,7 @@ def test_nothing_is_reported_for_one_that_is_left_alone(seed: int) -> None:
 
 def test_a_room_that_is_measured_is_not_a_hypothesis() -> None:
     """What it does is in the equations: 8 °C within ten minutes are the room's and not the plant's."""
-    asked = Changes(HealthSettings.of(Incubator, PERIOD).followed, PERIOD).hypotheses
+    asked = ChangeDetector(HealthSettings.of(Incubator, PERIOD).followed, PERIOD).hypotheses
     assert {h.kind for h in asked} == set(Kind) - {Kind.ROOM}
     assert watch(run(some_incubator(3), 3, 700, warming=(400, 600, 8.0))) == ()
 

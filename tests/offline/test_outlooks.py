@@ -98,9 +98,9 @@ def test_so_it_is_for_every_candidate(samples: list[Sample], session: Session, t
 def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Prospect]) -> None:
     outlook = known[MIDDLE].outlook
     ahead, here = np.full(40, 90.0), session.samples[MIDDLE]
-    held = outlook.foretold(ahead, np.tile(here.disturbances, (41, 1)))
+    held = outlook.predicted(ahead, np.tile(here.disturbances, (41, 1)))
     np.testing.assert_array_equal(outlook.forecast(ahead).output.mean, held.output)
-    other = outlook.foretold(ahead, np.tile(here.disturbances, (41, 1)) + 0.05)
+    other = outlook.predicted(ahead, np.tile(here.disturbances, (41, 1)) + 0.05)
     assert np.abs(other.output - held.output).max() > 1.0  # the load matters
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag
 from twinmatch.comparing import TrustLevel
-from twinmatch.forecasting import HORIZONS, horizons_for, leads_of, stretched
+from twinmatch.forecasting import HORIZONS, horizons_for, leads_of, time_scale
 from twinmatch.offline.judgement import judge_samples
 from twinmatch.signals import Sample
 from twinmatch.twin import ForecastSettings, TwinSettings
@@ -52,7 +52,7 @@ def test_the_longest_horizon_is_never_shorter_than_sixty_samples(period: float) 
     assert settings.every / settings.memory == pytest.approx(1 / 60)
     assert settings.every >= period or period <= 5.0
     longest = round(horizons[-1] / period)
-    assert leads_of(period / stretched(period), longest)[-1] == longest
+    assert leads_of(period / time_scale(period), longest)[-1] == longest
 
 
 @given(st.floats(1e-3, 0.5))

@@ -11,7 +11,7 @@ from pathlib import Path
 from twinmatch.cli.forecasting import LONGEST, RECORDED
 from twinmatch.cli.set_points import Asked, asked_of, planned_rows
 from twinmatch.errors import TwinmatchError
-from twinmatch.forecasting import horizons_for, stretched
+from twinmatch.forecasting import horizons_for, time_scale
 from twinmatch.offline.interrupt import held_interrupts
 from twinmatch.offline.outlooks import Prospect, prospects, samples_at
 from twinmatch.offline.progress import Progress
@@ -94,7 +94,7 @@ def show(found: Foretold, options: argparse.Namespace) -> None:
 def _size(horizon: float | None, period: float) -> int:
     """Samples within the horizon; without one, within the longest at which forecasts are scored."""
     horizon = horizons_for(period)[-1] if horizon is None else horizon
-    longest = LONGEST * stretched(period)
+    longest = LONGEST * time_scale(period)
     if not (math.isfinite(horizon) and 0 < horizon <= longest):
         msg = (
             f"forecast: the horizon is {horizon:g} s; give a positive number of seconds, at most {longest:g}"

@@ -86,12 +86,12 @@ def asked_of(
         words = f"{kind}s of {Path(options.reference).name}"
     elif options.hold is not None:
         try:
-            profile = SetPoints.held(options.hold, signal)
+            profile = SetPoints.constant(options.hold, signal)
         except ForecastError as error:
             raise ForecastError(f"--hold: {error}") from error
         words = f"{options.hold:g}{unit} held"
     else:
-        profile = SetPoints.held(standing)
+        profile = SetPoints.constant(standing)
         words = f"its {kind} of {standing:g}{unit} held"
     return Asked(profile.ahead(settings.period, size), words, profile.notes)
 

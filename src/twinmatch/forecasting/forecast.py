@@ -7,9 +7,15 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
-__all__ = ["CONFIDENCE", "HORIZONS", "Band", "Forecast", "horizons_for", "stretched"]
+__all__ = ["CONFIDENCE", "HORIZONS", "Band", "Forecast", "ForecastError", "horizons_for", "time_scale"]
+
+
+class ForecastError(TwinmatchError):
+    """A forecast that cannot be made: no candidate yet, or an invalid set-point profile."""
+
 
 CONFIDENCE: Final = 0.9
 """Share of future samples that a band is to hold."""
@@ -24,7 +30,7 @@ _SHORTEST_PERIOD: Final = 0.5
 window that is matched."""
 
 
-def stretched(period: float) -> float:
+def time_scale(period: float) -> float:
     """Factor on the horizons and intervals of forecasts for a sample time, s.
 
     In a plant that is sampled every minute, nothing can be seen ten seconds ahead, and five minutes are only
@@ -36,7 +42,7 @@ def stretched(period: float) -> float:
 
 def horizons_for(period: float) -> tuple[float, ...]:
     """The horizons for a sample time, s."""
-    return tuple(horizon * stretched(period) for horizon in HORIZONS)
+    return tuple(horizon * time_scale(period) for horizon in HORIZONS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

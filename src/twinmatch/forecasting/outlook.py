@@ -1,7 +1,8 @@
-"""The state of one twin at one sample, from which it can forecast."""
+"""A twin at one sample: its states, estimated beside the plant, and the forecasts that follow from them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,21 +12,118 @@ from numpy.typing import ArrayLike
 from twinmatch.dynamics import (
     Drive,
     Foretold,
+    Model,
+    Observer,
     Output,
     Parameters,
     PidGains,
     PidState,
+    PlantError,
     advance,
     foretell,
     simulate_closed_loop,
     simulate_driven,
 )
-from twinmatch.forecasting.errors import ForecastError
-from twinmatch.forecasting.follower import drift_of
-from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast
+from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["Outlook"]
+__all__ = ["Outlook", "StateFilter", "drift_of"]
+
+DRIFT: Final = 2e-4
+"""Drift of a state from the equations per second, in units of its span: 0.03 K on the rig."""
+UNKNOWN: Final = 0.03
+"""Initial uncertainty of a state, in units of its span: 4.5 K."""
+LIMIT: Final = 4.0
+"""Limit on innovations, in standard deviations: jumps of a self-correcting sensor are not the plant's."""
+
+
+class StateFilter:
+    """States of one twin from sample to sample, by an observer on the plant's own equations."""
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        period: float,
+        *,
+        states: FloatArray | None = None,
+        free: Sequence[str] = (),
+        covariance: FloatArray | None = None,
+    ) -> None:
+        """Begin with the next sample.
+
+        Args:
+            parameters: parameters of the twin.
+            period: sample time, s.
+            states: states at the next sample, before its reading; default: the plant file's for its output.
+            free: names of the parameters that were matched.
+            covariance: covariance of these, shape (len(free), len(free)); default: they are exact.
+        """
+        self.parameters, self.period = parameters, period
+        self.free = tuple(free) if covariance is not None else ()
+        self.covariance = np.zeros((0, 0)) if covariance is None else covariance
+        self._states = states
+        self._observer: Observer | None = None
+        self._input = 0.0
+
+    def push(self, sample: Sample) -> None:
+        """Take one sample, the next one in sequence.
+
+        If the twin's equations have no finite value at the states, the observer is restarted here.
+        """
+        row = np.array(sample.disturbances) if sample.disturbances else None
+        if self._observer is not None:
+            self._observer.predict(self._input)
+            try:
+                self._observer.correct(sample.output, row)
+            except PlantError:
+                self.restart()
+        if self._observer is None:
+            self._observer = Observer(
+                self.parameters,
+                sample.output,
+                period=self.period,
+                drift=drift_of(self.parameters.model),
+                start=UNKNOWN * _spans(self.parameters.model),
+                input=sample.input,
+                disturbances=row,
+                states=self._states,
+                limit=LIMIT,
+            )
+            self._observer.correct(sample.output, row)
+        self._input = sample.input
+
+    def restart(self) -> None:
+        """Forget the states: the next sample does not follow the last one."""
+        self._observer = self._states = None
+
+    @property
+    def states(self) -> FloatArray:
+        """States at the newest sample, corrected by its reading, shape (n,)."""
+        return self._started.states
+
+    @property
+    def joint(self) -> FloatArray:
+        """Covariance of states and free parameters, assumed independent, shape (n + m, n + m)."""
+        n, m = self.states.size, len(self.free)
+        joint = np.zeros((n + m, n + m))
+        joint[:n, :n], joint[n:, n:] = self._started.covariance, self.covariance
+        return joint
+
+    @property
+    def _started(self) -> Observer:
+        assert self._observer is not None, "a filter needs a first sample"  # noqa: S101
+        return self._observer
+
+
+def drift_of(model: Model) -> FloatArray:
+    """Standard deviation of the drift of each state from the equations per second, shape (n,)."""
+    return DRIFT * _spans(model)
+
+
+def _spans(model: Model) -> FloatArray:
+    low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
+    return np.asarray(high - low, dtype=np.float64)
+
 
 _LEAST: Final = 0.3
 """Least standard deviation of a future input, in units of its noise: the controller may leave a limit."""
@@ -78,7 +176,7 @@ class Outlook:
         plant = self.parameters.model.plant
         return plant.output if self.closed else plant.drive
 
-    def foretold(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Foretold:
+    def predicted(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Foretold:
         """Mean and variance of the next N samples under these set-points or inputs, shape (N,).
 
         Disturbances stay constant unless they are given, from the newest sample on, shape (N + 1, d).
@@ -101,7 +199,7 @@ class Outlook:
         )
 
     def mean(self, ahead: FloatArray, disturbances: FloatArray | None = None) -> FloatArray:
-        """Output and input of `foretold`, bit for bit, at a third of its cost; shape (2, N).
+        """Output and input of `predicted`, bit for bit, at a third of its cost; shape (2, N).
 
         `disturbances` are those from the newest sample on, shape (N + 1, d), if there are any.
         """
@@ -128,14 +226,14 @@ class Outlook:
             )
         return np.stack([found.output, found.input])
 
-    def deviations(self, foretold: Foretold) -> FloatArray:
+    def deviations(self, predicted: Foretold) -> FloatArray:
         """Standard deviations of output and input expected by the twin, shape (2, N)."""
         least = (_LEAST * self.parameters.model.plant.drive.noise) ** 2
-        return np.sqrt(np.stack([foretold.output_variance, foretold.input_variance + least]))
+        return np.sqrt(np.stack([predicted.output_variance, predicted.input_variance + least]))
 
     def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
         """Forecast under these set-points, or inputs if the loop is not known, shape (N,), from the next
-        sample on; disturbances as in `foretold`.
+        sample on; disturbances as in `predicted`.
 
         Raises:
             ForecastError: there is no value, or one that is not finite.
@@ -145,8 +243,8 @@ class Outlook:
             what = "set-points" if self.closed else "inputs"
             msg = f"forecast: the {what} ahead are not a list of finite numbers; give one for each sample"
             raise ForecastError(msg)
-        foretold = self.foretold(values, disturbances)
-        half = self.deviations(foretold)[: len(self.widths)] * self._widths(values.size)
+        predicted = self.predicted(values, disturbances)
+        half = self.deviations(predicted)[: len(self.widths)] * self._widths(values.size)
         return Forecast(
             sample=self.sample.index,
             candidate=self.candidate,
@@ -154,9 +252,9 @@ class Outlook:
             confidence=CONFIDENCE,
             time=np.arange(1, values.size + 1, dtype=np.float64) * self.period,
             reference=values if self.closed else np.full(values.size, np.nan),
-            output=Band(foretold.output, foretold.output - half[0], foretold.output + half[0]),
-            input=self._input_band(foretold.input, half[1:]),
-            notes=self.notes + self._assumptions(values, disturbances) + self._unvisited(foretold.output),
+            output=Band(predicted.output, predicted.output - half[0], predicted.output + half[0]),
+            input=self._input_band(predicted.input, half[1:]),
+            notes=self.notes + self._assumptions(values, disturbances) + self._unvisited(predicted.output),
         )
 
     def _assumptions(self, ahead: FloatArray, disturbances: ArrayLike | None) -> tuple[str, ...]:

@@ -4,17 +4,17 @@
 balance (`Balance`): the movement since the sample before that the plant's own equations expect from the
 drive and from the surroundings, against the measured one. A drive without effect, a frozen sensor and an
 impossible reading leave different traces in that balance, so each can be named. In addition the plant is
-tracked with its unmeasured states (`Changes`): changed losses, a changed room temperature, a weak drive and
-a sensor offset each explain the readings in their own way. The monitor is synchronous and uses neither a
-clock nor random numbers: the same samples give the same judgement. Emergency shut-down is left to
+tracked with its unmeasured states (`ChangeDetector`): changed losses, a changed room temperature, a weak
+drive and a sensor offset each explain the readings in their own way. The monitor is synchronous and uses
+neither a clock nor random numbers: the same samples give the same judgement. Emergency shut-down is left to
 `twinmatch.safety`.
 """
 
 from __future__ import annotations
 
 from twinmatch.health.balance import Balance, Movement
+from twinmatch.health.faults import SLOW, Alarm, Fault, Health, State
 from twinmatch.health.monitor import Monitor
-from twinmatch.health.record import SLOW, Alarm, Fault, Health, State
 from twinmatch.health.settings import HealthError, HealthSettings
 
 __all__ = [

@@ -12,17 +12,123 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Final
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.tracker import Belief, Stretch, Traces
-from twinmatch.health.blocks import REACH, Block, Past, joined
-from twinmatch.health.hypotheses import Change, Hypothesis, Kind, hypotheses
+from twinmatch.dynamics.tracker import Belief, Stretch, Traces, Tracker
+from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import Sample
 
-__all__ = ["Changes"]
+__all__ = ["ChangeDetector", "DetectedChange", "Hypothesis", "Kind", "hypotheses"]
+
+
+class Kind(Enum):
+    """What has changed."""
+
+    LOSSES = "losses"
+    ROOM = "room"
+    DRIVE = "drive"
+    SENSOR = "sensor"
+    OTHER = "other"
+    """Something else pushes the output."""
+
+
+_LOSSES: Final = ((math.log(1 / 6), 0.8), (math.log(3.0), 0.6))
+"""A fan that fails, a lid that opens: logarithm of the factor, and its spread."""
+_ROOM: Final = 0.8
+"""Spread of a change of the room, in the scale of the parameter."""
+_SHARE: Final = 0.3
+_OFFSET: Final = 30.0
+"""Spread of an offset of the reading, in standard deviations of its noise."""
+_PUSH: Final = 1.0
+"""Spread of a push, in standard deviations of the noise per sample."""
+_SLOW_TIME: Final = 300.0
+"""Time in which a slow change covers its spread, s."""
+_ROOM_TIME: Final = 1800.0
+"""The same for the room, s: a failed fan warms the sink in minutes; the room never changes so fast."""
+_RARE: Final = 2.5
+"""Prior cost of a change that grows evenly over minutes, nats: fans fail at once and fail far more often, and
+the sink's response to that looks much the same."""
+_LEAST: Final = {Kind.LOSSES: 0.4, Kind.ROOM: 0.3, Kind.DRIVE: 0.08, Kind.SENSOR: 10.0, Kind.OTHER: 0.3}
+"""Changes smaller than this, in the same units, are not reported."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One number of a belief has changed."""
+
+    kind: Kind
+    index: int
+    """Index of that number in the belief."""
+    shift: float
+    """Expected size of the change …"""
+    spread: float
+    """… and its standard deviation."""
+    least: float
+    """Smallest shift worth reporting."""
+    parameter: str = ""
+    """Its name, if it is a parameter."""
+    price: float = 0.0
+    """Prior cost, nats: higher for changes that are rarer than others."""
+    slowly: float = 0.0
+    """Time in which an even change covers its spread, s; 0: a sudden change."""
+
+
+@dataclass(frozen=True)
+class DetectedChange:
+    """The change that explains the samples best."""
+
+    hypothesis: Hypothesis
+    gain: float
+    """How much better it explains the readings since than no change does, in nats."""
+    lead: float
+    """The same compared with the best of all other kinds."""
+    first: int
+    """Sample at which it began."""
+    before: float
+    """Value of the number before, in the belief's units."""
+    value: float
+    """Its value now."""
+    begun: bool
+    """Whether it began at `first`; False if it may have been there from the start."""
+    rivals: tuple[Kind, ...] = ()
+    """The other kinds, best first …"""
+    gains: tuple[float, ...] = ()
+    """… and what each gains."""
+
+    @property
+    def shift(self) -> float:
+        """By how much the number has changed."""
+        return self.value - self.before
+
+
+def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypothesis]:
+    """The hypotheses for one plant: for parameters with a role in its file, and those of every plant."""
+    found: list[Hypothesis] = []
+    for name in tracker.free:
+        declared = tracker.parameters.model.declared[name]
+        logged = bool(tracker.logged[tracker.free.index(name)])
+        if declared.role == Kind.LOSSES.value and logged:
+            least = _LEAST[Kind.LOSSES]
+            found += [Hypothesis(Kind.LOSSES, tracker.at[name], s, w, least, name) for s, w in _LOSSES]
+        if declared.role == Kind.ROOM.value:
+            scale = 0.05 if logged else declared.scale
+            least = _LEAST[Kind.ROOM] * scale
+            found.append(Hypothesis(Kind.ROOM, tracker.at[name], 0.0, _ROOM * scale, least, name))
+    found += [replace(h, slowly=_ROOM_TIME, price=_RARE) for h in found if h.kind is Kind.ROOM]
+    for kind, index, unit, spread in (
+        (Kind.DRIVE, tracker.share, 1.0, _SHARE),
+        (Kind.SENSOR, tracker.offset, noise, _OFFSET),
+        (Kind.OTHER, tracker.push, noise / period, _PUSH),
+    ):
+        sudden = Hypothesis(kind, index, 0.0, spread * unit, _LEAST[kind] * unit)
+        found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
+    return found
+
 
 _EVERY: Final = 2
 """Spacing of the moments at which a change may have begun, blocks."""
@@ -44,25 +150,25 @@ _RAREST: Final = 6
 """… down to once in so many blocks."""
 
 
-class Changes:
+class ChangeDetector:
     """Tracks one plant and detects what has changed."""
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with these parameters in the tracked structure; `period` is the sample time, s."""
         self._period = period
-        self._past = Past(parameters, period)
-        self.tracker = self._past.tracker
+        self._tracked = TrackedBlocks(parameters, period)
+        self.tracker = self._tracked.tracker
         noise = parameters.model.plant.output.noise
         self.hypotheses = hypotheses(self.tracker, noise, period)
         self._jumps = list({h.index: h for h in self.hypotheses}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
-        self._best: tuple[Change, Belief] | None = None
+        self._best: tuple[DetectedChange, Belief] | None = None
         self._reset()
 
     @property
     def level(self) -> float:
         """Assumed model error, in units of that of a real rig."""
-        return self._past.trust
+        return self._tracked.trust
 
     @property
     def suspected(self) -> bool:
@@ -72,7 +178,7 @@ class Changes:
     @property
     def push_rate(self) -> float:
         """Rate at which something unnamed moves the output, in its unit per second."""
-        belief = self._past.belief
+        belief = self._tracked.belief
         if belief is None:
             return 0.0
         return float(belief.values[self.tracker.fading] + belief.values[self.tracker.push])
@@ -83,20 +189,20 @@ class Changes:
         With `offset`, the offset of the reading is unknown again.
         """
         opening = (self._offset.index, self._offset.spread) if offset else None
-        self._past.restart(opening)
+        self._tracked.restart(opening)
         self._reset()
 
-    def push(self, sample: Sample) -> Change | None:
+    def push(self, sample: Sample) -> DetectedChange | None:
         """Take a sample; when a block is full, return the change, if any."""
-        stretch = self._past.full(sample)
+        stretch = self._tracked.full(sample)
         if stretch is None:
             return None
-        if self._past.count % _EVERY == 0:
+        if self._tracked.count % _EVERY == 0:
             self._start()
-        self._past.take(stretch, self._traces, settled=self.suspected)
-        if self._past.moved_level:
+        self._tracked.take(stretch, self._traces, settled=self.suspected)
+        if self._tracked.moved_level:
             self._clear()
-        if self._past.known < _LEARN or self._past.blind:
+        if self._tracked.known < _LEARN or self._tracked.blind:
             self._best = None
             return None
         return self._search()
@@ -104,7 +210,7 @@ class Changes:
     def adopt(self) -> None:
         """Accept the change returned last as the new state of the plant."""
         assert self._best is not None  # noqa: S101 — only a returned change is adopted
-        self._past.adopt(self._best[1])
+        self._tracked.adopt(self._best[1])
         self._reset()
 
     def _reset(self) -> None:
@@ -122,16 +228,16 @@ class Changes:
 
     def _start(self) -> None:
         """Start the traces of a jump that happens now."""
-        start = self._past.count // _EVERY % self._started.size
-        self._started[start] = self._past.count
+        start = self._tracked.count // _EVERY % self._started.size
+        self._started[start] = self._tracked.count
         for array in self._traces:
             array[..., start] = 0.0
         for k, jump in enumerate(self._jumps):
             self._traces.effects[jump.index, k, start] = 1.0
 
-    def _search(self) -> Change | None:
+    def _search(self) -> DetectedChange | None:
         """The change, if a jump of any number saves more than it costs."""
-        count, longest = self._past.count, len(self._past.blocks)
+        count, longest = self._tracked.count, len(self._tracked.blocks)
         spreads = np.array([[max(h.spread, abs(h.shift))] for h in self._jumps]) ** 2
         hits, weights = self._traces.hits, self._traces.weights
         worth = 0.5 * hits**2 / (weights + 1.0 / spreads) - 0.5 * np.log1p(weights * spreads)
@@ -148,16 +254,16 @@ class Changes:
         best = int(age[np.argmax(worth.max(axis=0))])
         ages = {best - _EVERY, best, best + _EVERY}
         if self._best is not None:
-            ages.add(round((self._past.blocks[-1].first - self._best[0].first) / self._past.size) + 1)
+            ages.add(round((self._tracked.blocks[-1].first - self._best[0].first) / self._tracked.size) + 1)
         kept = sorted(a for a in ages if _LEAST_AGE <= a <= longest)
         return self._compare(kept) if kept else None
 
-    def _compare(self, ages: Sequence[int]) -> Change | None:
+    def _compare(self, ages: Sequence[int]) -> DetectedChange | None:
         """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
-        nothing, before = self._past.unchanged()
+        nothing, before = self._tracked.unchanged()
         found: dict[Kind, tuple[float, Hypothesis, int, int, Belief]] = {}
-        for age, h, level in itertools.product(ages, self.hypotheses, self._past.levels):
-            if level > self._past.level and h.kind not in _LESS_ACCURATE:
+        for age, h, level in itertools.product(ages, self.hypotheses, self._tracked.levels):
+            if level > self._tracked.level and h.kind not in _LESS_ACCURATE:
                 continue
             cost, belief = self._run(h, age, level)
             gain = nothing - float(before[-age - 1]) - cost
@@ -169,20 +275,20 @@ class Changes:
             self._best = None
             return None
         # A change has an onset; one that explains as much from long before was there from the start.
-        oldest = len(self._past.blocks)
+        oldest = len(self._tracked.blocks)
         dated = oldest
         if oldest - age >= 2 * _EVERY:
             cost, early = self._run(h, oldest, level)
             longer = nothing - float(before[-oldest - 1]) - cost
             if longer > gain - _WORTH:
                 belief, dated = early, 0
-        held = self._past.blocks[-age]
-        change = Change(
+        held = self._tracked.blocks[-age]
+        change = DetectedChange(
             hypothesis=h,
             gain=gain,
             lead=gain - order[1][0],
             first=held.first,
-            before=float(held.before[self._past.level].values[h.index]),
+            before=float(held.before[self._tracked.level].values[h.index]),
             value=float(belief.values[h.index]),
             begun=dated > 0,
             rivals=tuple(f[1].kind for f in order[1:]),
@@ -193,7 +299,7 @@ class Changes:
 
     def _run(self, h: Hypothesis, age: int, level: int) -> tuple[float, Belief]:
         """Code length of the last blocks' readings under a hypothesis at a level, and the belief after it."""
-        blocks: list[Block] = list(self._past.blocks)[-age:]
+        blocks: list[Block] = list(self._tracked.blocks)[-age:]
         stretch: Stretch = joined(blocks)
         before = blocks[0].before[level]
         if h.slowly:

@@ -8,14 +8,22 @@ from dataclasses import replace
 from typing import Final
 
 from twinmatch.dynamics import Parameters
-from twinmatch.health.answer import Answer, answers_late
 from twinmatch.health.balance import BLOCK, TRIAL, Balance
-from twinmatch.health.finding import Finding, Words
-from twinmatch.health.precedence import GRAVER, UNFOLLOWED
-from twinmatch.health.record import SLOW, Alarm, Fault, Health, State
+from twinmatch.health.faults import (
+    BLINDING,
+    PRECEDENCE,
+    SLOW,
+    Alarm,
+    Evidence,
+    Fault,
+    FaultSentences,
+    Health,
+    State,
+)
+from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
 from twinmatch.health.settings import HealthSettings
-from twinmatch.health.slow import Slow
-from twinmatch.health.traces import Effect, Lag, Repeats
+from twinmatch.health.slow_changes import SlowChanges
+from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
 from twinmatch.signals import Sample
 
 __all__ = ["Monitor"]
@@ -55,7 +63,7 @@ class Monitor:
         self.settings = settings or HealthSettings()
         self._known = bool(self.settings.reference.model.plant.typical)
         """Whether the drive's effect on this plant is known, if only roughly."""
-        self._words = Words(self.settings.reference.model.plant, self.settings.period)
+        self._sentences = FaultSentences(self.settings.reference.model.plant, self.settings.period)
         self._lag = Lag(self.settings.period)
         self._begin_with(self.settings)
         self._repeats = self._new_repeats()
@@ -75,15 +83,15 @@ class Monitor:
         """Judge the drive's effect by the settings' twin."""
         twin, period = settings.reference, settings.period
         self._balance = Balance(twin, period)
-        late = answers_late(twin, period)
+        late = is_lagged(twin, period)
         # On a plant that is switched elsewhere, an open lid looks like a dead heater for half a minute.
-        self._late = Answer(twin, period) if late and twin.model.plant.loop is not None else None
+        self._late = LaggedEffect(twin, period) if late and twin.model.plant.loop is not None else None
         """For a plant whose output the drive moves only after many samples."""
         self._prompt = not late
         """Whether what the drive does within a sample is its effect; otherwise it is a small part of it, and
         smaller than the errors of the states that the output does not show."""
-        self._effect: Effect | Answer = self._late or Effect(period, self._balance.noise)
-        self._slow = Slow(settings, self._words)
+        self._effect: DriveEffect = self._late or Effect(period, self._balance.noise)
+        self._slow = SlowChanges(settings, self._sentences)
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
@@ -111,16 +119,16 @@ class Monitor:
             elif self._late is not None and parameters is not None:
                 self._late.take(parameters)
         if self._possible(sample):
-            finding = self._examine(sample)
+            evidence = self._examine(sample)
             starting = (sample.index - self._begin) * self.settings.period < self.settings.start
             self._before = sample
         else:
-            finding, starting = self._words.impossible(sample), False
+            evidence, starting = self._sentences.impossible(sample), False
             self._before = None
             self._restart_traces()
             self._slow.restart()
-        news = self._judge(sample.index, finding, starting)
-        return self._health(sample.index, finding, starting, news)
+        news = self._judge(sample.index, evidence, starting)
+        return self._health(sample.index, evidence, starting, news)
 
     def _gap_before(self, sample: Sample) -> bool:
         """Whether the stamps show a gap between the sample before and this one.
@@ -161,8 +169,8 @@ class Monitor:
         self._until_trial = TRIAL
         self._balance = self._balance.better_of(self._given)
 
-    def _examine(self, sample: Sample) -> Finding | None:
-        """Add the sample to the traces; return the worst finding."""
+    def _examine(self, sample: Sample) -> Evidence | None:
+        """Add the sample to the traces; return the worst evidence."""
         before = self._before
         if before is None:
             return None
@@ -171,11 +179,11 @@ class Monitor:
         inward = float(sample.output <= low) - float(sample.output >= high)
         if not self._known:
             self._repeats.push(sample.output - before.output, movement, inward)
-            return self._words.frozen(sample, self._repeats) if self._repeats.stands else None
+            return self._sentences.frozen(sample, self._repeats) if self._repeats.stands else None
         stood = self._repeats.stands
         after = movement
         if self._late is not None:
-            self._late.hold(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
+            self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
             after = self._late.push(sample)
         self._repeats.push(sample.output - before.output, after, inward)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
@@ -189,40 +197,40 @@ class Monitor:
         # Where the expected movement is large, its absence is a drive fault, not an implausible reading.
         reach = _REACH * (abs(movement.drive) + abs(movement.passive))
         if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.period), reach):
-            return self._words.leaping(before, sample, movement.unexplained)
+            return self._sentences.leaping(before, sample, movement.unexplained)
         return self._weigh(sample)
 
-    def _weigh(self, sample: Sample) -> Finding | None:
+    def _weigh(self, sample: Sample) -> Evidence | None:
         if self._repeats.stands:
-            return self._words.frozen(sample, self._repeats)
+            return self._sentences.frozen(sample, self._repeats)
         # What looks weak may be a twin that expects too much, so the balance must have been good.
         smooth = self._balance.smooth and self._late is None
         least = self.settings.weak if smooth else self.settings.lost
         if self._effect.share < least and not self._repeats.unusual:
             return self._effect_missing(sample.index)
         self._contrary = self._feeble = 0
-        return self._slow.finding
+        return self._slow.evidence
 
     def _track(self, sample: Sample) -> None:
         """Look for slow changes, unless a graver fault is on or the session has only begun."""
-        if self._open and self._alarms[-1].fault in UNFOLLOWED:
+        if self._open and self._alarms[-1].fault in BLINDING:
             return
         if (sample.index - self._begin) * self.settings.period >= self.settings.start:
             self._slow.push(sample)
 
-    def _effect_missing(self, index: int) -> Finding:
-        """The finding for a missing effect: a lost drive, a weak one, or readings that lag."""
+    def _effect_missing(self, index: int) -> Evidence:
+        """The evidence for a missing effect: a lost drive, a weak one, or readings that lag."""
         lost = self._effect.share < self.settings.lost
         self._contrary = self._contrary + 1 if lost else 0
         self._feeble += 1
         lag = self._lag.seconds(self._effect.length) if self._late is None else None
         sure = self._contrary >= _CONFIRM
         if lag is not None:
-            return self._words.late(index, self._effect, lag, sure=sure)
+            return self._sentences.late(index, self._effect, lag, sure=sure)
         weakly = self._balance.smooth and self._feeble * self.settings.period >= _WEAKLY
         if lost and (sure or not weakly):
-            return self._words.lost(index, self._effect, sure=sure)
-        return self._words.weak(index, self._effect, self._feeble, sure=weakly)
+            return self._sentences.lost(index, self._effect, sure=sure)
+        return self._sentences.weak(index, self._effect, self._feeble, sure=weakly)
 
     def _learn(self) -> None:
         """Learn from a block once it is full, unless something was wrong in it."""
@@ -234,38 +242,40 @@ class Monitor:
         if quiet:
             self._try()
 
-    def _judge(self, index: int, finding: Finding | None, starting: bool) -> Alarm | None:
+    def _judge(self, index: int, evidence: Evidence | None, starting: bool) -> Alarm | None:
         """Open and close alarms; return the one that changed."""
-        if finding is not None and not finding.slow:
+        if evidence is not None and not evidence.slow:
             self._quiet = self._proofs = 0
         else:
             self._quiet += 1
             self._proofs += self._effect.follows
-        if finding is not None and finding.sure and not starting:
-            news = self._raise(index, finding)
+        if evidence is not None and evidence.sure and not starting:
+            news = self._raise(index, evidence)
             if news is not None:
                 return news
         if self._open and self._recovered():
             return self._close(index - (1 if self._slow_alarm else self._quiet))
         return None
 
-    def _raise(self, index: int, finding: Finding) -> Alarm | None:
+    def _raise(self, index: int, evidence: Evidence) -> Alarm | None:
         earliest = self._begin
         if self._open:
             on = self._alarms[-1].fault
-            if finding.slow and finding.fault is on and self._slow.reported is None:
+            if evidence.slow and evidence.fault is on and self._slow.reported is None:
                 self._slow.mark_reported(index)  # the drive's effect has reported it already
-            if finding.fault not in GRAVER.get(on, ()):
+            if evidence.fault not in PRECEDENCE.get(on, ()):
                 return None
             earliest = index
             self._close(index - 1)
         elif self._alarms and self._alarms[-1].last is not None:
             earliest = max(self._begin, self._alarms[-1].last + 1)
-        self._alarms.append(Alarm(finding.fault, max(finding.first, earliest), index, None, finding.reason))
-        self._open, self._slow_alarm = True, finding.slow
-        if finding.fault in UNFOLLOWED:
-            self._slow.restart(offset=finding.fault is Fault.SENSOR_IMPLAUSIBLE)
-        elif finding.slow:
+        self._alarms.append(
+            Alarm(evidence.fault, max(evidence.first, earliest), index, None, evidence.reason)
+        )
+        self._open, self._slow_alarm = True, evidence.slow
+        if evidence.fault in BLINDING:
+            self._slow.restart(offset=evidence.fault is Fault.SENSOR_IMPLAUSIBLE)
+        elif evidence.slow:
             self._slow.mark_reported(index)
         return self._alarms[-1]
 
@@ -284,20 +294,20 @@ class Monitor:
         self._open = False
         return self._alarms[-1]
 
-    def _health(self, index: int, finding: Finding | None, starting: bool, news: Alarm | None) -> Health:
+    def _health(self, index: int, evidence: Evidence | None, starting: bool, news: Alarm | None) -> Health:
         share, rate = self._effect.share, self._slow.rate
         if self._open:
             alarm = self._alarms[-1]
-            same = finding is not None and finding.fault is alarm.fault
-            reason = finding.reason if finding is not None and same else alarm.reason
+            same = evidence is not None and evidence.fault is alarm.fault
+            reason = evidence.reason if evidence is not None and same else alarm.reason
             return Health(index, State.FAULT, alarm.fault, alarm.first, reason, share, rate, news)
-        if finding is None:
+        if evidence is None:
             return Health(index, State.HEALTHY, None, None, "", share, rate, news)
         # At the start a late camera looks like a dead drive, and is far more common.
-        short = finding.fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
-        fault = None if starting and short else finding.fault
-        reason = f"during start-up: {finding.reason}" if starting else finding.reason
-        first = max(finding.first, self._begin)
+        short = evidence.fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
+        fault = None if starting and short else evidence.fault
+        reason = f"during start-up: {evidence.reason}" if starting else evidence.reason
+        first = max(evidence.first, self._begin)
         return Health(index, State.SUSPECT, fault, first, reason, share, rate, news)
 
     def _possible(self, sample: Sample) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from twinmatch.health.balance import Movement
 
-__all__ = ["Effect", "Lag", "Repeats"]
+__all__ = ["DriveEffect", "Effect", "Lag", "Repeats"]
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
@@ -53,19 +53,11 @@ _FAR_BETTER: Final = 0.3
 """Share of the squared error that a far better explanation may leave."""
 
 
-class Effect:
-    """Whether the drive acts on the plant."""
-
-    def __init__(self, period: float, noise: float) -> None:
-        """`period` in s, `noise` of a reading."""
-        self._period, self._noise = period, noise
-        self._spans = [max(2, round(s / period)) for s in _SPANS]
-        self.restart()
+class DriveEffect:
+    """Whether the drive acts on the plant: what was seen of its expected effect over the newest stretches."""
 
     def restart(self) -> None:
         """Forget what was pushed."""
-        self._sums: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=self._spans[-1] + 1)
-        self._last = 0.0
         self.share = math.nan
         """Least share of the expected effect over the judged stretches; NaN if none expects enough."""
         self.length = 0
@@ -77,6 +69,22 @@ class Effect:
     def follows(self) -> bool:
         """Whether the newest stretches prove that the drive works."""
         return _FOLLOWS[0] <= self.share <= _FOLLOWS[1]
+
+
+class Effect(DriveEffect):
+    """The effect of a drive that moves the output within a sample."""
+
+    def __init__(self, period: float, noise: float) -> None:
+        """`period` in s, `noise` of a reading."""
+        self._period, self._noise = period, noise
+        self._spans = [max(2, round(s / period)) for s in _SPANS]
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was pushed."""
+        super().restart()
+        self._sums: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=self._spans[-1] + 1)
+        self._last = 0.0
 
     def push(self, movement: Movement, roughness: float) -> None:
         """Take the movement of one period, and the roughness (per second) of the balance it comes from."""

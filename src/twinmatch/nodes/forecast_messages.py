@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twinmatch.forecasting import Answer, Band, Forecast, Question
+from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
 from twinmatch.nodes.sample_messages import stamp_header
 from twinmatch.signals import FloatArray, SignalError
 from twinmatch_msgs import msg as messages
@@ -96,9 +96,9 @@ def question_from(request: services.WhatIf.Request) -> Question:
     )
 
 
-def answer_message(answer: Answer, stamp: int) -> services.WhatIf.Response:
+def answer_message(answer: WhatIfResult, stamp: int) -> services.WhatIf.Response:
     """An answer as a response; `stamp` (ns) is that of the newest sample it was made from."""
-    reached, held, largest = answer.reached, answer.held, answer.largest
+    reached, held, largest = answer.reached, answer.settled, answer.largest
     return services.WhatIf.Response(
         success=True,
         forecast=forecast_message(answer.forecast, stamp),

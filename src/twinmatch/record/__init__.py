@@ -9,18 +9,24 @@ An absent value (`None`) is NaN, −1 or an empty text in a message and null in 
 word, with a number beside it in a message.
 """
 
-from twinmatch.record.differences import differences
-from twinmatch.record.document import document_of
-from twinmatch.record.fields import Field, Form, RecordError, fields_of
-from twinmatch.record.messages import fill, tree_of_message
-from twinmatch.record.named import parameters_document, parameters_of, parameters_tree
-from twinmatch.record.older import comparable
-from twinmatch.record.tree import Tree, object_of, tree_of
+from twinmatch.record.comparison import comparable, differences
+from twinmatch.record.fields import Form, RecordError, RecordField, fields_of
+from twinmatch.record.trees import (
+    Tree,
+    document_of,
+    fill,
+    object_of,
+    parameters_document,
+    parameters_of,
+    parameters_tree,
+    tree_of,
+    tree_of_message,
+)
 
 __all__ = [
-    "Field",
     "Form",
     "RecordError",
+    "RecordField",
     "Tree",
     "comparable",
     "differences",

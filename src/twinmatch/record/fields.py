@@ -13,7 +13,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["Field", "Form", "RecordError", "fields_of", "values_name"]
+__all__ = ["Form", "RecordError", "RecordField", "fields_of", "values_name"]
 
 
 class RecordError(TwinmatchError):
@@ -48,7 +48,7 @@ class Form(Enum):
 
 
 @dataclasses.dataclass(frozen=True)
-class Field:
+class RecordField:
     """One field."""
 
     name: str
@@ -66,7 +66,7 @@ class Field:
     """Whether it is derived from the others, so that it is written but never read."""
 
 
-def fields_of(owner: type) -> tuple[Field, ...]:
+def fields_of(owner: type) -> tuple[RecordField, ...]:
     """The fields of a class in order, followed by the properties named in its `DERIVED`.
 
     Raises:
@@ -76,7 +76,7 @@ def fields_of(owner: type) -> tuple[Field, ...]:
 
 
 @cache
-def _fields_of(owner: Any) -> tuple[Field, ...]:
+def _fields_of(owner: Any) -> tuple[RecordField, ...]:
     hints = get_type_hints(owner)
     columns: dict[str, int] = dict.fromkeys(getattr(owner, "_fields", ()), 0)
     if dataclasses.is_dataclass(owner):
@@ -93,7 +93,7 @@ def values_name(name: str) -> str:
     return f"{name.removesuffix('s')}_values"
 
 
-def _field(owner: type, name: str, hint: Any, columns: int) -> Field:
+def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
     kind, optional = _unless_none(hint)
     origin, inside = get_origin(kind), get_args(kind)
     form, prefix = None, ""
@@ -118,7 +118,7 @@ def _field(owner: type, name: str, hint: Any, columns: int) -> Field:
     if form is None:
         msg = f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded"
         raise RecordError(msg)
-    return Field(name, form, kind, optional, columns, prefix)
+    return RecordField(name, form, kind, optional, columns, prefix)
 
 
 def _several(inside: Any) -> tuple[Form, Any]:

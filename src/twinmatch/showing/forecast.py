@@ -15,7 +15,7 @@ from twinmatch.forecasting import (
     Moment,
     horizons_for,
     largest_input,
-    time_held,
+    settling_time,
     time_to_reach,
 )
 from twinmatch.showing.fan import Fan
@@ -111,7 +111,7 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     goal = f"within {_with(f'{near:g}', words.output_unit)} of {_with(f'{level:g}', words.output_unit)}"
     if not only:
         goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
-    reached, held = time_to_reach(part, level, near), time_held(part, level, near)
+    reached, held = time_to_reach(part, level, near), settling_time(part, level, near)
     if reached.expected is None:
         return f"{goal}: not in that time{_at_best(reached)}"
     if reached.expected == held.expected == part.time[0]:

@@ -17,7 +17,7 @@ from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Model, PidGains
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit, fit_structure
-from twinmatch.forecasting import stretched
+from twinmatch.forecasting import time_scale
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.history import History
 
@@ -61,7 +61,7 @@ class Contenders:
         """
         self._models, self._noise, self._gains = models, noise, gains
         period = gains.period if gains is not None else period
-        pace = stretched(period) / period
+        pace = time_scale(period) / period
         self._history = History(max(round(LONGEST_S * pace), 1))
         self._every = round(EVERY_S * pace)
         self._held: dict[str, Contender] = {}

@@ -10,7 +10,7 @@ import numpy as np
 
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Parameters
-from twinmatch.forecasting import HORIZONS, ForecastError, horizons_for, stretched
+from twinmatch.forecasting import HORIZONS, ForecastError, horizons_for, time_scale
 from twinmatch.signals import FloatArray
 
 __all__ = ["Entrant", "ForecastSettings"]
@@ -38,7 +38,7 @@ class ForecastSettings:
     @classmethod
     def of(cls, period: float) -> ForecastSettings:
         """Settings for a sample time, s: slow samples get longer horizons, with intervals in proportion."""
-        factor = stretched(period)
+        factor = time_scale(period)
         return cls(horizons_for(period), cls.every * factor, cls.memory * factor)
 
     def __post_init__(self) -> None:

@@ -15,11 +15,11 @@ from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
 from twinmatch.forecasting import (
     PERSISTENCE,
     Calibration,
-    Follower,
     Ledger,
     Outlook,
+    StateFilter,
     leads_of,
-    stretched,
+    time_scale,
 )
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin.entrant import Entrant, ForecastSettings
@@ -41,7 +41,7 @@ class _Twin:
     """A candidate with its observer and its bands."""
 
     entrant: Entrant
-    follower: Follower
+    state_filter: StateFilter
     calibration: Calibration = field(repr=False)
 
 
@@ -78,13 +78,13 @@ class Forecaster:
         self._longest = max(self.horizons)
         self._stride = max(round(self.settings.every / period), 1)
         self._kept = float(np.exp(-self.settings.every / self.settings.memory))
-        self._leads = leads_of(period / stretched(period), self._longest)
+        self._leads = leads_of(period / time_scale(period), self._longest)
         self._twins: dict[str, _Twin] = {}
         self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
         self._hindsight = Hindsight(self._kept)
         self._departures: dict[int, Snapshot] = {}
-        self._run_in = tuple(round(stretch * stretched(period) / period) for stretch in _RUN_IN)
+        self._run_in = tuple(round(stretch * time_scale(period) / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
         self._pid = None if gains is None else Pid(gains)
@@ -161,7 +161,7 @@ class Forecaster:
             self._pid.follow(sample.reference, sample.output, sample.input)
         for name, twin in list(self._twins.items()):
             with self._removing_lost(name):
-                twin.follower.push(sample)
+                twin.state_filter.push(sample)
         if self._twins and sample.index % self._stride == 0:
             leader = self.leader
             outlooks = {name: self._outlook(name, banded=name == leader) for name in self._order}
@@ -225,9 +225,9 @@ class Forecaster:
             sample=self._recent[-1],
             candidate=name,
             parameters=twin.entrant.parameters,
-            states=twin.follower.states,
-            covariance=twin.follower.joint,
-            unsure=twin.follower.free,
+            states=twin.state_filter.states,
+            covariance=twin.state_filter.joint,
+            unsure=twin.state_filter.free,
             controller=PidState() if self._pid is None else self._pid.state,
             gains=self._gains,
             period=self.period,
@@ -284,7 +284,7 @@ class Forecaster:
         self._departures.clear()
         self._pid = None if self._gains is None else Pid(self._gains)
         for twin in self._twins.values():
-            twin.follower.restart()
+            twin.state_filter.restart()
 
     def _built(self, entrant: Entrant, before: _Twin | None) -> _Twin:
         """Build a twin and run it over the newest samples, as far back as they are kept."""
@@ -298,7 +298,7 @@ class Forecaster:
             states = entrant.states_at(recent[0].index) if recent else None
             if states is not None:
                 break
-        follower = Follower(
+        state_filter = StateFilter(
             entrant.parameters,
             self.period,
             states=states,
@@ -306,8 +306,8 @@ class Forecaster:
             covariance=entrant.covariance,
         )
         for sample in recent:
-            follower.push(sample)
-        return _Twin(entrant, follower, calibration)
+            state_filter.push(sample)
+        return _Twin(entrant, state_filter, calibration)
 
     def _learn(self, departure: Snapshot, sample: int, place: int) -> None:
         """Score the forecasts made at one sample on the samples up to one of their horizons."""
@@ -328,9 +328,9 @@ class Forecaster:
                 if skipped and name != departure.leader:
                     off = measured - outlook.mean(given, rows)[:signals]
                 else:
-                    foretold = outlook.foretold(given, rows)
-                    off = measured - np.stack([foretold.output, foretold.input])[:signals]
-                    quotients = np.abs(off) / outlook.deviations(foretold)[:signals]
+                    predicted = outlook.predicted(given, rows)
+                    off = measured - np.stack([predicted.output, predicted.input])[:signals]
+                    quotients = np.abs(off) / outlook.deviations(predicted)[:signals]
                     self._twins[name].calibration.learn(quotients, before)
                 errors[name] = off[:, before:]
                 paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))

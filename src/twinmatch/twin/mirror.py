@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import FILED, Closing, Parameters, Pid, advance, begin, gains_for, read
-from twinmatch.forecasting import Follower
+from twinmatch.forecasting import StateFilter
 from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["Mirror", "MirrorState"]
@@ -140,11 +140,11 @@ class Mirror:
 
     def _estimated(self, new: Parameters) -> FloatArray:
         """The states at the next tick, estimated from the newest samples."""
-        follower = Follower(new, self._period)
+        state_filter = StateFilter(new, self._period)
         for sample in self._samples:
-            follower.push(sample)
+            state_filter.push(sample)
         newest = self._samples[-1]
-        return advance(new, follower.states, newest.input, self._period, _disturbances(newest))
+        return advance(new, state_filter.states, newest.input, self._period, _disturbances(newest))
 
     def _observe(
         self, sample: Sample, closed: float, closed_input: float, row: FloatArray | None

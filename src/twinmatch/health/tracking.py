@@ -14,7 +14,7 @@ from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.tracker import Belief, Stretch, Traces, Tracker
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["LEVELS", "REACH", "Block", "Past", "joined"]
+__all__ = ["LEVELS", "REACH", "Block", "TrackedBlocks", "joined"]
 
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Levels of assumed model error, in units of that of a real rig."""
@@ -50,7 +50,7 @@ class Block:
     costs: tuple[float, ...]
 
 
-class Past:
+class TrackedBlocks:
     """Tracks one plant at every level, and keeps the last blocks."""
 
     def __init__(self, parameters: Parameters, period: float) -> None:

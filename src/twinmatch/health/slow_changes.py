@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from twinmatch.health.changes import Changes
-from twinmatch.health.finding import Finding, Words, signed
-from twinmatch.health.hypotheses import Change, Hypothesis, Kind
-from twinmatch.health.record import Fault
+from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis, Kind
+from twinmatch.health.faults import Evidence, Fault, FaultSentences, signed
 from twinmatch.health.settings import HealthSettings
 from twinmatch.signals import Sample
 
-__all__ = ["Slow"]
+__all__ = ["SlowChanges"]
 
 _NAMES: Final = {
     Kind.LOSSES: Fault.LOSSES_CHANGED,
@@ -49,18 +47,18 @@ class _Reported:
     at: int
 
 
-class Slow:
-    """Turns what `Changes` detects into findings for the monitor."""
+class SlowChanges:
+    """Turns what `ChangeDetector` detects into evidence for the monitor."""
 
-    def __init__(self, settings: HealthSettings, words: Words) -> None:
+    def __init__(self, settings: HealthSettings, sentences: FaultSentences) -> None:
         """Begin without samples."""
-        self._settings, self._words = settings, words
-        self._changes = Changes(settings.followed, settings.period)
-        self._change: Change | None = None
+        self._settings, self._sentences = settings, sentences
+        self._detector = ChangeDetector(settings.followed, settings.period)
+        self._change: DetectedChange | None = None
         self._reported: _Reported | None = None
         self._over = False
-        self.finding: Finding | None = None
-        """The current finding, if any."""
+        self.evidence: Evidence | None = None
+        """The current evidence, if any."""
         self._running = 0
         self._unnamed_since: int | None = None
 
@@ -72,33 +70,33 @@ class Slow:
     @property
     def suspected(self) -> bool:
         """Whether something seems to have changed."""
-        return self.finding is not None
+        return self.evidence is not None
 
     @property
     def rate(self) -> float:
         """Unexplained movement of the output, in its unit per second."""
-        return self._changes.push_rate
+        return self._detector.push_rate
 
     def restart(self, *, offset: bool = False) -> None:
         """Start over after a gap or a fault; with `offset`, the reading may be off from now on."""
-        self._changes.restart(offset=offset)
+        self._detector.restart(offset=offset)
         self._reported = None
         self._clear_suspicion()
 
     def forget(self) -> None:
         """Start over with an unknown plant."""
-        self._changes = Changes(self._settings.followed, self._settings.period)
+        self._detector = ChangeDetector(self._settings.followed, self._settings.period)
         self._reported = None
         self._clear_suspicion()
 
     def mark_reported(self, index: int) -> None:
-        """Note that the finding was reported; the changed plant is the baseline from now on."""
+        """Note that the evidence was reported; the changed plant is the baseline from now on."""
         change = self._change
-        assert change is not None and self.finding is not None  # noqa: S101, PT018 — only findings are reported
-        self._reported = _Reported(self.finding.fault, change.hypothesis, change.before, index)
+        assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
+        self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
         self._over = False
-        if self.finding.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
-            self._changes.adopt()
+        if self.evidence.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
+            self._detector.adopt()
             self._clear_suspicion()
 
     def over(self, index: int) -> bool:
@@ -112,9 +110,9 @@ class Slow:
 
     def push(self, sample: Sample) -> None:
         """Take a sample."""
-        change = self._changes.push(sample)
+        change = self._detector.push(sample)
         if change is None:
-            if not self._changes.suspected:
+            if not self._detector.suspected:
                 self._over = self._reported is not None and self._reported_unnamed
                 self._clear_suspicion()
             return
@@ -122,22 +120,22 @@ class Slow:
         self._running = self._running + 1 if self._change and self._change.hypothesis.kind is kind else 1
         self._change = change
         if not self._settled(change):
-            self.finding = self._finding(change, sample.index)
+            self.evidence = self._evidence(change, sample.index)
 
     def _clear_suspicion(self) -> None:
-        self.finding, self._change, self._running = None, None, 0
+        self.evidence, self._change, self._running = None, None, 0
         self._unnamed_since = None
 
     @property
     def _reported_unnamed(self) -> bool:
         return self._reported is not None and self._reported.fault is Fault.DRIFT
 
-    def _settled(self, change: Change) -> bool:
+    def _settled(self, change: DetectedChange) -> bool:
         """Whether the change needs no report: always there, or the end or growth of a reported one."""
         if change.gain < self._settings.change or self._running < _AGREEING:
             return False
         if not change.begun:
-            self._changes.adopt()
+            self._detector.adopt()
             self._clear_suspicion()
             return True
         reported, h = self._reported, change.hypothesis
@@ -150,12 +148,12 @@ class Slow:
             self._over = self._over or same
         elif not same or change.lead < self._settings.lead:
             return False
-        self._changes.adopt()
+        self._detector.adopt()
         self._clear_suspicion()
         return True
 
-    def _finding(self, change: Change, index: int) -> Finding:
-        """The finding for a change."""
+    def _evidence(self, change: DetectedChange, index: int) -> Evidence:
+        """The evidence for a change."""
         h, settings = change.hypothesis, self._settings
         enough = self._running >= _AGREEING and change.gain >= settings.change and change.begun
         material = abs(change.shift) >= h.least
@@ -166,16 +164,16 @@ class Slow:
             named = False  # changed surroundings, if not modelled, look the same as an offset
         if named:
             reason = f"{self._describe(change)}: look at {self._to_check(h.kind)}"
-            return Finding(_NAMES[h.kind], enough and material, change.first, reason, slow=True)
+            return Evidence(_NAMES[h.kind], enough and material, change.first, reason, slow=True)
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
         waited = self._unnamed_since is not None and (
             (index - self._unnamed_since) * settings.period >= _NAME_WAIT
         )
         sure = enough and material and waited and change.gain >= _UNNAMED_FACTOR * settings.change
-        return Finding(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
+        return Evidence(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
 
-    def _ambiguous(self, change: Change) -> str:
+    def _ambiguous(self, change: DetectedChange) -> str:
         """Describe a change that the samples cannot attribute to one cause."""
         gains = zip(change.rivals, change.gains, strict=True)
         near = [_CAUSES[kind] for kind, gain in gains if gain > change.gain - self._settings.lead]
@@ -183,26 +181,26 @@ class Slow:
         listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
         return (
             f"the plant no longer behaves as before; {listed} may have changed, "
-            f"which these readings cannot distinguish: {self._words.surroundings}"
+            f"which these readings cannot distinguish: {self._sentences.surroundings}"
         )
 
     def _to_check(self, kind: Kind) -> str:
         if kind is Kind.DRIVE:
             return "drive, wires and supply"
         if kind is Kind.SENSOR:
-            return self._words.sensor.removeprefix("look at ")
-        return self._words.surroundings.removeprefix("look at ")
+            return self._sentences.sensor.removeprefix("look at ")
+        return self._sentences.surroundings.removeprefix("look at ")
 
-    def _describe(self, change: Change) -> str:
+    def _describe(self, change: DetectedChange) -> str:
         """Say what has changed, and by how much."""
-        h, words = change.hypothesis, self._words
+        h, output, unit = change.hypothesis, self._sentences.output, self._sentences.unit
         if h.kind is Kind.DRIVE:
-            return f"the drive has {1.0 + change.value:.0%} of its expected effect on {words.output}"
+            return f"the drive has {1.0 + change.value:.0%} of its expected effect on {output}"
         if h.kind is Kind.SENSOR:
-            return f"the readings of {words.output} have shifted by {signed(change.shift)}{words.unit}"
+            return f"the readings of {output} have shifted by {signed(change.shift)}{unit}"
         declared = self._settings.followed.model.declared[h.parameter]
         if h.kind is Kind.LOSSES:
             factor = math.exp(change.shift)
             return f"the losses are {factor:.2g} times those before ({declared.text})"
-        unit = f" {declared.unit}".rstrip()
-        return f"the {declared.text} has changed by {signed(change.shift)}{unit}"
+        of_parameter = f" {declared.unit}".rstrip()
+        return f"the {declared.text} has changed by {signed(change.shift)}{of_parameter}"

@@ -14,18 +14,154 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters, PlantError, State, begin, read, simulate_driven
 from twinmatch.dynamics.observer import Observer, Wander
 from twinmatch.health.balance import Movement
-from twinmatch.health.stretch import Moment, Stretch, advanced
-from twinmatch.health.usual import Usual
+from twinmatch.health.traces import DriveEffect
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["Answer", "answers_late"]
+__all__ = ["ErrorModel", "LaggedEffect", "SimulatedSpan", "TrackedSample", "advanced", "is_lagged"]
+
+_MEMORY: Final = (300.0, 600.0)
+"""Number of stretches over which the variance at rest and that of the share are averaged."""
+_FIRST: Final = (10.0, 100.0)
+"""Number of stretches for which the assumed ones count: a hundred that overlap are a few movements."""
+_CLIP: Final = 3.0
+"""Errors are clipped to so many times the usual one, so that a fault does not pass as usual."""
+_FIRST_ERROR: Final = 3.0
+"""Assumed error at rest before anything is learned, in standard deviations of a reading's noise …"""
+_FIRST_SHARE: Final = 0.3
+"""… and share of the movement by which equations with typical parameters are usually wrong."""
+_LEAST_SHARE: Final = 0.15
+"""That share is never trusted to be smaller: other movements may show other errors."""
+
+_MOVING_SHARE: Final = 0.2
+"""Nor larger, while the drive moves the plant: one that is lost is then missing by as much as it moves."""
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Variances of the two parts, learned by expectation maximisation, one stretch at a time.
+
+    Equations with a wrong gain or lag err in proportion to how far the plant moves; at rest only the noise
+    and the steps of a reading and the estimated states are wrong. One variance for both would be that of the
+    last step of the set-point, and hide for minutes what the readings show.
+    """
+
+    rest: float
+    """Variance at rest, in the output's unit squared."""
+    share: float = _FIRST_SHARE**2
+    """Variance of the error as a share of the movement."""
+    seen: tuple[float, float] = _FIRST
+    """Stretches each of them is known from."""
+
+    @classmethod
+    def of(cls, noise: float) -> ErrorModel:
+        """Before anything is learned, for readings with this noise (1 σ)."""
+        return cls((_FIRST_ERROR * noise) ** 2)
+
+    def error(self, moved: float, turned_down: float) -> float:
+        """Usual error (1 σ) of a stretch over which the plant moves so far, and so far because the drive was
+        turned down."""
+        share = max(math.sqrt(self.share), _LEAST_SHARE)
+        return math.hypot(math.sqrt(self.rest), min(share, _MOVING_SHARE) * moved, share * turned_down)
+
+    def learned(self, error: float, moved: float) -> ErrorModel:
+        """After one more stretch: its error, and how far the equations moved the plant in it."""
+        at_rest, moving = self.rest, self.share * moved**2
+        total = at_rest + moving
+        square = min(error**2, _CLIP**2 * total)
+        # The expected squares of both parts, given their sum.
+        rest = at_rest * moving / total + (at_rest / total) ** 2 * square
+        share = self.share * at_rest / total + (self.share * moved / total) ** 2 * square
+        seen = (min(self.seen[0] + 1.0, _MEMORY[0]), min(self.seen[1] + moving / total, _MEMORY[1]))
+        return ErrorModel(
+            self.rest + (rest - self.rest) / seen[0], self.share + (share - self.share) / seen[1], seen
+        )
+
+
+class TrackedSample(NamedTuple):
+    """What is known of one sample."""
+
+    parameters: Parameters
+    states: FloatArray
+    """Estimated states, before the input acts."""
+    input: float
+    disturbances: FloatArray
+    errors: tuple[ErrorModel, ...]
+    """The usual errors known then, so that a fault does not hide itself."""
+    settled: bool
+    """Whether the states had been followed for long enough to be known."""
+
+
+def advanced(
+    twin: Parameters, states: FloatArray, inputs: FloatArray, rows: FloatArray, period: float
+) -> FloatArray:
+    """States after these inputs and disturbances (n × number of them), held for `period` s each."""
+    given = rows if rows.size else None
+    run = simulate_driven(twin, inputs, states=states, period=period, disturbances=given)
+    return np.asarray(run.states[-1], dtype=np.float64)
+
+
+class SimulatedSpan:
+    """Simulations from the first of some samples to the end of the last; all results in the output's unit."""
+
+    def __init__(self, samples: Sequence[TrackedSample], period: float) -> None:
+        """`samples`, oldest first; `period` in s."""
+        self.first = samples[0]
+        self._period, self._length = period, len(samples)
+        self._inputs = np.array([sample.input for sample in samples])
+        self._rows = np.array([sample.disturbances for sample in samples])
+
+    def __len__(self) -> int:
+        return self._length
+
+    @cached_property
+    def works(self) -> float:
+        """The output under the recorded inputs."""
+        return self._read(self._inputs)
+
+    @property
+    def moved(self) -> float:
+        """How far it moves from the beginning to there."""
+        return self.works - read(self.first.parameters, self.first.states)
+
+    @cached_property
+    def effect(self) -> float:
+        """What the drive contributes to it."""
+        rest = self.first.parameters.model.plant.drive.rest
+        return self.works - self._read(np.full(self._length, rest))
+
+    def changed(self, before: float, later: int) -> float:
+        """What the drive's changes since it stood at `before` will have contributed, some samples later."""
+        inputs = np.append(self._inputs, np.full(later, self._inputs[-1]))
+        rows = np.concatenate([self._rows, np.repeat(self._rows[-1:], later, axis=0)])
+        return self._read(inputs, rows) - self._read(np.full(inputs.size, before), rows)
+
+    def colder(self, change: float) -> float:
+        """How far the output would have moved in a colder room; `change` in the scale of that parameter."""
+        twin, moved = self.first.parameters, 0.0
+        for name, parameter in twin.model.declared.items():
+            if parameter.role == "room":
+                lowest = 0.5 * twin[name] if parameter.positive else parameter.least
+                room = max(twin[name] - change * parameter.scale, lowest)
+                states = advanced(
+                    twin.replace(**{name: room}), self.first.states, self._inputs, self._rows, self._period
+                )
+                moved = max(moved, abs(read(twin, states) - self.works))
+        return moved
+
+    def _read(self, inputs: FloatArray, rows: FloatArray | None = None) -> float:
+        twin, given = self.first.parameters, self._rows if rows is None else rows
+        return read(twin, advanced(twin, self.first.states, inputs, given, self._period))
+
 
 _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
@@ -53,11 +189,9 @@ _ROOM_DRIFT: Final = 0.03
 equations look like a change of it."""
 _AT_ONCE: Final = 0.6
 """Least ratio of ten times the effect after one sample to that after ten, if the drive acts at once."""
-_FOLLOWS: Final = (0.6, 2.5)
-"""Range of shares of the expected effect that prove that the drive works."""
 
 
-def answers_late(parameters: Parameters, period: float) -> bool:
+def is_lagged(parameters: Parameters, period: float) -> bool:
     """Whether the drive moves the output of a plant much more in ten samples than ten times in one."""
     model = parameters.model
     low, high = model.plant.drive.limits
@@ -74,51 +208,41 @@ def answers_late(parameters: Parameters, period: float) -> bool:
     return bool(10.0 * effect[1] < _AT_ONCE * effect[10])
 
 
-class Answer:
-    """Watches one plant; push every sample once, in order. Same attributes as `Effect`."""
+class LaggedEffect(DriveEffect):
+    """The effect of a drive that moves the output only after many samples; push every sample, in order."""
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with a twin and the sample time, s."""
         self._parameters, self._period = parameters, period
         self._noise = parameters.model.plant.output.noise
         self._spans = [max(2, round(s / period)) for s in _SPANS]
-        self._usual = (Usual.of(self._noise),) * len(_SPANS)
-        self._held = False
+        self._errors = (ErrorModel.of(self._noise),) * len(_SPANS)
+        self._frozen = False
         self.restart()
 
     def restart(self) -> None:
         """Start over after a gap, keeping the learned errors."""
+        super().restart()
         self._observer: Observer | None = None
         self._followed = 0  # samples since a gap
-        self._past: deque[Moment] = deque(maxlen=2 * self._spans[-1] + 1)
+        self._past: deque[TrackedSample] = deque(maxlen=2 * self._spans[-1] + 1)
         self._standing: FloatArray | None = None
         self._reading = math.nan
-        self.share = math.nan
-        """Least share of the expected effect over the judged stretches; NaN if none expects enough."""
-        self.length = 0
-        """Samples of that stretch."""
-        self.expected = 0.0
-        """Movement in it expected from the drive alone."""
-
-    @property
-    def follows(self) -> bool:
-        """Whether the newest stretches prove that the drive works."""
-        return _FOLLOWS[0] <= self.share <= _FOLLOWS[1]
 
     def take(self, parameters: Parameters) -> None:
         """Continue with other parameters of the same model; those of another model are ignored."""
-        if parameters.model is self._parameters.model and not self._held:
+        if parameters.model is self._parameters.model and not self._frozen:
             self._parameters = parameters
             if self._observer is not None:
                 self._observer.parameters = parameters
 
-    def hold(self, held: bool) -> None:
+    def freeze(self, frozen: bool) -> None:
         """Stop learning during a fault: in time, a dead heater looks like a working one in the cold."""
-        if held is self._held:
+        if frozen is self._frozen:
             return
-        self._held = held
-        if held and self._past:
-            self._parameters, self._usual = self._past[0].parameters, self._past[0].usual
+        self._frozen = frozen
+        if frozen and self._past:
+            self._parameters, self._errors = self._past[0].parameters, self._past[0].errors
         self._observer = None
 
     def push(self, sample: Sample) -> Movement:
@@ -168,8 +292,10 @@ class Answer:
             self._standing = states
         self._reading = sample.output
         # While it is reported as lost, silence would count as its recovery.
-        settled = self._held or self._followed * self._period >= _SETTLED
-        self._past.append(Moment(observer.parameters, states, sample.input, row, self._usual, settled))
+        settled = self._frozen or self._followed * self._period >= _SETTLED
+        self._past.append(
+            TrackedSample(observer.parameters, states, sample.input, row, self._errors, settled)
+        )
         self._followed += 1
         observer.predict(sample.input)
         return Movement(0.0, moved, change - moved)
@@ -178,23 +304,23 @@ class Answer:
         """Estimate the drive's effect over every stretch that ends now."""
         self.share = math.nan
         past = list(self._past)
-        learned = list(self._usual)
+        learned = list(self._errors)
         for k, length in enumerate(self._spans):
             first = len(past) - 1 - length
             if first < 0:
                 break
             if not past[first].settled:
                 continue
-            stretch = Stretch(past[first:-1], self._period)
+            stretch = SimulatedSpan(past[first:-1], self._period)
             before = past[max(0, first - self._spans[-1]) : first + 1]
             changed = stretch.changed(float(np.mean([m.input for m in before])), self._spans[0])
             error = output - stretch.works
-            self._weigh(stretch, error, changed, stretch.first.usual[k])
-            if not self._held:
+            self._weigh(stretch, error, changed, stretch.first.errors[k])
+            if not self._frozen:
                 learned[k] = learned[k].learned(error, max(abs(changed), abs(stretch.moved)))
-        self._usual = tuple(learned)
+        self._errors = tuple(learned)
 
-    def _weigh(self, stretch: Stretch, error: float, changed: float, usual: Usual) -> None:
+    def _weigh(self, stretch: SimulatedSpan, error: float, changed: float, errors: ErrorModel) -> None:
         """Take the share of the expected effect that a stretch shows, if it is the least and counts.
 
         A drive that was turned down looks lost if it does more than its equations say, or sooner; `changed`
@@ -204,7 +330,7 @@ class Answer:
         if effect == 0.0:
             return
         share = 1.0 + error / effect
-        likely = usual.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
+        likely = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
         least = max(_LEAST_NOISES * self._noise, _LEAST_ERRORS * likely)
         missing = abs(error) if share < 1.0 else 0.0
         counts = abs(effect) >= least
@@ -218,7 +344,7 @@ class Answer:
 
     @property
     def _wandering(self) -> dict[str, Wander]:
-        declared = self._parameters.model.declared if not self._held else {}
+        declared = self._parameters.model.declared if not self._frozen else {}
         return {
             name: Wander(start=parameter.scale, drift=_ROOM_DRIFT * parameter.scale)
             for name, parameter in declared.items()

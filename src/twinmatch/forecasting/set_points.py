@@ -1,17 +1,19 @@
-"""Set-points of a forecast: a constant one, a planned profile, a function of time, or recorded ones; inputs
-if the loop is not known."""
+"""Set-points of a forecast: constant, planned or recorded; inputs if the loop is not known.
+
+if the loop is not known.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import Drive, Output
-from twinmatch.forecasting.errors import ForecastError
+from twinmatch.forecasting.forecast import ForecastError
 from twinmatch.signals import FloatArray
 
 __all__ = ["SetPoints"]
@@ -83,7 +85,7 @@ class SetPoints:
             raise ForecastError(msg)
 
     @classmethod
-    def held(cls, level: float, signal: Output | Drive | None = None) -> SetPoints:
+    def constant(cls, level: float, signal: Output | Drive | None = None) -> SetPoints:
         """One constant set-point.
 
         Raises:
@@ -138,31 +140,6 @@ class SetPoints:
         if not values:
             raise ForecastError("profile: there is no set-point; give at least that of the newest sample")
         return cls(values[0], tuple(k * period for k in range(1, len(values))), tuple(values[1:]))
-
-    @classmethod
-    def following(
-        cls,
-        profile: Callable[[float], float],
-        time: float,
-        *,
-        period: float,
-        size: int,
-        signal: Output | Drive | None = None,
-    ) -> SetPoints:
-        """Set-points of the next samples from a function of time, such as the controller's own profile.
-
-        Args:
-            profile: function from time, s, to set-point.
-            time: its present time, s.
-            period: sample time, s.
-            size: number of samples ahead.
-            signal: the plant's output or drive.
-
-        Raises:
-            ForecastError: as the class.
-        """
-        levels = [float(profile(time + k * period)) for k in range(size + 1)]
-        return cls(levels[0], tuple(k * period for k in range(1, size + 1)), tuple(levels[1:]), signal=signal)
 
     def reference(self, time: float) -> float:
         """The set-point at a time, s from now."""

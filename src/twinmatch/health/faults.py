@@ -1,0 +1,192 @@
+"""Faults of a plant: their names, which replaces which, and the sentences that describe their evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from twinmatch.dynamics import Plant
+from twinmatch.health.traces import DriveEffect, Repeats
+from twinmatch.signals import Sample
+
+__all__ = [
+    "BLINDING",
+    "PRECEDENCE",
+    "SLOW",
+    "Alarm",
+    "Evidence",
+    "Fault",
+    "FaultSentences",
+    "Health",
+    "State",
+    "signed",
+]
+
+
+class State(Enum):
+    """How the plant is at one sample."""
+
+    HEALTHY = "healthy"
+    SUSPECT = "suspect"
+    """Something looks wrong but has not lasted, or the session has only begun."""
+    FAULT = "fault"
+
+
+class Fault(Enum):
+    """What is wrong."""
+
+    DRIVE_LOST = "drive-lost"
+    """The input has no effect on the plant, or the opposite one."""
+    DRIVE_WEAK = "drive-weak"
+    """The input has an effect on the plant, but too small a one."""
+    SENSOR_FROZEN = "sensor-frozen"
+    """The output repeats one reading."""
+    SENSOR_LATE = "sensor-late"
+    """The output follows the drive, but seconds too late."""
+    SENSOR_IMPLAUSIBLE = "sensor-implausible"
+    """A reading that the plant cannot have, or cannot have reached since the sample before."""
+    SENSOR_DRIFT = "sensor-drift"
+    """The readings have shifted."""
+    LOSSES_CHANGED = "losses-changed"
+    """The plant loses more or less heat than before: a fan, a lid, a draught."""
+    ROOM_CHANGED = "room-changed"
+    """The surroundings of the plant have changed."""
+    DRIFT = "drift"
+    """The plant no longer behaves as before, and the samples do not show why."""
+
+
+SLOW = frozenset({Fault.SENSOR_DRIFT, Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT})
+"""Changes of a plant that still obeys its drive: matching adapts the twin to them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One fault from its beginning to its end."""
+
+    fault: Fault
+    first: int
+    """Sample at which its trace begins."""
+    flagged: int
+    """Sample at which it was reported."""
+    last: int | None
+    """Last sample of its trace; None while it lasts."""
+    reason: str
+    """One plain sentence with numbers."""
+
+    def overlaps(self, first: int, last: int) -> bool:
+        """Whether it touches the samples `first` to `last`."""
+        return self.first <= last and (self.last is None or self.last >= first)
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """The judgement at one sample."""
+
+    index: int
+    state: State
+    fault: Fault | None
+    """The fault, or the suspected one if it can be named; None when healthy."""
+    since: int | None
+    """Sample at which the trace of the fault or of the suspicion begins."""
+    reason: str
+    """One plain sentence; empty when healthy."""
+    share: float
+    """Share of the drive's expected effect that the plant shows; NaN while too little is expected."""
+    unexplained: float
+    """Slow unexplained movement, in the output's unit per second."""
+    news: Alarm | None = None
+    """The alarm that began at this sample, or ended at it (then it has a `last`)."""
+
+
+_SUDDEN: Final = frozenset(Fault) - SLOW
+_NAMED: Final = SLOW - {Fault.DRIFT}
+PRECEDENCE: Final = {
+    Fault.DRIFT: _SUDDEN | _NAMED,
+    Fault.DRIVE_WEAK: frozenset({Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}),
+    **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
+}
+"""For each fault, the graver ones that replace it while it is on."""
+BLINDING: Final = frozenset({
+    Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_LATE, Fault.SENSOR_IMPLAUSIBLE,
+})  # fmt: skip
+"""Faults during which nothing else can be learned about the plant."""
+
+
+class Evidence(NamedTuple):
+    """One trace of one fault."""
+
+    fault: Fault
+    sure: bool
+    """Whether it has lasted long enough, or is large enough, to be reported."""
+    first: int
+    """Sample at which the trace begins."""
+    reason: str
+    slow: bool = False
+    """Whether it was found by tracking the plant (`SlowChanges`)."""
+
+
+class FaultSentences:
+    """Describes the traces of faults on one plant."""
+
+    def __init__(self, plant: type[Plant], period: float) -> None:
+        """`period` is the sample time, s."""
+        self._period = period
+        self.output = f"the {plant.output.text or plant.output.name}"
+        self.unit = f" {plant.output.unit}".rstrip()
+        self.input = plant.drive.unit or plant.drive.name
+        self.sensor = f"look at the {plant.output.sensor}"
+        self.surroundings = f"look at {plant.surroundings}"
+
+    def impossible(self, sample: Sample) -> Evidence:
+        """A sample with impossible values."""
+        reason = (
+            f"{self.output} is {sample.output:g}{self.unit} at {sample.input:g} {self.input} and "
+            f"set-point {sample.reference:g}{self.unit}, which is impossible: {self.sensor}"
+        )
+        return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
+
+    def leaping(self, before: Sample, sample: Sample, unexplained: float) -> Evidence:
+        """A step that the plant cannot have made."""
+        reason = (
+            f"{self.output} jumped from {before.output:.4g} to {sample.output:.4g}{self.unit} in one sample, "
+            f"{abs(unexplained):.3g}{self.unit} more than the plant can explain: {self.sensor}"
+        )
+        return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
+
+    def frozen(self, sample: Sample, repeats: Repeats) -> Evidence:
+        """A sensor that repeats one reading."""
+        reason = (
+            f"{self.output} has been stuck at {sample.output:g}{self.unit} for "
+            f"{repeats.count * self._period:g} s, while the plant should have moved "
+            f"{signed(repeats.expected)}{self.unit} and the reading should have shown noise: {self.sensor}"
+        )
+        return Evidence(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
+
+    def late(self, index: int, effect: DriveEffect, lag: float, *, sure: bool) -> Evidence:
+        """Readings that lag behind the plant."""
+        reason = f"{self.output} follows the drive with a delay of {lag:g} s: {self.sensor}"
+        return Evidence(Fault.SENSOR_LATE, sure, index - effect.length, reason)
+
+    def lost(self, index: int, effect: DriveEffect, *, sure: bool) -> Evidence:
+        """A drive without effect."""
+        moved, shown = signed(effect.expected), signed(effect.share * effect.expected)
+        reason = (
+            f"the drive should have moved {self.output} by {moved}{self.unit} in "
+            f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: "
+            "look at drive, wires and supply"
+        )
+        return Evidence(Fault.DRIVE_LOST, sure, index - effect.length, reason)
+
+    def weak(self, index: int, effect: DriveEffect, lasts: int, *, sure: bool) -> Evidence:
+        """A drive whose effect has been too small for `lasts` samples."""
+        reason = (
+            f"the drive has had {max(effect.share, 0.0):.0%} of its expected effect on {self.output} for "
+            f"{lasts * self._period:g} s: look at drive, wires and supply"
+        )
+        return Evidence(Fault.DRIVE_WEAK, sure, index - effect.length - lasts, reason)
+
+
+def signed(value: float) -> str:
+    """Format a change with its sign and two significant digits."""
+    return f"{value:+.0f}" if abs(value) >= 100 else f"{value:+.2g}"

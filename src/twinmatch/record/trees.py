@@ -1,0 +1,246 @@
+"""Convert recorded objects to and from trees of plain values, messages and JSON documents.
+
+A tree has the field names of the message. Any object with these fields is a message: one of ROS 2, or one
+decoded from a recording.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from twinmatch.dynamics import Parameters
+from twinmatch.plants import named as names_of
+from twinmatch.record.fields import Form, RecordError, RecordField, fields_of, values_name
+
+__all__ = [
+    "Tree",
+    "document_of",
+    "fill",
+    "object_of",
+    "parameters_document",
+    "parameters_of",
+    "parameters_tree",
+    "tree_of",
+    "tree_of_message",
+]
+
+Tree = dict[str, Any]
+
+Recorded = TypeVar("Recorded")
+
+_ABSENT: Final[dict[Any, Any]] = {float: math.nan, int: -1, str: "", bool: False}
+_NANOSECONDS: Final = 1_000_000_000
+
+
+def tree_of(record: object) -> Tree:
+    """The tree of an object."""
+    tree: Tree = {}
+    for field in fields_of(type(record)):
+        tree.update(_WRITERS[field.form](field, getattr(record, field.name)))
+    return tree
+
+
+def object_of(kind: type[Recorded], tree: Tree) -> Recorded:
+    """The object of a tree.
+
+    Raises:
+        RecordError: a field is missing, or a word is unknown.
+        TwinmatchError: the parameters cannot be used.
+    """
+    try:
+        values = {f.name: _READERS[f.form](f, tree) for f in fields_of(kind) if not f.made}
+    except KeyError as error:
+        msg = f"record: a {kind.__name__} lacks {error.args[0]}; it was recorded by another version"
+        raise RecordError(msg) from error
+    return kind(**values)
+
+
+def document_of(record: Any) -> dict[str, Any]:
+    """An object as a dictionary of texts, finite numbers, booleans, None, lists and dictionaries.
+
+    Absent values, NaN and infinities are None.
+    """
+    document: dict[str, Any] = {}
+    for field in fields_of(type(record)):
+        document.update(_entries(field, getattr(record, field.name)))
+    return document
+
+
+def fill(message: Any, tree: Tree, part: Callable[[str], Any]) -> Any:
+    """Write a tree into a message of ROS 2 and return it.
+
+    A word is written together with its number, the message's constant of that name.
+
+    Args:
+        message: a new message.
+        tree: its fields.
+        part: creates an empty message of a type given by its short name, for lists of parts.
+    """
+    kinds = message.get_fields_and_field_types()
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            fill(getattr(message, name), value, part)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            kind = kinds[name].removeprefix("sequence<").removesuffix(">").rpartition("/")[2]
+            setattr(message, name, [fill(part(kind), item, part) for item in value])
+        else:
+            setattr(message, name, float(value) if kinds[name] == "double" else value)
+            number = name.removesuffix("_name")
+            if number != name and number in kinds:
+                setattr(message, number, getattr(type(message), value.upper()))
+    return message
+
+
+def tree_of_message(message: Any) -> Tree:
+    """A message as a tree, with only `stamp` (ns) of the header and only the word of a level or status."""
+    names = [name.removeprefix("_") for name in message.__slots__ if name != "_check_fields"]
+    tree: Tree = {}
+    for name in names:
+        value = getattr(message, name)
+        if name == "header":
+            tree["stamp"] = value.stamp.sec * _NANOSECONDS + value.stamp.nanosec
+        elif f"{name}_name" not in names:
+            tree[name] = _plain(value)
+    return tree
+
+
+def parameters_tree(parameters: Parameters | None) -> dict[str, Any]:
+    """The parameters as in a message; for None without names."""
+    fields = names_of.named(parameters)._asdict()
+    return {key: value if isinstance(value, str) else list(value) for key, value in fields.items()}
+
+
+def parameters_of(tree: Mapping[str, Any]) -> Parameters | None:
+    """The parameters of such a tree; None if it has none.
+
+    Raises:
+        PlantError: the plant is unknown, or a value is out of range.
+    """
+    return names_of.parameters_of(tree["plant"], tree["structure"], tree["names"], tree["values"])
+
+
+def parameters_document(parameters: Parameters) -> dict[str, float]:
+    """The values by name, in their own units."""
+    return dict(parameters)
+
+
+def _absent_part(kind: type) -> Tree:
+    """An absent part: all NaN, including counts, which are float64 in a message."""
+    return {field.name: math.nan for field in fields_of(kind)}
+
+
+_WRITERS: Final[dict[Form, Callable[[RecordField, Any], Tree]]] = {
+    Form.PLAIN: lambda f, v: {f.name: _ABSENT[f.kind] if v is None else v},
+    Form.WORD: lambda f, v: {f"{f.name}_name": v.value},
+    Form.LIST: lambda f, v: {f.name: list(v)},
+    Form.ROWS: lambda f, v: {f.name: [item for row in v for item in row]},
+    Form.ARRAY: lambda f, v: {f.name: v.ravel().tolist()},
+    Form.SPAN: lambda _, v: {"first": v[0], "last": v[1]},
+    Form.NAMED: lambda f, v: {f.name: list(v), values_name(f.name): list(v.values())},
+    Form.PARAMETERS: lambda f, v: {f.name: parameters_tree(v)},
+    Form.PART: lambda f, v: {f.name: _absent_part(f.kind) if v is None else tree_of(v)},
+    Form.PARTS: lambda f, v: {f.name: [tree_of(item) for item in v]},
+    Form.INLINE: lambda f, v: {f"{f.prefix}{key}": item for key, item in tree_of(v).items()},
+}
+"""How a field of each form is written into a tree."""
+
+
+def _read_plain(field: RecordField, tree: Tree) -> Any:
+    value, kind = tree[field.name], field.kind
+    absent = math.isnan(value) if kind is float else value == _ABSENT[kind]
+    return None if field.optional and absent else kind(value)
+
+
+def _read_word(field: RecordField, tree: Tree) -> Any:
+    word = tree[f"{field.name}_name"]
+    try:
+        return field.kind(word)
+    except ValueError as error:
+        msg = f"record: {word!r} is unknown; expected one of {', '.join(one.value for one in field.kind)}"
+        raise RecordError(msg) from error
+
+
+def _read_array(field: RecordField, tree: Tree, columns: int) -> Any:
+    flat = np.array(tree[field.name], dtype=np.float64)
+    if columns == 0:
+        return flat
+    return flat.reshape((-1, columns) if columns > 0 else (math.isqrt(flat.size),) * 2)
+
+
+def _read_parameters(field: RecordField, tree: Tree) -> Parameters | None:
+    found = parameters_of(tree[field.name])
+    if found is None and not field.optional:
+        msg = f"record: {field.name} are missing"
+        raise RecordError(msg)
+    return found
+
+
+def _read_part(field: RecordField, tree: Tree) -> Any:
+    part = tree[field.name]
+    absent = field.optional and math.isnan(next(iter(part.values())))
+    return None if absent else object_of(field.kind, part)
+
+
+def _read_inline(field: RecordField, tree: Tree) -> Any:
+    prefix = field.prefix
+    return object_of(field.kind, {k.removeprefix(prefix): v for k, v in tree.items() if k.startswith(prefix)})
+
+
+_READERS: Final[dict[Form, Callable[[RecordField, Tree], Any]]] = {
+    Form.PLAIN: _read_plain,
+    Form.WORD: _read_word,
+    Form.LIST: lambda f, tree: tuple(f.kind(item) for item in tree[f.name]),
+    Form.ROWS: lambda f, tree: tuple(tuple(row) for row in _read_array(f, tree, -1).tolist()),
+    Form.ARRAY: lambda f, tree: _read_array(f, tree, f.columns),
+    Form.SPAN: lambda _, tree: (int(tree["first"]), int(tree["last"])),
+    Form.NAMED: lambda f, tree: dict(zip(tree[f.name], tree[values_name(f.name)], strict=True)),
+    Form.PARAMETERS: _read_parameters,
+    Form.PART: _read_part,
+    Form.PARTS: lambda f, tree: tuple(object_of(f.kind, item) for item in tree[f.name]),
+    Form.INLINE: _read_inline,
+}
+"""How a field of each form is read from a tree."""
+
+_SHOWN: Final[dict[Form, Callable[[Any], Any]]] = {
+    Form.WORD: lambda v: v.value,
+    Form.ARRAY: lambda v: v.tolist(),
+    Form.PART: document_of,
+    Form.PARTS: lambda v: [document_of(item) for item in v],
+}
+"""How a value is shown in a document, if not as it is."""
+
+
+def _entries(field: RecordField, value: Any) -> dict[str, Any]:
+    """The entries of a document that a field makes."""
+    name, form = field.name, field.form
+    if value is None:
+        return {name: None}
+    if form is Form.SPAN:
+        return {"first": value[0], "last": value[1]}
+    if form is Form.INLINE:
+        return {f"{field.prefix}{key}": item for key, item in document_of(value).items()}
+    if form is Form.PARAMETERS:
+        plant, structure = value.model.key
+        shown = {} if name != "parameters" else {"plant": plant, "structure": structure}
+        return {**shown, name: parameters_document(value)}
+    return {name: _finite(_SHOWN.get(form, lambda v: v)(value))}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "__slots__"):
+        return tree_of_message(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
