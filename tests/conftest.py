@@ -14,15 +14,10 @@ import pytest
 import scipy.io
 from hypothesis import settings
 
-from tests.support.places import PROJECT, TESTS
+from tests.support.places import OTHERS, RECORDINGS, TESTS
 from twinmatch.fmu import is_fmu
 from twinmatch.plants import PLANTS
 from twinmatch.signals import Window
-
-RECORDINGS = Path(os.environ.get("TWINMATCH_RECORDINGS", PROJECT.parent / "shared" / "rig_recordings"))
-"""Hours of the real rig. They have no licence for copying, so they stay outside the project."""
-OTHERS = Path(os.environ.get("TWINMATCH_PLANT_RECORDINGS", RECORDINGS.parent / "plant_recordings"))
-"""Recordings of other people's plants, likewise."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,0 +1,20 @@
+"""What the programs say of recorded sessions is what they said before, bit for bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.golden import SOURCES, MissingSourceError, compare, entry_of
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_results_are_the_golden_ones(name: str, tmp_path: Path) -> None:
+    """`python -m tests.golden` says the same faster; with `--make` it writes them anew."""
+    try:
+        found = entry_of(name, tmp_path)
+    except MissingSourceError as error:
+        pytest.skip(str(error))
+    different, compared = compare(name, found)
+    assert not different, f"compared: {compared}"
