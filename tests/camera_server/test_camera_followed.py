@@ -14,8 +14,7 @@ from twinmatch_camera.sources.followed import FollowedSource
 
 from tests.support.places import CAMERA_PATHS
 from twinmatch.emulation.lepton import PLATE
-from twinmatch.links.thermal_client import ThermalClient
-from twinmatch.links.thermal_region import region
+from twinmatch.links.thermal_client import ThermalClient, region
 
 START = 100.0
 

@@ -16,9 +16,7 @@ from tests.support.places import CAMERA_PATHS
 from tests.support.waiting import wait_for
 from twinmatch.emulation.lepton import PLATE
 from twinmatch.emulation.lepton_feed import PlateFeed
-from twinmatch.links.thermal_client import ThermalClient
-from twinmatch.links.thermal_region import region
-from twinmatch.links.thermal_status import ClientSettings, Received
+from twinmatch.links.thermal_client import ClientSettings, Received, ThermalClient, region
 
 SETTINGS = ClientSettings(first_wait=0.05, longest_wait=0.2)
 

@@ -20,8 +20,7 @@ from twinmatch_camera.sources.recorded import RecordedSource
 
 from twinmatch.emulation.lepton import LeptonSettings
 from twinmatch.emulation.lepton_feed import PlateFeed
-from twinmatch.links.thermal_codec import decode_frame, encode_frame
-from twinmatch.links.thermal_frame import Exposure, FrameFlags
+from twinmatch.links.thermal_frame import Exposure, FrameFlags, decode_frame, encode_frame
 
 PATIENCE = 10.0
 BOOT = b"R" * 16

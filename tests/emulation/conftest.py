@@ -20,9 +20,8 @@ from twinmatch.dynamics.store import cache_folder
 from twinmatch.emulation.lepton import PLATE
 from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
 from twinmatch.emulation.virtual_rig_control import tell
-from twinmatch.links.pwm import PwmLatchedError, PwmLink, PwmLinkError
-from twinmatch.links.thermal_client import ThermalClient
-from twinmatch.links.thermal_region import region
+from twinmatch.links.pwm_link import PwmLatchedError, PwmLink, PwmLinkError
+from twinmatch.links.thermal_client import ThermalClient, region
 from twinmatch.plants import Peltier
 
 

@@ -12,9 +12,8 @@ import pytest
 from tests.support import boards, pwm_mutations
 from tests.support.boards import Wire
 from twinmatch.emulation.arduino_pins import Board
-from twinmatch.links.pwm_frame import seal
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
-from twinmatch.links.pwm_messages import PROTOCOL, Banner, Code, Flags, Refusal, Status
+from twinmatch.links.pwm_protocol import PROTOCOL, Banner, Code, Flags, Refusal, Status, seal
 
 FUZZ = int(os.environ.get("TWINMATCH_FUZZ", "2000"))
 DEADLINE = 1.0

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.emulation.lepton import PLATE, EmulatedLepton, LeptonError, LeptonSettings
+from twinmatch.links.thermal_client import Region, celsius, region
 from twinmatch.links.thermal_frame import LEPTON_SHAPE, Exposure, FlatField, FrameFlags
-from twinmatch.links.thermal_region import Region, celsius, region
 
 QUIET = LeptonSettings(pixel_noise=0.0, common_noise=0.0, drift=0.0, gradient=0.0)
 

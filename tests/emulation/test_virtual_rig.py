@@ -19,8 +19,8 @@ import pytest
 
 from tests.support.waiting import wait_for
 from twinmatch.emulation.virtual_rig_clock import parse_address
-from twinmatch.links.pwm import PwmLatchedError, PwmPortLostError, PwmPortMissingError, PwmResetError
-from twinmatch.links.thermal_status import LinkState
+from twinmatch.links.pwm_link import PwmLatchedError, PwmPortLostError, PwmPortMissingError, PwmResetError
+from twinmatch.links.thermal_client import LinkState
 
 Start = Callable[..., Any]
 BOARDS = [

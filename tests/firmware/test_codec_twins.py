@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import pwm_mutations
-from twinmatch.links.pwm_frame import Damage, FrameReader, seal
-from twinmatch.links.pwm_messages import parse_request
+from twinmatch.links.pwm_protocol import Damage, FrameReader, parse_request, seal
 
 HERE = Path(__file__).parent
 SKETCH = HERE.parents[1] / "firmware" / "twinmatch_leonardo"

@@ -47,7 +47,7 @@ def config(name: str) -> int:
 
 def test_host_and_firmware_agree_on_what_both_spell_out() -> None:
     from twinmatch.emulation.arduino_model import DEADLINE_MS
-    from twinmatch.links.pwm_messages import PROTOCOL, PWM_LIMIT
+    from twinmatch.links.pwm_protocol import PROTOCOL, PWM_LIMIT
 
     assert config("kProtocol") == PROTOCOL
     assert config("kDeadlineMs") == DEADLINE_MS
@@ -77,6 +77,6 @@ def test_unsafe_settings_do_not_compile(tmp_path: Path, line: str, instead: str)
 
 
 def test_the_line_to_try_by_hand_is_a_sound_one() -> None:
-    from twinmatch.links.pwm_frame import seal
+    from twinmatch.links.pwm_protocol import seal
 
     assert f"`{seal('H 0').decode().strip()}`" in (PROJECT / "docs" / "rig" / "firmware.md").read_text()

@@ -16,9 +16,8 @@ pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
 from tests.support.kits import BenchKit
 from tests.support.waiting import wait_for
-from twinmatch.links.kit_errors import KitAbsentError, KitError, KitSilentError
-from twinmatch.links.kit_link import KitLink, require_port
-from twinmatch.links.kit_serial import open_kit
+from twinmatch.links.kit_keeper import open_kit
+from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitSilentError, require_port
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.links.pwm_frame import MAX_PAYLOAD, Damage, FrameReader, crc16, seal
+from twinmatch.links.pwm_protocol import MAX_PAYLOAD, Damage, FrameReader, crc16, seal
 
 PAYLOADS = st.text(
     st.sampled_from([chr(c) for c in range(0x20, 0x7F) if chr(c) != ":"]), min_size=1, max_size=40

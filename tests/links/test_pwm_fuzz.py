@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 from tests.support import pwm_mutations
-from twinmatch.links.pwm_frame import Damage, FrameReader, seal
-from twinmatch.links.pwm_messages import Request, parse_request
+from twinmatch.links.pwm_protocol import Damage, FrameReader, Request, parse_request, seal
 
 
 def test_no_damaged_frame_is_acted_on_with_a_changed_meaning_and_the_next_one_always_arrives() -> None:

@@ -19,10 +19,9 @@ from tests.support import boards
 from tests.support.waiting import wait_for
 from twinmatch.emulation.arduino_pins import Board
 from twinmatch.links import pwm_link
-from twinmatch.links.pwm import (
+from twinmatch.links.pwm_link import (
     AMPERES_PER_COUNT,
     Applied,
-    Flags,
     LinkSettings,
     PwmCorruptReplyError,
     PwmLatchedError,
@@ -37,8 +36,7 @@ from twinmatch.links.pwm import (
     PwmTimeoutError,
     PwmVersionError,
 )
-from twinmatch.links.pwm_frame import FrameReader, seal
-from twinmatch.links.pwm_messages import Request, parse_request
+from twinmatch.links.pwm_protocol import Flags, FrameReader, Request, parse_request, seal
 
 PATIENT = LinkSettings(timeout=2.0)
 """For boards that share a busy machine with the tests; nothing here measures by the wall clock."""
@@ -176,7 +174,7 @@ def test_threads_may_share_a_link(link: pwm_link.PwmLink) -> None:
 
 HOST = """
 import sys
-from twinmatch.links.pwm import LinkSettings, PwmLink
+from twinmatch.links.pwm_link import LinkSettings, PwmLink
 link = PwmLink(sys.argv[1], LinkSettings(timeout=2.0))
 link.open()
 link.clear()

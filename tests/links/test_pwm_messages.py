@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.links.pwm_messages import (
+from twinmatch.links.pwm_protocol import (
     Banner,
     Code,
     Flags,

@@ -2,9 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from twinmatch.links.pwm_frame import seal
-from twinmatch.links.pwm_messages import Code, Flags, Refusal, Status, Verb
-from twinmatch.links.pwm_protocol import Conversation
+from twinmatch.links.pwm_protocol import Code, Conversation, Flags, Refusal, Status, Verb, seal
 
 
 def status(sequence: int, applied: int = 0) -> bytes:

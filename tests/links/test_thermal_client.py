@@ -14,20 +14,22 @@ import numpy as np
 import pytest
 
 from tests.support.waiting import PATIENCE, wait_for
-from twinmatch.links.thermal_client import ThermalClient
-from twinmatch.links.thermal_codec import encode_frame
-from twinmatch.links.thermal_errors import (
+from twinmatch.links.thermal_client import ClientSettings, LinkState, LinkStatus, ThermalClient, back_off
+from twinmatch.links.thermal_frame import (
+    LEPTON_SHAPE,
+    Exposure,
+    FlatField,
     FrameChecksumError,
     FrameSyntaxError,
     FrameTooLongError,
     ThermalConnectError,
     ThermalEndError,
+    ThermalFrame,
     ThermalLinkError,
     ThermalOrderError,
     ThermalStallError,
+    encode_frame,
 )
-from twinmatch.links.thermal_frame import LEPTON_SHAPE, Exposure, FlatField, ThermalFrame
-from twinmatch.links.thermal_status import ClientSettings, LinkState, LinkStatus, back_off
 
 QUICK = ClientSettings(connect_timeout=1.0, stall_timeout=0.3, first_wait=0.01, longest_wait=0.05)
 BOOT = b"B" * 16

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.links.thermal_clock import CLOCK_MEMORY, StampMapper
+from twinmatch.links.thermal_client import CLOCK_MEMORY, StampMapper
 
 MS = 1_000_000
 

@@ -16,16 +16,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from twinmatch.links.thermal_codec import MAX_FRAME_BYTES, decode_frame, encode_frame, read_frame
-from twinmatch.links.thermal_errors import (
+from twinmatch.links.thermal_frame import (
+    LEPTON_SHAPE,
+    MAX_FRAME_BYTES,
+    Exposure,
+    FlatField,
     FrameChecksumError,
     FrameError,
     FrameFieldError,
+    FrameFlags,
     FrameSyntaxError,
     FrameTooLongError,
     FrameVersionError,
+    ThermalFrame,
+    decode_frame,
+    encode_frame,
+    read_frame,
 )
-from twinmatch.links.thermal_frame import LEPTON_SHAPE, Exposure, FlatField, FrameFlags, ThermalFrame
 
 BOOT = bytes(range(16))
 

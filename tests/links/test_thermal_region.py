@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from twinmatch.links.thermal_client import Region, RegionError, celsius, region
 from twinmatch.links.thermal_frame import Exposure, FrameFlags
-from twinmatch.links.thermal_region import Region, RegionError, celsius, region
 
 
 def exposure(counts: object, resolution: float = 0.01, flags: FrameFlags = FrameFlags.NONE) -> Exposure:

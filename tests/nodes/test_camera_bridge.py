@@ -24,7 +24,7 @@ from std_msgs.msg import Float64
 from tests.support.camera import CameraProgram
 from tests.support.processes import Process, Processes
 from twinmatch.emulation.lepton import EmulatedLepton, LeptonSettings
-from twinmatch.links.thermal_codec import encode_frame
+from twinmatch.links.thermal_frame import encode_frame
 from twinmatch.nodes.network import sockets_elsewhere
 
 pytestmark = pytest.mark.ros

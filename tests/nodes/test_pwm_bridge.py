@@ -25,7 +25,7 @@ from tests.support import boards
 from tests.support.processes import Process
 from tests.support.ros import Listener
 from twinmatch.emulation.arduino import StandInArduino
-from twinmatch.links.pwm import Flags
+from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.network import sockets_elsewhere
 from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
 

@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
+from twinmatch.links.thermal_client import RegionError
 from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags
-from twinmatch.links.thermal_region import RegionError
 from twinmatch.nodes.thermal_images import celsius_image, centikelvin, raw_image
 
 

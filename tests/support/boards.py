@@ -23,8 +23,7 @@ from tests.support.places import PROJECT
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.emulation.arduino_pins import ArduinoError, Board, Drive
 from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
-from twinmatch.links.pwm_frame import FrameReader, seal
-from twinmatch.links.pwm_messages import Reply, Status, parse_reply
+from twinmatch.links.pwm_protocol import FrameReader, Reply, Status, parse_reply, seal
 
 REAL = os.environ.get("TWINMATCH_SERIAL")
 KINDS = ["stand-in", "simavr", *(["real"] if REAL else [])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 
-from twinmatch.links.pwm_frame import seal
+from twinmatch.links.pwm_protocol import seal
 
 
 def _flip(rng: random.Random, line: bytearray) -> None:

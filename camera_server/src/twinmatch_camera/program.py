@@ -7,8 +7,7 @@ import secrets
 import signal
 import threading
 
-from twinmatch.links.thermal_codec import encode_frame
-from twinmatch.links.thermal_frame import BOOT_ID_LENGTH
+from twinmatch.links.thermal_frame import BOOT_ID_LENGTH, encode_frame
 from twinmatch_camera.broadcast import Broadcast
 from twinmatch_camera.errors import CameraError
 from twinmatch_camera.sources.base import EndOfRecording, Source

@@ -5,14 +5,15 @@ It follows `firmware/twinmatch_leonardo` rule by rule; the same test scenarios r
 
 from __future__ import annotations
 
-from twinmatch.links.pwm_frame import Damage, FrameReader, seal
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
-from twinmatch.links.pwm_messages import (
+from twinmatch.links.pwm_protocol import (
     PROTOCOL,
     SEQUENCES,
     Banner,
     Code,
+    Damage,
     Flags,
+    FrameReader,
     Refusal,
     Reply,
     Request,
@@ -20,6 +21,7 @@ from twinmatch.links.pwm_messages import (
     Verb,
     is_newer,
     parse_request,
+    seal,
 )
 
 __all__ = ["DEADLINE_MS", "FIRMWARE", "ArduinoModel"]

@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from twinmatch.emulation.arduino_pins import ArduinoError, Drive
-from twinmatch.links.pwm_messages import PWM_LIMIT
+from twinmatch.links.pwm_protocol import PWM_LIMIT
 
 __all__ = ["VirtualArduino", "VirtualTools", "build_virtual_board"]
 

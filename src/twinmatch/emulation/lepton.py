@@ -16,8 +16,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.links.thermal_client import Region
 from twinmatch.links.thermal_frame import LEPTON_SHAPE, CountArray, Exposure, FlatField, FrameFlags
-from twinmatch.links.thermal_region import Region
 from twinmatch.signals import KELVIN, FloatArray
 
 __all__ = ["PLATE", "EmulatedLepton", "LeptonError", "LeptonSettings"]

@@ -9,22 +9,159 @@ reads one line per command and answers each with one line.
                              error WHAT: both heaters were switched off, and this process ends
                              silent WHAT: heaters are off because no command arrived, until cleared
 
+The class of the package `tclab` searches the USB bus for its port and accepts no other, takes the next line
+as the answer whatever it is, and turns NaN into 100 %. So here the port is passed in, answers are checked,
+and NaN never reaches the package.
+
 Usage: python -m twinmatch.links.kit_keeper PORT DEADLINE
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
+import math
 import os
 import select
 import signal
 import sys
+import termios
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import serial
+import tclab
+from tclab import tclab as package
 
 from twinmatch.errors import EXIT_USER_ERROR
-from twinmatch.links.kit_errors import KitAbsentError, KitError
-from twinmatch.links.kit_serial import Kit, open_kit
+from twinmatch.links.kit_link import KitAbsentError, KitError, require_port
 
-__all__ = ["main"]
+_BAUDS = (115200, 9600)
+"""Firmware before 1.2.3 uses the lower rate."""
+_ANSWER = 0.25
+"""Longest wait for an answer, s; a kit gives it within 0.03 s."""
+_TRIES = 2
+_POSSIBLE = (-60.0, 300.0)
+"""Range of its 10-bit converter, °C."""
+_ROUNDED = 1.0
+"""Rounding of the command, %: firmware before 1.4 takes whole percents."""
+
+
+class Reading(NamedTuple):
+    """A kit's answer to a command."""
+
+    first: float
+    """Temperature T1, °C."""
+    second: float
+    """Temperature T2, °C."""
+    power: float
+    """Set power of heater 1, %."""
+    other: float
+    """Set power of heater 2, %."""
+
+
+class Kit(tclab.TCLab):
+    """The package's class on a given port; the original constructor only searches the USB bus."""
+
+    def __init__(self, port: str) -> None:
+        self.port, self.debug, self.baud = port, False, 0
+        for baud in _BAUDS:
+            try:
+                self.connect(baud)
+                break
+            except serial.SerialException as error:
+                raise KitAbsentError(f"kit at {port}: the port cannot be opened: {error}") from error
+            except (ValueError, OSError):
+                package._connected = False  # as the package's own constructor does before it retries
+                with contextlib.suppress(OSError):
+                    self.sp.close()
+        else:
+            raise KitAbsentError(
+                f"kit at {port}: the device does not answer like a Temperature Control Lab; is the port "
+                "right?"
+            )
+        self.sp.timeout = _ANSWER
+        self.version = self._asked("VER")
+        if "TCLab" not in self.version:
+            raise KitAbsentError(
+                f"kit at {port}: the device reports {self.version[:40]!r}, which is not TCLab firmware"
+            )
+
+    def drive(self, power: float, other: float) -> Reading:
+        """Set both heaters, %, and read both sensors.
+
+        Raises:
+            KitError: a command is not within 0 to 100, or an answer is invalid.
+            OSError: the port is gone.
+        """
+        for value in (power, other):
+            if not 0.0 <= value <= 100.0:  # true for NaN too
+                raise KitError(f"kit: the command is {value}; it must be within 0 to 100 %")
+        set_to = [self._heater(name, value) for name, value in (("Q1", power), ("Q2", other))]
+        return Reading(self._temperature("T1"), self._temperature("T2"), *set_to)
+
+    def off(self) -> None:
+        """Switch both heaters off.
+
+        Raises:
+            KitError: the kit does not confirm it.
+            OSError: the port is gone.
+        """
+        self.drive(0.0, 0.0)
+
+    def _asked(self, words: str, kind: Callable[[str], Any] = str) -> Any:
+        """The answer to a request, which is retried once.
+
+        Raises:
+            KitError: there is no valid answer.
+            OSError: the port is gone.
+        """
+        for _ in range(_TRIES):
+            try:
+                self.sp.reset_input_buffer()  # drop late answers and those to other programs
+            except termios.error as error:  # pyserial passes it on, and it is not an OSError
+                raise OSError(*error.args) from error
+            try:
+                answer = self.send_and_receive(words, kind)
+            except ValueError:
+                continue
+            if answer != "":
+                return answer
+        raise KitError(
+            f"kit at {self.port}: no valid answer to {words!r}; is another program using the port?"
+        )
+
+    def _heater(self, name: str, value: float) -> float:
+        answer = float(self._asked(f"{name} {value:.2f}", float))
+        if not abs(answer - value) < _ROUNDED:
+            raise KitError(
+                f"kit: heater {name} was set to {value:.2f} % but reports {answer:g} %; is another program "
+                "using the port?"
+            )
+        return answer
+
+    def _temperature(self, name: str) -> float:
+        answer = float(self._asked(name, float))
+        if not (math.isfinite(answer) and _POSSIBLE[0] <= answer <= _POSSIBLE[1]):
+            raise KitError(f"kit: {name} reads {answer:g} °C, which its sensor cannot give; check the sensor")
+        return answer
+
+
+def open_kit(port: str) -> Kit:
+    """The kit on a port, or the first on the USB bus if the port is empty. Takes 2 s.
+
+    Raises:
+        KitAbsentError: there is no kit.
+    """
+    with contextlib.redirect_stdout(io.StringIO()):  # the package prints
+        if not port:
+            port, _ = package.find_arduino()
+            if port is None:
+                raise KitAbsentError("kit: none on the USB bus; plug it in, or name its port with --port")
+        else:
+            require_port(port)
+        return Kit(port)
+
 
 _OFFS = 5
 """Attempts to switch the heaters off before giving up."""

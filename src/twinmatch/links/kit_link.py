@@ -12,9 +12,20 @@ import sys
 import time
 from pathlib import Path
 
-from twinmatch.links.kit_errors import KitAbsentError, KitError, KitSilentError
+from twinmatch.errors import TwinmatchError
 
-__all__ = ["KitLink", "KitReading", "require_package", "require_port"]
+
+class KitError(TwinmatchError):
+    """The kit or the link to it failed."""
+
+
+class KitAbsentError(KitError):
+    """No kit was found: the package or the port is missing, or another device is on the port."""
+
+
+class KitSilentError(KitError):
+    """The heaters were switched off because no command came in time."""
+
 
 _START = 20.0
 """Longest start, s: the package waits 2 s at each of two speeds."""

@@ -2,13 +2,30 @@
 
 The board trips when it receives no command within its deadline (`Banner.deadline_ms`, one second), so the
 user of a `PwmLink` repeats the current command several times per second, changed or not. This is intended: a
-program that hangs or crashes stops doing so, and the output goes off.
+program that hangs or crashes stops doing so, and the output goes off. Every command is absolute, so it is
+safe to send it again after any error. There is one error class per remedy:
+
+PwmLinkError                  a command could not be delivered; the state of the output is unknown
+├── PwmRangeError             an argument is out of range; nothing was sent
+├── PwmPortMissingError       no such port, or no permission: is the board plugged in
+├── PwmPortBusyError          another program holds the port
+├── PwmPortLostError          the port vanished or was never opened: cable, board reset; reopen()
+├── PwmTimeoutError           the port is open, but no answer arrived in time
+├── PwmCorruptReplyError      answers arrived, but damaged, or not matching the request
+├── PwmStaleReplyError        only answers to earlier requests arrived
+├── PwmRejectedError          the board refused: .code is the reason
+│   └── PwmLatchedError       it has tripped and waits for clear(): .flags show the cause
+├── PwmResetError             the board restarted in mid-session; clear() if that was expected
+└── PwmVersionError           the board has another version of the protocol
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
+import secrets
+import termios
 import threading
 import time
 from collections.abc import Callable
@@ -16,30 +33,219 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import NoReturn
 
-from twinmatch.links.pwm_errors import (
-    PwmLatchedError,
-    PwmLinkError,
-    PwmPortLostError,
-    PwmRangeError,
-    PwmRejectedError,
-    PwmResetError,
-    PwmVersionError,
-)
-from twinmatch.links.pwm_exchange import Exchange
-from twinmatch.links.pwm_messages import (
+import serial
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.links.pwm_protocol import (
     PROTOCOL,
     PWM_LIMIT,
+    SEQUENCES,
     Banner,
     Code,
+    Conversation,
     Flags,
     Refusal,
     Reply,
     Status,
     Verb,
 )
-from twinmatch.links.pwm_port import LinkSettings
 
-__all__ = ["AMPERES_PER_COUNT", "Applied", "PwmLink"]
+
+class PwmLinkError(TwinmatchError):
+    """The PWM board could not be commanded."""
+
+
+class PwmRangeError(PwmLinkError):
+    """A command is not finite or outside ±255, or a setting is out of range."""
+
+
+class PwmPortMissingError(PwmLinkError):
+    """The serial port does not exist or may not be opened."""
+
+
+class PwmPortBusyError(PwmLinkError):
+    """The serial port is held by another program."""
+
+
+class PwmPortLostError(PwmLinkError, ConnectionError):
+    """The serial port is closed or vanished."""
+
+
+class PwmTimeoutError(PwmLinkError, TimeoutError):
+    """No answer in time."""
+
+
+class PwmCorruptReplyError(PwmLinkError):
+    """An answer has a wrong checksum or invalid content."""
+
+
+class PwmStaleReplyError(PwmLinkError):
+    """Answers arrived, but none to this request."""
+
+
+class PwmRejectedError(PwmLinkError):
+    """The board refused a request."""
+
+    def __init__(self, message: str, code: Code) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class PwmLatchedError(PwmRejectedError):
+    """The board has tripped: output off until it is cleared."""
+
+    def __init__(self, message: str, code: Code, flags: Flags) -> None:
+        super().__init__(message, code)
+        self.flags = flags
+
+
+class PwmResetError(PwmLinkError):
+    """The board restarted since it was cleared."""
+
+
+class PwmVersionError(PwmLinkError):
+    """The board has another version of the protocol."""
+
+
+BAUD_RATE = 115_200
+"""Not configurable: USB ignores it, except for 1200, which starts the boot loader of a Leonardo."""
+
+WIRE_ERRORS = (OSError, termios.error)
+"""Errors raised by pyserial when a port vanishes; its own SerialException is an OSError."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSettings:
+    """Timeouts and retries of a link.
+
+    Raises:
+        PwmRangeError: a time is not positive, or `retries` is negative.
+    """
+
+    timeout: float = 0.2
+    """Longest wait for a reply, s. With all retries it must stay below the board's deadline."""
+    retries: int = 2
+    """Retries of an unanswered request."""
+    first_pause: float = 0.1
+    """Pause before the second attempt to reopen a lost port, s; doubled each time."""
+    longest_pause: float = 2.0
+    """Longest pause between two such attempts, s."""
+
+    def __post_init__(self) -> None:
+        for name in ("timeout", "first_pause", "longest_pause"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                msg = f"PWM link: {name} is {value} s; it must be positive"
+                raise PwmRangeError(msg)
+        if self.retries < 0:
+            msg = f"PWM link: retries is {self.retries}; it must be 0 or more"
+            raise PwmRangeError(msg)
+
+
+def open_port(port: str, timeout: float) -> serial.Serial:
+    """Open a port exclusively, with an empty input buffer.
+
+    pyserial raises DTR and RTS, and tolerates ports without them, such as pseudo-terminals.
+
+    Raises:
+        PwmPortBusyError: another program holds it.
+        PwmPortMissingError: it cannot be opened.
+    """
+    try:
+        wire = serial.Serial(port, BAUD_RATE, timeout=timeout, write_timeout=timeout, exclusive=True)
+        wire.reset_input_buffer()
+    except (*WIRE_ERRORS, ValueError) as error:
+        if _is_busy(error):
+            msg = f"PWM link: another program holds {port}; end it first"
+            raise PwmPortBusyError(msg) from error
+        msg = f"PWM link: {port} cannot be opened ({error}); check the cable and your access to the port"
+        raise PwmPortMissingError(msg) from error
+    return wire
+
+
+def _is_busy(error: Exception) -> bool:
+    return getattr(error, "errno", None) in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error)
+
+
+class Exchange:
+    """An open port and the conversation on it.
+
+    Raises:
+        PwmPortMissingError, PwmPortBusyError: the port cannot be opened.
+    """
+
+    def __init__(self, port: str, settings: LinkSettings) -> None:
+        self.port = port
+        self.settings = settings
+        self._wire: serial.Serial | None = open_port(port, settings.timeout)
+        # A random number, so that late replies to an earlier session are not taken for ours.
+        self._talk = Conversation(secrets.randbelow(SEQUENCES))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is still held."""
+        return self._wire is not None
+
+    def ask(self, verb: Verb, pwm: int = 0) -> Reply:
+        """Send a request and return its reply, with retries under the same sequence number.
+
+        Raises:
+            PwmPortLostError: the port was lost; it is closed now.
+            PwmTimeoutError, PwmCorruptReplyError, PwmStaleReplyError, PwmRejectedError: there was no valid
+                reply.
+        """
+        line = self._talk.ask(verb, pwm)
+        for attempt in range(self.settings.retries + 1):
+            if attempt:
+                line = self._talk.repeat()
+            reply = self._attempt(line)
+            if reply is not None:
+                return reply
+        raise self._unanswered(verb)
+
+    def close(self) -> None:
+        """Release the port, whatever its state."""
+        if self._wire is not None:
+            with contextlib.suppress(*WIRE_ERRORS):
+                self._wire.close()
+        self._wire = None
+
+    def _attempt(self, line: bytes) -> Reply | None:
+        """Send a line and wait for its reply; None if none arrived in time or it was damaged."""
+        if self._wire is None:
+            msg = f"PWM link: {self.port} was lost; reopen() it"
+            raise PwmPortLostError(msg)
+        try:
+            self._wire.write(line)
+            end = time.monotonic() + self.settings.timeout
+            while (left := end - time.monotonic()) > 0 and not self._talk.spoiled:
+                self._wire.timeout = left
+                reply = self._talk.hear(self._wire.read(max(1, self._wire.in_waiting)))
+                if reply is not None:
+                    return reply
+        except serial.SerialTimeoutException:
+            return None  # the board accepts no bytes: equivalent to no answer
+        except WIRE_ERRORS as error:
+            self.close()
+            msg = f"PWM link: {self.port} was lost ({error}); check the cable, then reopen()"
+            raise PwmPortLostError(msg) from error
+        return None
+
+    def _unanswered(self, verb: Verb) -> PwmLinkError:
+        talk, tries = self._talk, self.settings.retries + 1
+        what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
+        if talk.refused_line is not None:
+            code = talk.refused_line.code
+            return PwmRejectedError(f"{what}: requests arrive damaged ({code.value}); check the cable", code)
+        if talk.damaged:
+            return PwmCorruptReplyError(f"{what}: {talk.damaged} arrived damaged; check the cable")
+        if talk.stale:
+            return PwmStaleReplyError(
+                f"{what}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
+            )
+        wait = f"{self.settings.timeout:g} s"
+        return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")
+
 
 AMPERES_PER_COUNT = 5.0 / 1024 / 0.525
 """The converter has 1024 counts in 5 V; the driver gives 0.525 V for each ampere."""

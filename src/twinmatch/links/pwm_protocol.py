@@ -1,25 +1,289 @@
-"""The host side of the protocol, without a port and without a clock.
+"""The protocol of the PWM board: frames, messages, and the host's side of it, without a port or a clock.
 
-One request is outstanding at a time. Replies are matched by their sequence number: a reply to an earlier
-request is counted and dropped; a damaged one marks the request as spoiled, so that the caller can repeat it
-at once instead of waiting.
+A frame is one line of ASCII, `:` payload `*` CRC `\n` with the CRC as four upper-case hex digits: readable in
+a serial monitor, with damage detected by the CRC. The firmware's `frame.cpp` follows the same rules, byte for
+byte. Each message has exactly one spelling:
+
+| request | reply |
+|---|---|
+| `H seq` starts a session, output to zero | `B seq firmware protocol mcusr deadline_ms restarts` |
+| `P seq pwm` sets the output | `S seq time_ms applied adc flags` |
+| `Q seq` queries the state | `S …` |
+| `C seq` clears a trip | `S …` |
+
+The reply to a refused request is `E seq code`, with `-` for seq if the request was too damaged to read it.
 """
 
 from __future__ import annotations
 
-from twinmatch.links.pwm_frame import Damage, FrameReader, seal
-from twinmatch.links.pwm_messages import (
-    SEQUENCES,
-    Banner,
-    Refusal,
-    Reply,
-    Request,
-    Status,
-    Verb,
-    parse_reply,
-)
+import binascii
+import re
+from dataclasses import dataclass
+from enum import Enum, IntFlag
 
-__all__ = ["Conversation"]
+MAX_PAYLOAD = 40
+"""Most characters between `:` and `*`."""
+
+_TAIL = 5  # '*' and four hex digits
+_ROOM = MAX_PAYLOAD + _TAIL + 1  # and a '\r', as serial monitors send
+
+
+class Damage(Enum):
+    """Why a line that starts like a frame is invalid."""
+
+    CHECKSUM = "CRC"
+    """Its CRC is wrong or missing."""
+    LENGTH = "TOO_LONG"
+    """It is longer than any frame."""
+
+
+def crc16(payload: bytes) -> int:
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected; 0x29B1 for b"123456789"."""
+    return binascii.crc_hqx(payload, 0xFFFF)
+
+
+def seal(payload: str) -> bytes:
+    """The line that carries `payload`.
+
+    Raises:
+        ValueError: the payload is too long, or contains a reserved character.
+    """
+    body = payload.encode("ascii")
+    if not 1 <= len(body) <= MAX_PAYLOAD or ":" in payload or not payload.isprintable():
+        rule = f"give 1 to {MAX_PAYLOAD} printable ASCII characters other than ':'"
+        msg = f"frame: {payload!r} cannot be sent; {rule}"
+        raise ValueError(msg)
+    return b":%b*%04X\n" % (body, crc16(body))
+
+
+class FrameReader:
+    """Finds frames in a stream of bytes.
+
+    Bytes outside `:` … `\\n` are skipped, and a `:` inside a frame starts a new one, so a lost line end costs
+    one frame.
+    """
+
+    def __init__(self) -> None:
+        self._line: bytearray | None = None
+        self._overflow = False
+
+    def feed(self, data: bytes) -> list[bytes | Damage]:
+        """Take received bytes; return the payloads and damages they complete, in order."""
+        found = []
+        for byte in data:
+            event = self._take(byte)
+            if event is not None:
+                found.append(event)
+        return found
+
+    def reset(self) -> None:
+        """Discard an incomplete frame."""
+        self._line = None
+
+    def _take(self, byte: int) -> bytes | Damage | None:
+        if byte == ord(":"):
+            self._line = bytearray()
+            self._overflow = False
+            return None
+        if self._line is None:
+            return None
+        if byte == ord("\n"):
+            line, self._line = bytes(self._line), None
+            return Damage.LENGTH if self._overflow else _open(line)
+        if len(self._line) >= _ROOM:
+            self._overflow = True
+        else:
+            self._line.append(byte)
+        return None
+
+
+def _open(line: bytes) -> bytes | Damage:
+    line = line[:-1] if line.endswith(b"\r") else line
+    payload, tail = line[:-_TAIL], line[-_TAIL:]
+    if not payload or not tail.startswith(b"*") or not all(0x20 <= byte <= 0x7E for byte in payload):
+        return Damage.CHECKSUM
+    if len(payload) > MAX_PAYLOAD:
+        return Damage.LENGTH
+    # Compared as text, so that a lower-case digit is damage too.
+    return payload if tail[1:] == b"%04X" % crc16(payload) else Damage.CHECKSUM
+
+
+PROTOCOL = 1
+"""Version of the protocol; the board reports its own in the banner."""
+
+PWM_LIMIT = 255.0
+"""Largest magnitude of a command; its sign is the direction, positive heats the plate."""
+
+SEQUENCES = 65536
+"""Sequence numbers run from 0 to 65535 and wrap."""
+
+_NUMBER = r"(0|[1-9]\d*)"
+_SIGNED = r"(0|-?[1-9]\d{0,4})"
+_ANY_REQUEST = re.compile(rf"(.) {_NUMBER}(?: .*)?", re.ASCII)
+_SET = re.compile(rf"P {_NUMBER} {_SIGNED}", re.ASCII)
+_PLAIN = re.compile(rf"[HQC] {_NUMBER}", re.ASCII)
+_BANNER = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER}", re.ASCII)
+_FOREIGN = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER}(?: .*)?", re.ASCII)  # common to all versions
+_STATUS = re.compile(rf"S {_NUMBER} {_NUMBER} {_SIGNED} {_NUMBER} {_NUMBER}", re.ASCII)
+_REFUSAL = re.compile(rf"E (-|{_NUMBER}) ([A-Z_]+)", re.ASCII)
+
+
+class Verb(Enum):
+    """Requests of the host."""
+
+    HELLO = "H"
+    SET = "P"
+    QUERY = "Q"
+    CLEAR = "C"
+
+
+class Code(Enum):
+    """Reasons of a refusal."""
+
+    CRC = "CRC"
+    SYNTAX = "SYNTAX"
+    UNKNOWN = "UNKNOWN"
+    RANGE = "RANGE"
+    LATCHED = "LATCHED"
+    TOO_LONG = "TOO_LONG"
+
+
+class Flags(IntFlag):
+    """State of the board's output."""
+
+    NONE = 0
+    ENABLED = 0x01
+    """The driver is enabled."""
+    TRIPPED = 0x02
+    """The output is off until it is cleared; one of the next three is the cause."""
+    DEADLINE = 0x04
+    """No command within the deadline."""
+    DRIVER = 0x08
+    """The driver reported a fault."""
+    RESET = 0x10
+    """The board restarted since it was last cleared."""
+    DUPLICATE = 0x20
+    """The request repeats one already answered; it had no effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A request. `pwm`, −255 to 255, belongs to `Verb.SET` only."""
+
+    verb: Verb
+    sequence: int
+    pwm: int = 0
+
+    def __str__(self) -> str:
+        """Its payload."""
+        value = f" {self.pwm}" if self.verb is Verb.SET else ""
+        return f"{self.verb.value} {self.sequence}{value}"
+
+
+@dataclass(frozen=True, slots=True)
+class Banner:
+    """The board's description of itself."""
+
+    sequence: int
+    firmware: str
+    protocol: int
+    reset_flags: int
+    """The MCUSR register at start; 0 if a boot loader has cleared it."""
+    deadline_ms: int
+    """Time without a command after which the output trips."""
+    restarts: int
+    """Starts since power-up, modulo 65536."""
+
+    def __str__(self) -> str:
+        """Its payload."""
+        return (
+            f"B {self.sequence} {self.firmware} {self.protocol} {self.reset_flags} "
+            f"{self.deadline_ms} {self.restarts}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The board's report of its output."""
+
+    sequence: int
+    time_ms: int
+    """Milliseconds since the board started, modulo 2³²."""
+    applied: int
+    """PWM on the pins, −255 to 255."""
+    adc: int
+    """Current feedback, 0 to 1023 counts."""
+    flags: Flags
+
+    def __str__(self) -> str:
+        """Its payload."""
+        return f"S {self.sequence} {self.time_ms} {self.applied} {self.adc} {int(self.flags)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A refused request. `sequence` is None if the request was too damaged to read it."""
+
+    sequence: int | None
+    code: Code
+
+    def __str__(self) -> str:
+        """Its payload."""
+        return f"E {'-' if self.sequence is None else self.sequence} {self.code.value}"
+
+
+Reply = Banner | Status | Refusal
+
+
+def is_newer(sequence: int, last: int) -> bool:
+    """Whether `sequence` comes after `last`, counting modulo 65536."""
+    return 1 <= (sequence - last) % SEQUENCES < SEQUENCES // 2
+
+
+def parse_request(payload: bytes) -> Request | Refusal:
+    """Parse a request as the board does; a refusal is what the board would answer."""
+    text = payload.decode("latin-1")
+    outline = _ANY_REQUEST.fullmatch(text)
+    if outline is None or int(outline[2]) >= SEQUENCES:
+        return Refusal(None, Code.SYNTAX)
+    sequence = int(outline[2])
+    if outline[1] not in {verb.value for verb in Verb}:
+        return Refusal(sequence, Code.UNKNOWN)
+    if _PLAIN.fullmatch(text):
+        return Request(Verb(text[0]), sequence)
+    match = _SET.fullmatch(text)
+    if match is None:
+        return Refusal(sequence, Code.SYNTAX)
+    pwm = int(match[2])
+    return Request(Verb.SET, sequence, pwm) if abs(pwm) <= PWM_LIMIT else Refusal(sequence, Code.RANGE)
+
+
+def parse_reply(payload: bytes) -> Reply | None:
+    """Parse a reply of the board; None if it is not exactly one valid reply.
+
+    From a banner of another protocol version, only firmware and protocol are read.
+    """
+    text = payload.decode("latin-1")
+    if match := _STATUS.fullmatch(text):
+        sequence, time_ms, applied, adc, flags = map(int, match.groups())
+        return _checked(sequence, Status(sequence, time_ms, applied, adc, Flags(flags)))
+    if match := _BANNER.fullmatch(text):
+        sequence, protocol, reset_flags, deadline, restarts = (int(match[i]) for i in (1, 3, 4, 5, 6))
+        return _checked(sequence, Banner(sequence, match[2], protocol, reset_flags, deadline, restarts))
+    if (match := _FOREIGN.fullmatch(text)) and int(match[3]) != PROTOCOL:
+        return _checked(int(match[1]), Banner(int(match[1]), match[2], int(match[3]), 0, 0, 0))
+    if (match := _REFUSAL.fullmatch(text)) and match[3] in Code.__members__:
+        numbered = None if match[1] == "-" else int(match[1])
+        return _checked(numbered or 0, Refusal(numbered, Code(match[3])))
+    return None
+
+
+def _checked(sequence: int, reply: Reply) -> Reply | None:
+    plausible = sequence < SEQUENCES
+    if isinstance(reply, Status):
+        plausible = plausible and abs(reply.applied) <= PWM_LIMIT and reply.adc <= 1023
+        plausible = plausible and reply.time_ms < 2**32 and int(reply.flags) <= 0xFF
+    return reply if plausible else None
 
 
 class Conversation:

@@ -2,31 +2,271 @@
 
 Only `wait` blocks its caller. Each frame replaces the one before, read or not, so a slow consumer sees gaps
 but never old images. Any error in the stream ends the connection; the thread then pauses, longer each time,
-and reconnects.
+and reconnects. `region` gives the temperatures of a rectangle of a frame. One error class per remedy:
+
+ThermalLinkError              the stream is not usable right now; the client reconnects automatically
+├── ThermalConnectError       no server at the address: is it running, is the port right
+├── ThermalStallError         connected, but no complete frame in time: camera or network hangs
+├── ThermalEndError           the server closed the connection, perhaps in the middle of a frame
+├── ThermalOrderError         the frames of one server are out of order: two programs on one port
+├── RegionError               a rectangle is outside the frame, empty, or without a valid pixel
+└── FrameError                the bytes are not a valid frame
+    ├── FrameSyntaxError      not CBOR, or not one map
+    ├── FrameTooLongError     longer than the limit
+    ├── FrameVersionError     a frame of another version of the format
+    ├── FrameFieldError       a field is missing, surplus, of the wrong type or out of range
+    └── FrameChecksumError    the bytes were corrupted in transit
 """
 
 from __future__ import annotations
 
+import math
 import socket
 import threading
 import time
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from types import MappingProxyType
 
-from twinmatch.links.thermal_clock import StampMapper
-from twinmatch.links.thermal_codec import read_frame
-from twinmatch.links.thermal_errors import (
+import numpy as np
+
+from twinmatch.links.thermal_frame import (
+    DEFAULT_PORT,
+    MAX_FRAME_BYTES,
+    Exposure,
     ThermalConnectError,
     ThermalEndError,
+    ThermalFrame,
     ThermalLinkError,
     ThermalOrderError,
     ThermalStallError,
+    read_frame,
 )
-from twinmatch.links.thermal_frame import DEFAULT_PORT, ThermalFrame
-from twinmatch.links.thermal_status import ClientSettings, LinkState, LinkStatus, Received, back_off
+from twinmatch.signals import KELVIN, FloatArray
 
-__all__ = ["ThermalClient"]
+CLOCK_MEMORY = 30_000_000_000
+"""Length of the intervals for which the smallest difference is kept, ns; the last two intervals count."""
+
+
+class StampMapper:
+    """Maps stamps of a server's clock to ours; one object per run of a server.
+
+    The difference between our time of receipt and a stamp of the server's monotonic clock is the offset of
+    the clocks plus the transit time of the frame. Transit times are never negative, so the smallest recent
+    difference is the offset plus the shortest transit time: converted stamps are late by that, about a
+    millisecond on a quiet network, and never early. The memory is short, so that a relative clock drift of
+    50 ppm costs milliseconds at most.
+    """
+
+    def __init__(self, memory: int = CLOCK_MEMORY) -> None:
+        self._memory = memory
+        self._stretch_start: int | None = None
+        self._current: int | None = None
+        self._previous: int | None = None
+
+    def map(self, stamp: int, received: int) -> int:
+        """Time on our clock, ns, at which a frame stamped `stamp` and received at `received` was taken."""
+        difference = received - stamp
+        if self._stretch_start is None or self._current is None:
+            self._stretch_start, self._current = received, difference
+        elif received - self._stretch_start >= self._memory:
+            self._previous = self._current
+            self._stretch_start, self._current = received, difference
+        else:
+            self._current = min(self._current, difference)
+        offset = self._current if self._previous is None else min(self._current, self._previous)
+        return stamp + offset
+
+
+@dataclass(frozen=True, slots=True)
+class ClientSettings:
+    """Times in seconds, and the limit on a frame in bytes.
+
+    Raises:
+        ThermalLinkError: a value is not positive, or the longest wait is shorter than the first.
+    """
+
+    connect_timeout: float = 2.0
+    stall_timeout: float = 2.0
+    """Time without a complete message after which a connection is dropped."""
+    first_wait: float = 0.1
+    """Pause before the first retry; doubles with each further attempt that yields no frame."""
+    longest_wait: float = 5.0
+    frame_limit: int = MAX_FRAME_BYTES
+
+    def __post_init__(self) -> None:
+        for name in ("connect_timeout", "stall_timeout", "first_wait", "longest_wait", "frame_limit"):
+            if not getattr(self, name) > 0:
+                msg = f"thermal client: {name} is {getattr(self, name)}; it must be positive"
+                raise ThermalLinkError(msg)
+        if self.longest_wait < self.first_wait:
+            msg = (
+                f"thermal client: longest_wait {self.longest_wait} s is below first_wait {self.first_wait} s"
+            )
+            raise ThermalLinkError(msg)
+
+
+def back_off(failures: int, settings: ClientSettings = ClientSettings()) -> float:
+    """Time to wait after this many failures in a row (1, 2, …), s: doubling, capped, without jitter."""
+    return float(min(settings.first_wait * 2.0 ** min(failures - 1, 60), settings.longest_wait))
+
+
+class LinkState(Enum):
+    """State of the reader thread."""
+
+    IDLE = "idle"
+    CONNECTING = "connecting"
+    STREAMING = "streaming"
+    WAITING = "waiting"
+    """Between two attempts to connect."""
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Received:
+    """A frame and its times."""
+
+    frame: ThermalFrame
+    number: int
+    """Count of frames this client has received, from 1, over all connections."""
+    received: int
+    """Our monotonic clock when the frame's last byte was read, ns."""
+    received_realtime: int
+    """Our wall clock at the same moment, ns since 1970."""
+    taken: int
+    """Our monotonic clock when the image was taken, ns: exact except for the shortest transit time."""
+    news: bool
+    """Whether the image is new: the shutter is open, and the camera's frame counter has advanced."""
+
+    def age(self, now: int | None = None) -> float:
+        """Time since the image was taken, s, at `now` (ns, our monotonic clock; default: the present)."""
+        return ((time.monotonic_ns() if now is None else now) - self.taken) / 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatus:
+    """The state of the link and its counters since the client was started."""
+
+    state: LinkState = LinkState.IDLE
+    connections: int = 0
+    frames: int = 0
+    frozen: int = 0
+    """Frames without a new image."""
+    missed: int = 0
+    """Frames that the server did not send because this client or the network was slow."""
+    restarts: int = 0
+    """Changes of the server's boot id."""
+    failures: int = 0
+    """Consecutive attempts without a frame."""
+    errors: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    """Failed attempts and lost connections, by class name of the error."""
+    last_error: ThermalLinkError | None = None
+
+
+_NO_COUNT = 0
+_FULL_COUNT = 65535
+
+
+class RegionError(ThermalLinkError):
+    """A rectangle is outside the frame, empty, or without a valid pixel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A rectangle of pixels.
+
+    Raises:
+        RegionError: it starts before the first pixel, or is empty.
+    """
+
+    row: int
+    """First row, 0 at the top."""
+    column: int
+    """First column, 0 at the left."""
+    rows: int
+    columns: int
+
+    def __post_init__(self) -> None:
+        if self.row < 0 or self.column < 0 or self.rows < 1 or self.columns < 1:
+            msg = (
+                f"region: {self.rows} by {self.columns} pixels from row {self.row}, column {self.column}; "
+                "it must start at 0 or later and contain a pixel"
+            )
+            raise RegionError(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class RegionStatistics:
+    """Temperatures over a rectangle."""
+
+    mean: float
+    """°C."""
+    variance: float
+    """Mean square deviation from the mean, °C²; 0 for a single pixel."""
+    minimum: float
+    """°C."""
+    maximum: float
+    """°C."""
+    pixels: int
+    """Number of pixels with a valid count."""
+
+    @property
+    def spread(self) -> float:
+        """Hottest minus coldest pixel, °C: the non-uniformity of the plate."""
+        return self.maximum - self.minimum
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation over the pixels, °C."""
+        return math.sqrt(self.variance)
+
+
+def celsius(exposure: Exposure) -> FloatArray:
+    """The image in °C, shape (rows, columns); NaN where the count is at either end of its range.
+
+    Raises:
+        RegionError: the camera does not deliver temperatures (see `Exposure.radiometric`).
+    """
+    if not exposure.radiometric:
+        msg = "region: the camera's counts are not temperatures; switch TLinear on and gain control off"
+        raise RegionError(msg)
+    counts = exposure.image
+    degrees = counts * exposure.resolution - KELVIN
+    degrees[(counts == _NO_COUNT) | (counts == _FULL_COUNT)] = np.nan
+    return np.asarray(degrees, dtype=np.float64)
+
+
+def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
+    """Statistics of the temperatures in a rectangle, or in the whole image.
+
+    Raises:
+        RegionError: the rectangle leaves the image, no pixel in it is valid, or the camera's counts
+            are not temperatures.
+    """
+    degrees = celsius(exposure)
+    if roi is not None:
+        rows, columns = degrees.shape
+        if roi.row + roi.rows > rows or roi.column + roi.columns > columns:
+            msg = (
+                f"region: {roi.rows} by {roi.columns} pixels from row {roi.row}, column {roi.column} "
+                f"leave the image of {rows} by {columns}"
+            )
+            raise RegionError(msg)
+        degrees = degrees[roi.row : roi.row + roi.rows, roi.column : roi.column + roi.columns]
+    valid = degrees[np.isfinite(degrees)]
+    if not valid.size:
+        msg = "region: every pixel is outside the camera's range; point the camera at the plate"
+        raise RegionError(msg)
+    return RegionStatistics(
+        mean=float(valid.mean()),
+        variance=float(valid.var()),
+        minimum=float(valid.min()),
+        maximum=float(valid.max()),
+        pixels=int(valid.size),
+    )
+
 
 _DEFAULTS = ClientSettings()
 _RECEIVE_BUFFER = 32_768

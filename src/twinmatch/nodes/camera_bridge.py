@@ -12,10 +12,16 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
 
-from twinmatch.links.thermal_client import ThermalClient
+from twinmatch.links.thermal_client import (
+    ClientSettings,
+    LinkState,
+    Received,
+    Region,
+    RegionError,
+    ThermalClient,
+    region,
+)
 from twinmatch.links.thermal_frame import DEFAULT_PORT, ThermalFrame
-from twinmatch.links.thermal_region import Region, RegionError, region
-from twinmatch.links.thermal_status import ClientSettings, LinkState, Received
 from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.parameters import Parameter

@@ -11,8 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from twinmatch.links.kit_errors import KitAbsentError, KitError, KitSilentError
-from twinmatch.links.kit_link import KitLink, KitReading
+from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
 from twinmatch.nodes.diagnostics import Health, Level
 from twinmatch.nodes.driver_thread import DriverThread
 from twinmatch.nodes.output_gate import Decision, OutputGate

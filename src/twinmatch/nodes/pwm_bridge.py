@@ -8,7 +8,7 @@ from typing import ClassVar
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Temperature
 
-from twinmatch.links.pwm import Applied, LinkSettings, PwmLink
+from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
 from twinmatch.nodes.diagnostics import Report
 from twinmatch.nodes.gated import KEPT, GatedNode, fault_text
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver

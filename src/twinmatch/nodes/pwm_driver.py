@@ -12,16 +12,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from twinmatch.links.pwm import (
+from twinmatch.links.pwm_link import (
     Applied,
-    Banner,
-    Flags,
     PwmLatchedError,
     PwmLink,
     PwmLinkError,
     PwmResetError,
     PwmVersionError,
 )
+from twinmatch.links.pwm_protocol import Banner, Flags
 from twinmatch.nodes.diagnostics import Health, Level
 from twinmatch.nodes.driver_thread import DriverThread
 from twinmatch.nodes.output_gate import Decision, OutputGate

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from twinmatch.links.pwm_port import LinkSettings
+from twinmatch.links.pwm_link import LinkSettings
 from twinmatch.nodes.gate_parameters import gate_limits, gate_table
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.safety import GuardLimits

@@ -11,8 +11,8 @@ from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
+from twinmatch.links.thermal_client import celsius
 from twinmatch.links.thermal_frame import Exposure
-from twinmatch.links.thermal_region import celsius
 
 __all__ = ["celsius_image", "centikelvin", "raw_image", "time_message"]
 

@@ -13,8 +13,7 @@ import os
 import select
 
 from twinmatch.emulation.lepton import EmulatedLepton, LeptonError, LeptonSettings
-from twinmatch.links.thermal_errors import FrameFieldError
-from twinmatch.links.thermal_frame import Exposure
+from twinmatch.links.thermal_frame import Exposure, FrameFieldError
 from twinmatch_camera.sources.base import EndOfRecording
 
 __all__ = ["FollowedSource"]

@@ -11,9 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
-from twinmatch.links.thermal_codec import read_frame
-from twinmatch.links.thermal_errors import FrameError
-from twinmatch.links.thermal_frame import Exposure, FrameFlags, ThermalFrame
+from twinmatch.links.thermal_frame import Exposure, FrameError, FrameFlags, ThermalFrame, read_frame
 from twinmatch_camera.errors import SourceError
 from twinmatch_camera.sources.base import EndOfRecording
 

@@ -1,0 +1,354 @@
+"""Decide when the output must go to zero.
+
+State machines without clocks, wires or threads: the caller passes the time. `OutputGuard` decides what may
+reach the driver, `Runaway` checks that the plate follows the drive, and `SafetyClock` derives a time that
+only runs forward from a clock that may not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+from twinmatch.errors import TwinmatchError
+
+__all__ = [
+    "ClockLimits",
+    "Fault",
+    "FaultKind",
+    "GuardLimits",
+    "OutputGuard",
+    "Runaway",
+    "RunawayLimits",
+    "SafetyClock",
+    "SafetyError",
+]
+
+
+class SafetyError(TwinmatchError):
+    """Limits under which nothing is protected."""
+
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class ClockLimits:
+    """A clock stands still if it does not advance by `progress` within `patience`, or has never advanced."""
+
+    patience: float = 1.0
+    """Wall time, s."""
+    progress: float = 0.05
+    """Plant time, s; a rig slowed down more than twentyfold is therefore not driven either."""
+
+    def __post_init__(self) -> None:
+        for name in ("patience", "progress"):
+            if not 0 < getattr(self, name) <= 60:
+                msg = f"clock limits: {name} is {getattr(self, name)} s; it must be within 0 to 60 s"
+                raise SafetyError(msg)
+
+
+class SafetyClock:
+    """Time for safety decisions, which sums the forward steps of a clock that cannot be trusted.
+
+    Deadlines are in plant time, which a simulation may stop, set back or run faster than the wall clock. A
+    step back counts as zero, and later steps count as usual: a running deadline continues from where it
+    was, however far and however often the clock jumps back. A jump forward counts in full, so that deadlines
+    err towards zero output.
+    """
+
+    def __init__(self, limits: ClockLimits | None = None) -> None:
+        """Start at zero with the first reading."""
+        self.limits = limits or ClockLimits()
+        self.standing = math.inf
+        """Wall time since the plant's clock last made progress, s; infinite before the first."""
+        self._now = 0
+        self._plant: int | None = None
+        self._mark = 0  # derived time of the last progress, ns
+        self._seen: int | None = None  # wall time of the last progress, ns
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the clock stands still."""
+        return self.standing > self.limits.patience
+
+    def read(self, plant: int, wall: int) -> float:
+        """The derived time, s, given the plant's clock and a monotonic wall clock (both ns)."""
+        if self._plant is not None:
+            self._now += max(0, plant - self._plant)
+        self._plant = plant
+        if self._now - self._mark >= self.limits.progress * NANOSECONDS:
+            self._mark, self._seen = self._now, wall
+        if self._seen is not None:
+            self.standing = (wall - self._seen) / NANOSECONDS
+        return self._now / NANOSECONDS
+
+
+@dataclass(frozen=True)
+class RunawayLimits:
+    """Limits from which a drive without effect is a fault."""
+
+    hysteresis: float = 5.0
+    """Control error that is always tolerated, °C."""
+    patience: float = 120.0
+    """Integral of the error beyond the hysteresis, over the time without progress, that is a fault, °C·s."""
+    gain: float = 2.0
+    """Movement towards the set-point within `gain_time` that counts as progress, °C."""
+    gain_time: float = 20.0
+    """s"""
+    wrong_way: float = 3.0
+    """Movement away from the set-point at full drive that is a fault at once, °C."""
+    full_drive: float = 250.0
+    """Magnitude of the command from which the drive counts as full, in its unit."""
+
+    def __post_init__(self) -> None:
+        for name in ("hysteresis", "patience", "gain", "gain_time", "wrong_way", "full_drive"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                msg = f"runaway limits: {name} is {value}; it must be positive"
+                raise SafetyError(msg)
+
+
+class Runaway:
+    """Monitors set-point, temperature and drive for runaway: the plant does not follow the drive.
+
+    Modelled on the heater checks of 3D-printer firmware (Klipper's `verify_heater`, Marlin's thermal
+    protection), but for both directions, since a Peltier plate is cooled as well as heated. It uses no model
+    of the plant; it detects a lost drive, a detached sensor, or reversed polarity.
+    """
+
+    def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate") -> None:
+        """Start without history; `thing` names what is heated or cooled, for messages."""
+        self._thing = thing
+        self.limits = limits or RunawayLimits()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the history."""
+        self._time: float | None = None
+        self._reference = 0.0
+        self._heating = True
+        self._unexplained = 0.0  # °C·s
+        self._goal = 0.0  # distance from the set-point that will count as progress, °C
+        self._deadline = 0.0
+        self._nearest_at_full = math.inf  # smallest distance since the drive became full
+
+    def check(self, now: float, reference: float, temperature: float, drive: float) -> str | None:
+        """Take one tick (s, °C, °C, the drive's unit); returns an error message, or None.
+
+        If the clock jumps back, the check starts over.
+        """
+        heating = reference >= temperature
+        distance = abs(reference - temperature)
+        elapsed = 0.0 if self._time is None else now - self._time
+        new_task = heating != self._heating or abs(reference - self._reference) >= self.limits.gain
+        if self._time is None or elapsed < 0 or new_task:
+            self._heating, self._reference = heating, reference
+            self._start(now, distance)
+            elapsed = 0.0
+        self._time = now
+        limits = self.limits
+        pushing = drive >= limits.full_drive if heating else drive <= -limits.full_drive
+        self._nearest_at_full = min(self._nearest_at_full, distance) if pushing else math.inf
+        if pushing and distance - self._nearest_at_full >= limits.wrong_way:
+            word, away = "heating" if heating else "cooling", distance - self._nearest_at_full
+            return (
+                f"at full {word} the {self._thing} moved {away:.1f} °C away from the set-point; "
+                "check drive, polarity and sensor"
+            )
+        return self._progress(now, elapsed, distance, drive)
+
+    def _start(self, now: float, distance: float) -> None:
+        self._unexplained = 0.0
+        self._nearest_at_full = math.inf
+        self._goal = distance - self.limits.gain
+        self._deadline = now + self.limits.gain_time
+
+    def _progress(self, now: float, elapsed: float, distance: float, drive: float) -> str | None:
+        limits = self.limits
+        if distance <= limits.hysteresis or distance <= self._goal:
+            self._start(now, distance)
+            return None
+        if now < self._deadline:
+            return None
+        pushing = abs(drive) >= limits.full_drive / 2
+        self._unexplained += (distance - limits.hysteresis) * elapsed if pushing else 0.0
+        if self._unexplained < limits.patience:
+            return None
+        word = "heating" if self._heating else "cooling"
+        return (
+            f"{word} makes no progress: {distance:.1f} °C from the set-point, less than {limits.gain:g} °C "
+            f"closer in {limits.gain_time:g} s; check drive, fan and sensor"
+        )
+
+
+class FaultKind(Enum):
+    """Cause of a latched fault."""
+
+    COMMAND_SILENT = "command_silent"
+    COMMAND_INVALID = "command_invalid"
+    TEMPERATURE_STALE = "temperature_stale"
+    TEMPERATURE_INVALID = "temperature_invalid"
+    OVER_TEMPERATURE = "over_temperature"
+    UNDER_TEMPERATURE = "under_temperature"
+    RUNAWAY = "runaway"
+    DRIVER = "driver"
+    """The motor driver reports a short circuit, over-temperature or under-voltage."""
+    BOARD = "board"
+    """The driver board restarted, tripped, or applies something other than the command."""
+    LINK = "link"
+    """The board does not answer, or its port is gone."""
+    CLOCK = "clock"
+    """The plant's clock stands still."""
+    STOPPED = "stopped"
+    """The operator stopped the output."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A latched fault: kind, message and time (s)."""
+
+    kind: FaultKind
+    message: str
+    since: float
+
+
+@dataclass(frozen=True)
+class GuardLimits:
+    """Limits beyond which the output goes to zero."""
+
+    command_timeout: float = 1.0
+    """Longest time between two commands, s."""
+    temperature_timeout: float = 3.0
+    """Highest age of the newest temperature, without repeated ones, s; flat-field corrections take 1 s."""
+    commands: tuple[float, float] = (-255.0, 255.0)
+    """Lowest and highest valid command."""
+    highest: float = 110.0
+    """Over-temperature limit, °C."""
+    lowest: float = -10.0
+    """Under-temperature limit, °C: below it the plate ices or the sensor is wrong."""
+    thing: str = "plate"
+    """Name of the heated object, for messages."""
+    sensor: str = "camera"
+    """Name of its sensor, for messages."""
+    runaway: RunawayLimits = field(default_factory=RunawayLimits)
+
+    def __post_init__(self) -> None:
+        for name in ("command_timeout", "temperature_timeout"):
+            if not 0 < getattr(self, name) <= 60:
+                msg = f"guard limits: {name} is {getattr(self, name)} s; it must be within 0 to 60 s"
+                raise SafetyError(msg)
+        if not self.lowest < self.highest:
+            msg = f"guard limits: lowest {self.lowest} °C must be below highest {self.highest} °C"
+            raise SafetyError(msg)
+
+
+class OutputGuard:
+    """Decides, tick by tick, whether a command may reach the driver.
+
+        waiting ──fresh command and temperature──▶ armed ──anything doubtful──▶ latched
+           ▲                                                                       │
+           └────────────────────────────── clear() ◀───────────────────────────────┘
+
+    Only an armed guard passes commands. A latched fault holds the output at zero until it is cleared;
+    clearing does not arm, but a new command and a new temperature do. While waiting, silence is not a fault,
+    so the nodes of a rig may start in any order; invalid values are a fault at any time.
+
+    All times are seconds of one clock that does not step back, such as a `SafetyClock`.
+    """
+
+    fault: Fault | None
+    """The latched fault, if any."""
+
+    def __init__(self, limits: GuardLimits | None = None) -> None:
+        """Start waiting, with the output at zero."""
+        self.limits = limits or GuardLimits()
+        self._runaway = Runaway(self.limits.runaway, self.limits.thing)
+        self.clear()
+
+    @property
+    def armed(self) -> bool:
+        """True while commands pass."""
+        return self._armed
+
+    def command(self, value: float, now: float, age: float = 0.0) -> None:
+        """Take a command that was sent `age` seconds ago."""
+        if self.fault is not None:
+            return
+        low, high = self.limits.commands
+        if not low <= value <= high:  # true for NaN too
+            message = f"the command is {value}, outside {low:g} to {high:g}; check its publisher"
+            self.trip(FaultKind.COMMAND_INVALID, message, now)
+            return
+        self._command.take(value, now - max(0.0, age))
+
+    def temperature(self, celsius: float, now: float, age: float = 0.0) -> None:
+        """Take a temperature measured `age` seconds ago; not one that a frozen sensor repeats."""
+        limits = self.limits
+        if self.fault is not None:
+            return
+        if not math.isfinite(celsius):
+            self.trip(
+                FaultKind.TEMPERATURE_INVALID, f"the temperature is {celsius}; check the {limits.sensor}", now
+            )
+        elif celsius > limits.highest:
+            found = f"the {limits.thing} is at {celsius:.1f} °C, above {limits.highest:g} °C"
+            self.trip(FaultKind.OVER_TEMPERATURE, f"{found}; let it cool and find the cause", now)
+        elif celsius < limits.lowest:
+            found = f"the {limits.thing} is at {celsius:.1f} °C, below {limits.lowest:g} °C"
+            self.trip(FaultKind.UNDER_TEMPERATURE, f"{found}; check sensor and polarity", now)
+        else:
+            self._temperature.take(celsius, now - max(0.0, age))
+
+    def loop(self, reference: float, temperature: float, drive: float, now: float) -> None:
+        """Take one tick of the control loop, for the runaway watch."""
+        if self.fault is not None or not all(map(math.isfinite, (reference, temperature, drive))):
+            return
+        found = self._runaway.check(now, reference, temperature, drive)
+        if found is not None:
+            self.trip(FaultKind.RUNAWAY, found, now)
+
+    def trip(self, kind: FaultKind, message: str, now: float) -> None:
+        """Latch a fault, unless one is latched already: the first one shows the cause."""
+        if self.fault is None:
+            self.fault = Fault(kind, message, now)
+        self._armed = False
+
+    def output(self, now: float) -> float:
+        """The value that may be sent now: the newest command, or zero."""
+        if self.fault is not None:
+            return 0.0
+        silence, age = self._command.age(now), self._temperature.age(now)
+        silent, stale = silence > self.limits.command_timeout, age > self.limits.temperature_timeout
+        if self._armed and silent:
+            message = f"no command for {silence:.1f} s; is the controller running?"
+            self.trip(FaultKind.COMMAND_SILENT, message, now)
+        elif self._armed and stale:
+            message = f"the newest temperature is {age:.1f} s old; is the {self.limits.sensor} working?"
+            self.trip(FaultKind.TEMPERATURE_STALE, message, now)
+        else:  # before arming, stale inputs are not a fault
+            self._armed = not (silent or stale)
+        return self._command.value if self._armed else 0.0
+
+    def clear(self) -> None:
+        """Clear the fault; the output stays at zero until a new command and temperature arrive."""
+        self.fault = None
+        self._runaway.reset()
+        self._command = _Input()
+        self._temperature = _Input()
+        self._armed = False
+
+
+class _Input:
+    """The newest value of an input, and its time."""
+
+    def __init__(self) -> None:
+        self.value = 0.0
+        self._since = -math.inf
+
+    def take(self, value: float, since: float) -> None:
+        self.value, self._since = value, max(self._since, since)
+
+    def age(self, now: float) -> float:
+        return max(0.0, now - self._since)
