@@ -27,7 +27,7 @@ from rclpy.parameter import Parameter
 from benchmarks.common import Row, main
 from benchmarks.rig import recorded
 from twinmatch.nodes import network
-from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.sessions import write_session
 from twinmatch_msgs.msg import Forecast, TwinState
 

@@ -13,8 +13,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from twinmatch.nodes.camera_bridge import CameraBridge
 from twinmatch.nodes.parameters import check, render
-from twinmatch.nodes.pwm_bridge import PwmBridge
-from twinmatch.nodes.pwm_parameters import PWM_PARAMETERS, limits_from
+from twinmatch.nodes.pwm_bridge import PWM_PARAMETERS, PwmBridge, limits_from
 from twinmatch.safety import GuardLimits, SafetyError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "rig.yaml"

@@ -12,8 +12,8 @@ from std_srvs.srv import SetBool
 
 from tests.support.processes import Process
 from tests.support.ros import Listener
-from twinmatch.nodes.conversions import match_from, verdict_from
-from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.nodes.messages import match_from, verdict_from
+from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.terms import TermsError
 from twinmatch.offline.verification import Verification, VerifyError, verify_session
 from twinmatch.sessions import SessionError, read_session

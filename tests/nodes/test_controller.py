@@ -26,7 +26,7 @@ from tests.support.rig import GAINS
 from tests.support.ros import Listener
 from twinmatch.dynamics import Pid
 from twinmatch.nodes.sample_messages import sample_from
-from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch_msgs.msg import LoopSample, PwmCommand
 
 pytestmark = pytest.mark.ros

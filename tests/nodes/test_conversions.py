@@ -21,18 +21,20 @@ from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.fitting import Fit, Match, Status
-from twinmatch.nodes.conversions import (
+from twinmatch.nodes.messages import (
     candidate_message,
+    description_from,
+    description_message,
     match_from,
     match_message,
     parameters_from,
     parameters_message,
+    request_from,
+    request_message,
     score_message,
     state_message,
     verdict_from,
 )
-from twinmatch.nodes.descriptions import description_from, description_message
-from twinmatch.nodes.request_messages import request_from, request_message
 from twinmatch.nodes.sample_messages import one_of, sample_from, sample_message
 from twinmatch.plants import Peltier
 from twinmatch.plants.named import description_of

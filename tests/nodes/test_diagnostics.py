@@ -10,9 +10,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
 from tests.support.waiting import wait_for
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.diagnostics import Health, Level, Report, status_message
+from twinmatch.nodes.node import Health, Level, Report, Worker, status_message
 from twinmatch.nodes.samples import SampleWatch
-from twinmatch.nodes.worker import Worker
 from twinmatch.showing.page.roster import Player, Roster, Standing
 
 

@@ -14,10 +14,15 @@ from rclpy.qos import QoSProfile
 from tests.support.processes import Process
 from tests.support.ros import Listener
 from twinmatch.forecasting import Question, what_if
-from twinmatch.nodes.conversions import leader_message
-from twinmatch.nodes.forecast_messages import answer_message, forecast_from, forecast_message, shown_samples
+from twinmatch.nodes.messages import (
+    answer_message,
+    forecast_from,
+    forecast_message,
+    leader_message,
+    shown_samples,
+)
 from twinmatch.nodes.sample_messages import sample_message
-from twinmatch.nodes.samples import EVERYTHING, LATCHED
+from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, TwinSettings, answer
 from twinmatch_msgs.msg import Forecast, ForecastScore, LoopSample, Match, MatchRequest, ModelScore

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from twinmatch.nodes.past import RosPast
+from twinmatch.nodes.camera_bridge import RosPast
 
 SECOND = 1_000_000_000
 

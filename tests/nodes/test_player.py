@@ -18,7 +18,7 @@ from tests.support.processes import Process
 from tests.support.ros import Listener
 from twinmatch.nodes.player import PlayerError, message_class, qos_profile
 from twinmatch.nodes.sample_messages import sample_from
-from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.sessions import Qos, Topic, read_session, write_session
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import LoopSample

@@ -19,7 +19,7 @@ from twinmatch.emulation import arduino_model
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink, PwmVersionError
 from twinmatch.links.pwm_protocol import Flags
-from twinmatch.nodes.diagnostics import Health, Level
+from twinmatch.nodes.node import Health, Level
 from twinmatch.nodes.output_gate import OutputGate, Times
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
 from twinmatch.safety import FaultKind, GuardLimits

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from twinmatch.nodes.recorder_arrivals import Arrivals
-from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
+from twinmatch.nodes.topics import offered, reader_profile, wanted
 from twinmatch.sessions import Qos
 
 pytestmark = pytest.mark.ros

@@ -14,8 +14,7 @@ from rclpy.qos import QoSProfile
 from tests.support.oven import MAP, PERIOD, RIG, oven_file
 from tests.support.processes import Process, Processes
 from tests.support.ros import Listener
-from twinmatch.nodes.message_types import MessageTypeError, fields_of, message_class
-from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.nodes.topics import EVERYTHING, MessageTypeError, fields_of, message_class
 from twinmatch.sessions.sampling import Field
 from twinmatch_msgs.msg import LoopSample
 

@@ -15,8 +15,7 @@ from tests.support.plant_files import plant_file
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.recorder import RecorderNode
-from twinmatch.nodes.sampler import SamplerNode
-from twinmatch.nodes.sampler_parameters import limits_of, sampler_table, types_of, understood, wires_of
+from twinmatch.nodes.sampler import SamplerNode, limits_of, sampler_table, types_of, understood, wires_of
 from twinmatch.plants import PLANTS, find_plant
 
 CONFIG = PROJECT / "config" / "attach.yaml"

@@ -13,8 +13,8 @@ from std_msgs.msg import Int64
 
 from tests.support.processes import Processes
 from tests.support.ros import listening
-from twinmatch.nodes.samples import EVERYTHING
 from twinmatch.nodes.standstill import LONG, REDISCOVERY, Standstill
+from twinmatch.nodes.topics import EVERYTHING
 
 
 def test_a_process_that_beats_never_waits() -> None:

@@ -27,7 +27,7 @@ from tests.support.ros import Listener
 from tests.support.waiting import wait_for
 from twinmatch.control import Profile
 from twinmatch.nodes.controller_parameters import controller_table, profile_from
-from twinmatch.nodes.gate_parameters import gate_limits
+from twinmatch.nodes.output_gate import gate_limits
 from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.tclab_bridge import LIMITS, TCLabBridge
 from twinmatch.plants import TCLab

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
 from twinmatch.links.thermal_client import RegionError
 from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags
-from twinmatch.nodes.thermal_images import celsius_image, centikelvin, raw_image
+from twinmatch.nodes.camera_bridge import celsius_image, centikelvin, raw_image
 
 
 def exposure(counts: list[list[int]], resolution: float = 0.01, **values: Any) -> Exposure:

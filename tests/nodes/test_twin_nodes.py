@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 
 from tests.support.processes import Process
 from tests.support.ros import Listener
-from twinmatch.nodes.conversions import (
+from twinmatch.nodes.messages import (
     match_from,
     match_message,
     parameters_message,
@@ -24,7 +24,7 @@ from twinmatch.nodes.conversions import (
     verdict_from,
 )
 from twinmatch.nodes.sample_messages import sample_message
-from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings

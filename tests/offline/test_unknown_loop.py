@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from tests.support.places import SHIPPED
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
-from twinmatch.nodes.conversions import match_message, score_message
+from twinmatch.nodes.messages import match_message, score_message
 from twinmatch.nodes.twin_parameters import read_settings, settings_from, twin_values, values_of
 from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier

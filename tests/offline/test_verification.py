@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
-from twinmatch.nodes.conversions import match_message, score_message
+from twinmatch.nodes.messages import match_message, score_message
 from twinmatch.nodes.twin_parameters import twin_values
 from twinmatch.offline.judgement import Judgement
 from twinmatch.offline.terms import TermsError

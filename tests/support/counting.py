@@ -7,8 +7,8 @@ import time
 import rclpy
 from std_msgs.msg import Int64
 
-from twinmatch.nodes.samples import RELIABLE
 from twinmatch.nodes.standstill import Standstill
+from twinmatch.nodes.topics import RELIABLE
 
 
 def main() -> None:

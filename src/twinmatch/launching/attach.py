@@ -11,7 +11,7 @@ from twinmatch.launching.plan import LivePlan, Wiring
 from twinmatch.launching.processes import LaunchError
 from twinmatch.nodes.loop_parameters import closing_of
 from twinmatch.nodes.parameters import ParameterError, Values, check, flattened, render
-from twinmatch.nodes.sampler_parameters import understood, wires_of
+from twinmatch.nodes.sampler import understood, wires_of
 from twinmatch.nodes.twin_parameters import at_period, read_settings, twin_table, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sessions.column_map import ColumnMap

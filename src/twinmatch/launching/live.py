@@ -16,12 +16,11 @@ from rich.console import Console
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import LaunchError, Processes
 from twinmatch.launching.settled import Settled
-from twinmatch.nodes.conversions import match_from, verdict_from
-from twinmatch.nodes.diagnostics import Level
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.messages import match_from, verdict_from
+from twinmatch.nodes.node import Level, TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_from
-from twinmatch.nodes.samples import EVERYTHING
+from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch.sessions.shelf import Shelf
 from twinmatch.showing import Summary

@@ -5,9 +5,13 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from array import array
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
@@ -19,18 +23,85 @@ from twinmatch.links.thermal_client import (
     Region,
     RegionError,
     ThermalClient,
+    celsius,
     region,
 )
-from twinmatch.links.thermal_frame import DEFAULT_PORT, ThermalFrame
-from twinmatch.nodes.diagnostics import Level, Report
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
+from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
-from twinmatch.nodes.past import RosPast
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.thermal_images import celsius_image, raw_image, time_message
 from twinmatch.signals import KELVIN
 
-__all__ = ["CameraBridge", "main"]
+FASTEST = 1000.0
+"""Highest speed of simulated time, s per wall s; anything faster is a jump of the clock."""
+SMOOTHING = 0.2
+"""Weight of the newest reading in the estimate of the clock's speed."""
+
+
+class RosPast:
+    """Estimates the speed of the ROS clock from its readings; real time has speed 1."""
+
+    def __init__(self) -> None:
+        self._last: tuple[int, int] | None = None
+        self._pace = 1.0
+
+    def at(self, taken: int, *, wall: int, ros: int, simulated: bool) -> int:
+        """The ROS time of the monotonic time `taken`, given current readings of both clocks; all in ns."""
+        if not simulated:
+            return ros - (wall - taken)
+        if self._last is not None and wall > self._last[0]:
+            pace = (ros - self._last[1]) / (wall - self._last[0])
+            if 0.0 <= pace <= FASTEST:
+                self._pace += SMOOTHING * (pace - self._pace)
+        self._last = (wall, ros)
+        return max(0, ros - round((wall - taken) * self._pace))  # a clock that is not set yet reads 0
+
+
+CENTIKELVIN = 0.01
+_NO_COUNT, _FULL_COUNT = 0, 65535
+
+
+def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
+    """The image in hundredths of a kelvin at any camera resolution; 0 and 65535 still mean no value."""
+    counts = exposure.image
+    if exposure.resolution == CENTIKELVIN:
+        return counts
+    scaled = np.rint(counts * (exposure.resolution / CENTIKELVIN))
+    scaled = np.clip(scaled, _NO_COUNT + 1, _FULL_COUNT - 1)
+    invalid = (counts == _NO_COUNT) | (counts == _FULL_COUNT)
+    return np.where(invalid, counts, scaled).astype(np.uint16)
+
+
+def raw_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
+    """The image as mono16 in centikelvin; `header` fills the message's header."""
+    return _image("mono16", centikelvin(exposure).astype("<u2"), header)
+
+
+def celsius_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
+    """The image as 32FC1 in °C; NaN means no value, which is everywhere while the shutter is closed.
+
+    Raises:
+        RegionError: the camera's counts are not temperatures.
+    """
+    degrees = celsius(exposure)
+    if exposure.frozen:
+        degrees = np.full_like(degrees, np.nan)
+    return _image("32FC1", degrees.astype("<f4"), header)
+
+
+def time_message(nanoseconds: int) -> Time:
+    """A time stamp."""
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def _image(encoding: str, pixels: NDArray[Any], header: Callable[[Any], None]) -> Image:
+    rows, columns = pixels.shape
+    message = Image(height=rows, width=columns, encoding=encoding, step=columns * pixels.itemsize)
+    message.data = array("B", pixels.tobytes())  # the field's own type: not checked item by item
+    header(message.header)
+    return message
+
 
 PATIENCE = 0.2
 """Longest wait of the thread for a frame before it checks whether it should end, s."""

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from twinmatch.nodes.diagnostics import Level
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.node import Level, TwinmatchNode
 from twinmatch.nodes.past_requests import PastRequests, samples_of_answer
 from twinmatch.nodes.stream import Stream
 from twinmatch_msgs.srv import Past

@@ -11,23 +11,104 @@ import time
 from collections import deque
 from pathlib import Path
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 
 from twinmatch import twin
 from twinmatch.comparing import Verdict
-from twinmatch.nodes.conversions import candidate_message, match_from, score_message
-from twinmatch.nodes.diagnostics import Level
-from twinmatch.nodes.foreteller import Foreteller
-from twinmatch.nodes.request_messages import request_message
+from twinmatch.dynamics import PlantError
+from twinmatch.errors import TwinmatchError
+from twinmatch.forecasting import Outlook, what_if
+from twinmatch.nodes.messages import (
+    answer_message,
+    candidate_message,
+    forecast_message,
+    leader_message,
+    match_from,
+    question_from,
+    request_message,
+    score_message,
+    shown_samples,
+)
+from twinmatch.nodes.node import Level
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.samples import EVERYTHING, LATCHED, RELIABLE, SampleNode
+from twinmatch.nodes.samples import SampleNode, TwinNode
+from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.sessions.candidates import read_candidates
 from twinmatch.signals import Sample
-from twinmatch.twin import Discriminator, MatchReport, Step
-from twinmatch_msgs.msg import Candidate, Match, MatchRequest, ModelScore
-from twinmatch_msgs.srv import Past
+from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
+from twinmatch_msgs.msg import Candidate, Forecast, ForecastScore, Match, MatchRequest, ModelScore
+from twinmatch_msgs.srv import Past, WhatIf
 
-__all__ = ["SETTLED", "VERDICTS", "DiscriminatorNode", "main"]
+QUESTIONS = "questions"
+"""Key on /diagnostics: number of answers on `twin/what_if`."""
+
+
+class Foreteller:
+    """Publishes the leader's forecast at every sample, and answers what-if questions.
+
+    The judging thread leaves a snapshot of all candidates at every sample. Questions are answered from the
+    newest snapshot in the callback thread, so that they never wait for a verdict.
+    """
+
+    def __init__(self, node: TwinNode) -> None:
+        """Create the topics and the service."""
+        self._node, self._health = node, node.health
+        self._snapshot = Snapshot()
+        self._leader: Outlook | None = None
+        self._ahead: tuple[int, ...] = ()
+        self._made = 0
+        self.heard = 0
+        """Number of forecasts published before this node started, which are not published again."""
+        self._forecasts = node.create_publisher(Forecast, "twin/forecast", RELIABLE)
+        self._leaders = node.create_publisher(ForecastScore, "twin/leader", LATCHED)
+        node.create_service(WhatIf, "twin/what_if", self._on_question)
+
+    def publish(self, discriminator: Discriminator) -> None:
+        """Publish the forecast from the newest sample that is fully judged, once there is a candidate."""
+        self.look(discriminator)
+        name = self._snapshot.leader
+        if name is None:
+            return
+        self._made += 1
+        if self._made <= self.heard:
+            return
+        outlook = self._snapshot.outlook(name)
+        if self._leader is None or _identity(outlook) != _identity(self._leader):
+            score = next(score for score in discriminator.forecaster.scores if score.name == name)
+            self._leaders.publish(leader_message(score))
+            self._leader = outlook
+        if not self._ahead:
+            self._ahead = shown_samples(outlook.period, discriminator.forecaster.horizons)
+        sample = outlook.sample
+        try:
+            forecast = outlook.forecast(np.full(max(self._ahead), outlook.standing))
+        except PlantError:
+            if not outlook.parameters.model.is_elsewhere:
+                raise
+            return  # at the next sample another candidate leads, which can be run
+        self._node.publish(self._forecasts, forecast_message(forecast, sample.stamp, self._ahead))
+        self._health.set("leader", name)
+        self._health.set("forecast from sample", sample.index)
+
+    def look(self, discriminator: Discriminator) -> None:
+        """Take a new snapshot."""
+        self._snapshot = discriminator.forecaster.snapshot()
+
+    def _on_question(self, request: WhatIf.Request, _: WhatIf.Response) -> WhatIf.Response:
+        snapshot = self._snapshot
+        try:
+            outlook = snapshot.outlook(request.candidate or None)
+            answer = what_if(outlook, question_from(request))
+        except TwinmatchError as error:
+            return WhatIf.Response(success=False, message=str(error))
+        self._health.count(QUESTIONS)
+        return answer_message(answer, outlook.sample.stamp)
+
+
+def _identity(outlook: Outlook) -> tuple[object, ...]:
+    return outlook.candidate, outlook.parameters
+
 
 PATIENCE = 2.0
 """Time after which an unanswered match request is repeated, wall s."""

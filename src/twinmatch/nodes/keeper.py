@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from twinmatch.nodes.diagnostics import Level, Report
-from twinmatch.nodes.node import KEEPER, TwinmatchNode
+from twinmatch.nodes.node import KEEPER, Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import BUILT_IN, Parameter
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.sessions.shelf import Shelf, Texts

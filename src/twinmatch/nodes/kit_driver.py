@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
-from twinmatch.nodes.diagnostics import Health, Level
 from twinmatch.nodes.driver_thread import DriverThread
+from twinmatch.nodes.node import Health, Level
 from twinmatch.nodes.output_gate import Decision, OutputGate
 from twinmatch.safety import FaultKind
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 import threading
 
-from twinmatch.nodes.conversions import match_message
-from twinmatch.nodes.request_messages import request_from
+from twinmatch.nodes.messages import match_message, request_from
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.samples import EVERYTHING, RELIABLE, TwinNode, nanoseconds
+from twinmatch.nodes.sample_messages import nanoseconds
+from twinmatch.nodes.samples import TwinNode
+from twinmatch.nodes.topics import EVERYTHING, RELIABLE
 from twinmatch.twin import answer
 from twinmatch_msgs.msg import Match, MatchRequest
 

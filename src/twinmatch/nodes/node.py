@@ -1,19 +1,214 @@
-"""Base class of all nodes of this package: table of parameters, diagnostics, orderly end."""
+"""Base class of all nodes of this package: table of parameters, diagnostics, a worker thread, orderly end.
+
+`Health` collects what REP 107 diagnostics report and knows nothing of ROS; `Reporter` publishes it once a
+second. A `Worker` does a node's heavy work, so that its callbacks never wait.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from enum import IntEnum
+from queue import Empty, SimpleQueue
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.diagnostics import Health, Report, Reporter
 from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
 
-__all__ = ["KEEPER", "READERS", "TwinmatchNode", "count_readers", "declare", "missing_readers"]
+PERIOD = 1.0
+"""Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""
+
+
+class Level(IntEnum):
+    """Levels of REP 107; the worst of several is their maximum."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Report(NamedTuple):
+    """The status of one part of a node."""
+
+    level: Level
+    message: str
+    values: Mapping[str, str]
+
+
+class Health:
+    """Counters, values and problems of one part of a node; thread-safe.
+
+    A problem stands until it is withdrawn, so that a fault of a tenth of a second is seen by a reader that
+    looks once a second. Without problems the report is OK.
+    """
+
+    def __init__(self, idle: str = "working") -> None:
+        """Start without problems; `idle` is the message while there are none."""
+        self._idle = idle
+        self._values: dict[str, str] = {}
+        self._problems: dict[str, tuple[Level, str]] = {}
+        self._lock = threading.Lock()
+
+    def set(self, key: str, value: object) -> None:
+        """Set a value."""
+        with self._lock:
+            self._values[key] = f"{value:g}" if isinstance(value, float) else str(value)
+
+    def count(self, key: str) -> None:
+        """Increment a counter."""
+        with self._lock:
+            self._values[key] = str(int(self._values.get(key, "0")) + 1)
+
+    def say(self, message: str) -> None:
+        """Set the message that is reported while there is no problem."""
+        with self._lock:
+            self._idle = message
+
+    def flag(self, key: str, level: Level, message: str) -> None:
+        """Report a problem, in place of an earlier one with this key."""
+        with self._lock:
+            self._problems[key] = (level, message)
+
+    def withdraw(self, key: str) -> None:
+        """Withdraw the problem with this key, if it is flagged."""
+        with self._lock:
+            self._problems.pop(key, None)
+
+    def report(self) -> Report:
+        """The level of the worst problem, and the messages of all, worst first."""
+        with self._lock:
+            standing = sorted(self._problems.values(), key=lambda entry: -entry[0])
+            values = dict(self._values)
+            idle = self._idle
+        if not standing:
+            return Report(Level.OK, idle, values)
+        return Report(standing[0][0], "; ".join(message for _, message in standing), values)
+
+
+def status_message(name: str, hardware: str, report: Report) -> DiagnosticStatus:
+    """One report as a message."""
+    return DiagnosticStatus(
+        level=bytes([report.level]),
+        name=name,
+        message=report.message,
+        hardware_id=hardware,
+        values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
+    )
+
+
+class Reporter:
+    """Publishes the health of a node's parts on /diagnostics."""
+
+    def __init__(self, node: Node, tasks: Mapping[str, Callable[[], Report]], hardware: str = "") -> None:
+        """Report the tasks, named `<node>: <key>`, every second from now on."""
+        self._node = node
+        self._tasks = tasks
+        self._hardware = hardware
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(PERIOD, self.publish, clock=steady)
+
+    def publish(self) -> None:
+        """Report now, outside the regular period."""
+        name = self._node.get_fully_qualified_name().lstrip("/")
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [
+            status_message(f"{name}: {key}", self._hardware, task()) for key, task in self._tasks.items()
+        ]
+        self._publisher.publish(message)
+
+
+Item = TypeVar("Item")
+PATIENCE = 0.2
+"""Interval at which an idle worker checks whether it should end, s."""
+
+
+class Worker(Generic[Item]):
+    """Handles items in the order in which they were queued.
+
+    Nothing is ever dropped: the items are small, and a lost sample would cost a whole window. After a
+    `TwinmatchError` of the handler, which is reported, the next item is handled; any other exception is a
+    defect, ends the worker and is kept in `failure`.
+    """
+
+    def __init__(self, handle: Callable[[Item], None], health: Health, backlog: int = 100) -> None:
+        """Start the thread; more than `backlog` queued items are reported as a warning."""
+        self.failure: Exception | None = None
+        self._handle = handle
+        self._health = health
+        self._backlog = backlog
+        self._items: SimpleQueue[Item] = SimpleQueue()
+        self._ending = threading.Event()
+        self._taken_on = itertools.count(1)
+        self._last_put = 0
+        self._done = 0
+        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
+        self._thread.start()
+
+    @property
+    def depth(self) -> int:
+        """Number of queued items."""
+        return self._items.qsize()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread is still running."""
+        return self._thread.is_alive()
+
+    @property
+    def idle(self) -> bool:
+        """Whether every queued item has been handled."""
+        return self._done >= self._last_put
+
+    def put(self, item: Item) -> None:
+        """Queue an item."""
+        self._last_put = next(self._taken_on)
+        self._items.put(item)
+
+    def watch(self) -> None:
+        """Report the queue's depth."""
+        depth = self.depth
+        self._health.set("queue depth", depth)
+        if depth > self._backlog:
+            message = f"{depth} messages are queued; they arrive faster than they are processed"
+            self._health.flag("queue", Level.WARN, message)
+        else:
+            self._health.withdraw("queue")
+
+    def close(self, timeout: float = 2.0) -> bool:
+        """End the worker after its current item; returns whether it ended within the timeout (s)."""
+        self._ending.set()
+        self._thread.join(timeout)
+        return not self.alive
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            try:
+                item = self._items.get(timeout=PATIENCE)
+            except Empty:
+                continue
+            try:
+                self._handle(item)
+            except TwinmatchError as error:
+                self._health.set("last error", error)
+                self._health.count("errors")
+                self._health.flag("error", Level.ERROR, str(error))
+            except Exception as error:  # handed to the main thread, which ends the process with it
+                self.failure = error
+                return
+            else:
+                self._health.withdraw("error")
+            self._done += 1
+
 
 KEEPER = "keeper"
 """Name of the node that keeps the messages of a run."""

@@ -1,18 +1,35 @@
-"""A thread-safe output guard: the node's callbacks provide inputs, the driver's thread asks for decisions.
+"""Base of the nodes between commands and a heater: parameters and gate of the output, fault services.
 
-All times here are from a `SafetyClock`. It reads its clocks through one function, so that tests need neither
-clocks nor ROS.
+The node's callbacks provide the gate's inputs, the driver's thread asks it for decisions. All times there are
+from a `SafetyClock`, which reads its clocks through one function, so that tests need neither clocks nor ROS.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from typing import NamedTuple
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
 
-from twinmatch.safety import ClockLimits, Fault, FaultKind, GuardLimits, OutputGuard, SafetyClock
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
 
-__all__ = ["Decision", "OutputGate", "Times"]
+from twinmatch.nodes.node import Level, Report, TwinmatchNode
+from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.safety import (
+    ClockLimits,
+    Fault,
+    FaultKind,
+    GuardLimits,
+    OutputGuard,
+    RunawayLimits,
+    SafetyClock,
+)
+from twinmatch.signals import SignalError
+from twinmatch_msgs.msg import LoopSample
 
 
 class Times(NamedTuple):
@@ -128,3 +145,214 @@ class OutputGate:
     def _now(self) -> tuple[float, Times]:
         times = self._read_clocks()
         return self._safety_clock.read(times.plant, times.wall), times
+
+
+_C = ClockLimits()
+
+
+def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Parameter, ...]:
+    """Name, default, meaning, unit and range of the limits of a plant whose drive has the unit `unit`.
+
+    `stale` is appended to the description of the temperature's timeout and explains its default.
+    """
+    runaway = usual.runaway
+    low, high = usual.commands
+    most = max(abs(low), abs(high))
+    return (
+        Parameter(
+            "command_timeout",
+            usual.command_timeout,
+            "Zero after this time without a command.",
+            "s",
+            0.1,
+            10.0,
+        ),
+        Parameter(
+            "temperature_timeout",
+            usual.temperature_timeout,
+            f"Zero when the newest temperature is older than this{stale}.",
+            "s",
+            0.1,
+            60.0,
+        ),
+        Parameter(
+            "clock_timeout",
+            _C.patience,
+            "Zero when /clock stands still for this long, by the wall clock.",
+            "s",
+            0.1,
+            10.0,
+        ),
+        Parameter("highest", usual.highest, "Over-temperature limit.", "°C", -50.0, 150.0),
+        Parameter("lowest", usual.lowest, "Under-temperature limit.", "°C", -50.0, 150.0),
+        Parameter(
+            "runaway.hysteresis",
+            runaway.hysteresis,
+            "Control error that is always tolerated.",
+            "°C",
+            0.1,
+            100.0,
+        ),
+        Parameter(
+            "runaway.patience",
+            runaway.patience,
+            "Integral of the error beyond it, without progress, that is a fault.",
+            "°C·s",
+            1.0,
+            1e5,
+        ),
+        Parameter(
+            "runaway.gain",
+            runaway.gain,
+            "Movement towards the set-point that counts as progress.",
+            "°C",
+            0.01,
+            100.0,
+        ),
+        Parameter("runaway.gain_time", runaway.gain_time, "Time for that movement.", "s", 1.0, 3600.0),
+        Parameter(
+            "runaway.wrong_way",
+            runaway.wrong_way,
+            "Movement away at full drive that is a fault.",
+            "°C",
+            0.1,
+            100.0,
+        ),
+        Parameter(
+            "runaway.full_drive",
+            runaway.full_drive,
+            "Magnitude from which the drive counts as full.",
+            unit,
+            most / 255.0,
+            most,
+        ),
+    )
+
+
+def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
+    """The guard's limits from checked parameter values; the other limits are those of `usual`.
+
+    Raises:
+        SafetyError: values contradict each other.
+    """
+    runaway = {n.removeprefix("runaway."): v for n, v in values.items() if n.startswith("runaway.")}
+    return replace(
+        usual,
+        command_timeout=values["command_timeout"],
+        temperature_timeout=values["temperature_timeout"],
+        highest=values["highest"],
+        lowest=values["lowest"],
+        runaway=RunawayLimits(**runaway),
+    )
+
+
+KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+"""For samples and for the applied command."""
+UNWATCHED = 5.0
+"""Time without `plant/sample` after which a warning says that runaway is not monitored, s."""
+
+
+class GatedNode(TwinmatchNode):
+    """Passes commands on while command, temperature, board and clock are sound.
+
+    The callbacks only feed the gate; one thread of the subclass talks to the board. A fault latches until
+    `plant/clear_fault` or `~/clear_fault` is called; `plant/stop` and `~/stop` latch one.
+    """
+
+    BOARD: str
+    """Name of the hardware in messages."""
+
+    def make_gate(self, limits: GuardLimits, clock: ClockLimits) -> None:
+        """Create the gate."""
+        self.gate = OutputGate(self._read_clocks, limits, clock)
+        self._reported_fault: Fault | None = None
+        self._sampled_at = 0.0
+
+    def guard(self, commands: Any) -> None:
+        """Offer the services and watch the samples; `commands` is the subscription to the commands."""
+        self._commands = commands
+        for place in ("~", "plant"):
+            self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
+            self.create_service(Trigger, f"{place}/stop", self._on_stop)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, KEPT)
+
+    @property
+    @abstractmethod
+    def board_there(self) -> bool:
+        """Whether the hardware answers."""
+
+    @abstractmethod
+    def clear_board(self) -> None:
+        """Clear the fault latched by the hardware."""
+
+    def report(self) -> Report:
+        """Fault, gate, clock, runaway watch."""
+        self.note_fault()
+        health, armed = self.health, self.gate.armed
+        health.set("armed", armed)
+        health.say("passing commands" if armed else "waiting for a fresh command and temperature")
+        if self.gate.clock_stopped:
+            health.flag("clock", Level.WARN, "the clock stands still; nothing is driven")
+        else:
+            health.withdraw("clock")
+        if armed and time.monotonic() - self._sampled_at > UNWATCHED:
+            health.flag("watch", Level.WARN, "no messages on plant/sample; runaway is not monitored")
+        else:
+            health.withdraw("watch")
+        if self.count_publishers(self._commands.topic_name) > 1:
+            health.flag("senders", Level.WARN, "more than one node publishes commands; stop the others")
+        else:
+            health.withdraw("senders")
+        return super().report()
+
+    def note_fault(self) -> None:
+        """Put a fault into the health report, and once into the log."""
+        fault, reported = self.gate.fault, self._reported_fault
+        self._reported_fault = fault
+        if fault is None:
+            self.health.withdraw("fault")
+        elif fault is not reported:
+            self.health.flag("fault", Level.ERROR, fault_text(fault))
+            self.health.count("faults")
+            self.get_logger().error(f"output is zero: {fault_text(fault)}")
+
+    def _read_clocks(self) -> Times:
+        stamps, wall = self.get_clock().now().nanoseconds, time.monotonic_ns()
+        return Times(stamps, stamps if self.get_clock().ros_time_is_active else wall, wall)
+
+    def _on_sample(self, message: LoopSample) -> None:
+        try:
+            sample = sample_from(message)
+        except SignalError as error:
+            self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
+            return
+        self._sampled_at = time.monotonic()
+        self.health.withdraw("sample")
+        self.gate.sample(sample.reference, sample.output, sample.input)
+
+    def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        fault = self.gate.fault
+        if fault is None:
+            response.success, response.message = True, "there is no fault"
+        elif not self.board_there:
+            response.message = f"{fault_text(fault)}; not cleared: the {self.BOARD} is not connected"
+        else:
+            self.clear_board()
+            self.gate.clear()
+            self.note_fault()
+            response.success = True
+            response.message = (
+                f"cleared {fault_text(fault)}; commands pass again after a new command and temperature"
+            )
+        return response
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.gate.trip(FaultKind.STOPPED, "stopped on request; call clear_fault to continue")
+        self.note_fault()
+        response.success, response.message = True, fault_text(self.gate.fault)
+        return response
+
+
+def fault_text(fault: Fault | None) -> str:
+    """A fault as text in messages; empty if there is none."""
+    return "" if fault is None else f"{fault.kind.value}: {fault.message}"

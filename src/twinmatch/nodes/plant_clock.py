@@ -10,8 +10,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.virtual_rig_clock import ClockClient, Stillness, parse_address
-from twinmatch.nodes.diagnostics import Level, Report
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
 

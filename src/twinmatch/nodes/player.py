@@ -19,9 +19,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.diagnostics import Level, Report
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.node import READERS, TwinmatchNode, count_readers, missing_readers
+from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_readers, missing_readers
 from twinmatch.nodes.pace import Pace
 from twinmatch.nodes.parameters import Parameter, Values
 from twinmatch.nodes.runner import run

@@ -3,22 +3,44 @@
 from __future__ import annotations
 
 import sys
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Temperature
 
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
-from twinmatch.nodes.diagnostics import Report
-from twinmatch.nodes.gated import KEPT, GatedNode, fault_text
+from twinmatch.nodes.node import Report
+from twinmatch.nodes.output_gate import KEPT, GatedNode, fault_text, gate_limits, gate_table
+from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
-from twinmatch.nodes.pwm_parameters import PWM_PARAMETERS, limits_from
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.samples import nanoseconds
-from twinmatch.safety import ClockLimits
+from twinmatch.nodes.sample_messages import nanoseconds
+from twinmatch.safety import ClockLimits, GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand
 
-__all__ = ["PwmBridge", "main"]
+_G, _L = GuardLimits(), LinkSettings()
+
+PWM_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter("port", "/dev/ttyACM0", "Serial port of the PWM board."),
+    Parameter(
+        "timeout", _L.timeout, "Longest wait for an answer of the board, by the wall clock.", "s", 0.01, 2.0
+    ),
+    Parameter("retries", _L.retries, "Retries of an unanswered request.", "", 0, 10),
+    Parameter("repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2),
+    Parameter("frame_id", "driver", "Frame of plant/pwm_applied."),
+    *gate_table(_G, "PWM", stale="; a flat-field correction takes 1 s"),
+)
+
+
+def limits_from(values: Mapping[str, Any]) -> GuardLimits:
+    """The guard's limits from checked parameter values.
+
+    Raises:
+        SafetyError: values contradict each other.
+    """
+    return gate_limits(_G, values)
+
 
 NAN = float("nan")
 SIMULATED_POLL = 0.004

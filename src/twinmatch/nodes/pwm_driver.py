@@ -21,8 +21,8 @@ from twinmatch.links.pwm_link import (
     PwmVersionError,
 )
 from twinmatch.links.pwm_protocol import Banner, Flags
-from twinmatch.nodes.diagnostics import Health, Level
 from twinmatch.nodes.driver_thread import DriverThread
+from twinmatch.nodes.node import Health, Level
 from twinmatch.nodes.output_gate import Decision, OutputGate
 from twinmatch.safety import FaultKind
 

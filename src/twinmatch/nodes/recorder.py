@@ -15,15 +15,13 @@ from typing import Any, ClassVar
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 
-from twinmatch.nodes.diagnostics import Level, Report
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.recorder_arrivals import Arrivals
 from twinmatch.nodes.recorder_past import RecorderPast
 from twinmatch.nodes.recorder_settings import Settings
-from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.worker import Worker
+from twinmatch.nodes.topics import offered, reader_profile, wanted
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.installed import schema_of
 

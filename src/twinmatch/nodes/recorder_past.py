@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.nodes.past_requests import PastRequests, samples_of_answer
 from twinmatch.nodes.recorder_order import Copies, Fetched, InOrder
-from twinmatch.nodes.samples import nanoseconds
+from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.sessions.cdr import decode_sample, encode_sample
 from twinmatch_msgs.msg import Match, ModelScore
 from twinmatch_msgs.srv import Past

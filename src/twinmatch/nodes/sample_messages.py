@@ -1,4 +1,4 @@
-"""Convert between samples and their messages, without losing a bit.
+"""Stamps, and samples as messages.
 
 In a message every signal is an array, so that a plant with two inputs needs no other message type. A twin
 runs one loop: a message without exactly one reference, one output and one input is refused.
@@ -13,23 +13,37 @@ from builtin_interfaces.msg import Time
 from twinmatch.signals import Sample, SignalError, not_one_loop
 from twinmatch_msgs import msg as messages
 
-__all__ = ["one_of", "sample_from", "sample_message", "stamp_header"]
-
 NANOSECONDS = 1_000_000_000
+LOOP = ("reference", "output", "input")
+"""The signals of a loop, without disturbances."""
+
+
+def time_message(stamp: int) -> Time:
+    """A stamp (ns) as a message."""
+    seconds, rest = divmod(stamp, NANOSECONDS)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def nanoseconds(stamp: Any) -> int:
+    """A ROS time stamp in nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def stamped(message: Any, stamp: int) -> Any:
+    """The message, with a stamp (ns) in its header."""
+    message.header.stamp = time_message(stamp)
+    return message
 
 
 def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
     """A sample as `LoopSample`."""
     message = messages.LoopSample(
         index=sample.index,
-        reference=[sample.reference],
-        output=[sample.output],
-        input=[sample.input],
         disturbances=list(sample.disturbances),
+        **{name: [getattr(sample, name)] for name in LOOP},
     )
-    stamp_header(message.header, sample.stamp)
     message.header.frame_id = frame
-    return message
+    return stamped(message, sample.stamp)
 
 
 def sample_from(message: messages.LoopSample) -> Sample:
@@ -38,18 +52,13 @@ def sample_from(message: messages.LoopSample) -> Sample:
     Raises:
         SignalError: it does not have exactly one reference, one output and one input.
     """
-    lengths = [len(message.reference), len(message.output), len(message.input)]
+    loop = [getattr(message, name) for name in LOOP]
+    lengths = [len(values) for values in loop]
     if lengths != [1, 1, 1]:
         raise SignalError(not_one_loop(message.index, lengths))
-    stamp = message.header.stamp
-    return Sample(
-        message.index,
-        stamp.sec * NANOSECONDS + stamp.nanosec,
-        message.reference[0],
-        message.output[0],
-        message.input[0],
-        tuple(message.disturbances),
-    )
+    (reference,), (output,), (entry,) = loop
+    stamp = nanoseconds(message.header.stamp)
+    return Sample(message.index, stamp, reference, output, entry, tuple(message.disturbances))
 
 
 def one_of(message: Any, name: str) -> float:
@@ -65,9 +74,3 @@ def one_of(message: Any, name: str) -> float:
         )
         raise SignalError(msg)
     return float(values[0])
-
-
-def stamp_header(header: Any, stamp: int) -> None:
-    """Write a stamp in nanoseconds into a header."""
-    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-    header.stamp = Time(sec=seconds, nanosec=nanoseconds)

@@ -8,37 +8,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from twinmatch.nodes.catching_up import CatchingUp
-from twinmatch.nodes.diagnostics import Health, Level, Report
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.node import Health, Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.standstill import Standstill
 from twinmatch.nodes.stream import Stream
+from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.nodes.twin_parameters import settings_from, understood
-from twinmatch.nodes.worker import Worker
 from twinmatch.signals import Sample, SignalError
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 from twinmatch_msgs.srv import Past
-
-__all__ = ["EVERYTHING", "LATCHED", "RELIABLE", "SampleNode", "SampleWatch", "TwinNode", "nanoseconds"]
-
-EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-"""For readers that must not miss a message: a full queue applies back-pressure to the writer."""
-
-RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
-"""For writers of samples, requests, matches and scores."""
-
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""For a value that holds until the next one: a late-joining subscriber gets it too."""
 
 
 class SampleWatch:
@@ -182,8 +164,3 @@ class SampleNode(TwinNode):
     def _on_next(self, sample: Sample) -> None:
         self._watch.push(sample.index, time.monotonic())
         self.put(sample)
-
-
-def nanoseconds(stamp: Any) -> int:
-    """A ROS time stamp in nanoseconds."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

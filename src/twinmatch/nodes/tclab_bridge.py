@@ -8,12 +8,11 @@ from typing import ClassVar
 from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitLink, KitReading
-from twinmatch.nodes.gate_parameters import gate_limits, gate_table
-from twinmatch.nodes.gated import KEPT, GatedNode, fault_text
 from twinmatch.nodes.kit_driver import KitDriver, KitPace
+from twinmatch.nodes.output_gate import KEPT, GatedNode, fault_text, gate_limits, gate_table
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.samples import nanoseconds
+from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.safety import ClockLimits, GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 

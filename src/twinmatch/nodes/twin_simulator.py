@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import sys
 
-from twinmatch.nodes.conversions import parameters_from, state_message
-from twinmatch.nodes.descriptions import description_message
+from twinmatch.nodes.messages import description_message, parameters_from, state_message
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.samples import LATCHED, RELIABLE, SampleNode
+from twinmatch.nodes.samples import SampleNode
+from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.plants.named import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror

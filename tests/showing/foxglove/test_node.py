@@ -34,7 +34,7 @@ from tests.support.plants import Motor
 from tests.support.processes import Process
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
-from twinmatch.nodes.descriptions import description_message
+from twinmatch.nodes.messages import description_message
 from twinmatch.plants.named import description_of
 from twinmatch.sessions import read_session, write_session
 from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore, PlantDescription

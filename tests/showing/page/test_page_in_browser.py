@@ -25,10 +25,9 @@ from sensor_msgs.msg import Image, Temperature
 from tests.support.processes import Process, Processes
 from twinmatch.comparing import ADMITTED
 from twinmatch.dynamics import Plant
-from twinmatch.nodes.conversions import score_message, state_message
-from twinmatch.nodes.descriptions import description_message
+from twinmatch.nodes.messages import description_message, score_message, state_message
 from twinmatch.nodes.sample_messages import sample_message
-from twinmatch.nodes.samples import LATCHED, RELIABLE
+from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.offline.judgement import Judgement
 from twinmatch.plants import Peltier
 from twinmatch.plants.named import description_of

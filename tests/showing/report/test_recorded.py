@@ -16,7 +16,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from rclpy.serialization import serialize_message
 
 from tests.support.rig import rig, run
-from twinmatch.nodes.conversions import match_message, score_message
+from twinmatch.nodes.messages import match_message, score_message
 from twinmatch.nodes.twin_parameters import settings_from, twin_values
 from twinmatch.sessions import Qos, SessionWriter, Topic, samples_of
 from twinmatch.sessions.cdr import encode_sample

@@ -44,7 +44,7 @@ needs_cyclone = pytest.mark.skipif(
 def said(session: Path) -> list[dict[str, Any]]:
     """The verdicts of an offline run, as reader.py shows them."""
     from tests.system.subscribers import reader
-    from twinmatch.nodes.conversions import score_message
+    from twinmatch.nodes.messages import score_message
 
     stamps = {sample.index: sample.stamp for sample in read_session(session).samples}
     verdicts = judge_session(session).verdicts

@@ -12,14 +12,12 @@ from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from twinmatch.description import Description
-from twinmatch.nodes.descriptions import description_from
-from twinmatch.nodes.diagnostics import Level, Report
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.messages import description_from
+from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.plant_clock import CLOCK
-from twinmatch.nodes.recorder_topics import offered, reader_profile, wanted
-from twinmatch.nodes.samples import LATCHED
 from twinmatch.nodes.serving import is_loopback
+from twinmatch.nodes.topics import LATCHED, offered, reader_profile, wanted
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.installed import schema_of
 from twinmatch.showing.foxglove.clock import StreamTime

@@ -17,15 +17,12 @@ from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.conversions import verdict_from
-from twinmatch.nodes.descriptions import description_from
-from twinmatch.nodes.diagnostics import Level, Report
-from twinmatch.nodes.forecast_messages import forecast_from
-from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.messages import description_from, forecast_from, verdict_from
+from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import one_of, sample_from
-from twinmatch.nodes.samples import LATCHED
 from twinmatch.nodes.serving import is_loopback
+from twinmatch.nodes.topics import LATCHED
 from twinmatch.nodes.twin_parameters import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.named import description_of

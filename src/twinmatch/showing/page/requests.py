@@ -15,8 +15,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from twinmatch.dynamics import Plant
-from twinmatch.nodes.forecast_messages import forecast_from
-from twinmatch.nodes.samples import RELIABLE
+from twinmatch.nodes.messages import forecast_from
+from twinmatch.nodes.topics import RELIABLE
 from twinmatch.showing.forecast import forecast_words
 from twinmatch.showing.page.state import Answered, DashboardState
 from twinmatch_msgs.srv import WhatIf

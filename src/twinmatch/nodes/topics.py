@@ -1,20 +1,124 @@
-"""Topics of foreign programs: found on the graph, and subscribed with the QoS they are offered with."""
+"""Topics and their QoS: ours, those that a recorder takes, and those of foreign programs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import importlib
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.message_types import fields_of, message_class
-from twinmatch.nodes.recorder_topics import offered, reader_profile
-from twinmatch.sessions.sampling import Channel, SamplingError, check_path
+from twinmatch.sessions import Qos
+from twinmatch.sessions.sampling import Channel, Field, SamplingError, check_path
 
-__all__ = ["ForeignTopics"]
+EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+"""For readers that must not miss a message: a full queue applies back-pressure to the writer."""
+
+RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+"""For writers of samples, requests, matches and scores."""
+
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""For a value that holds until the next one: a late-joining subscriber gets it too."""
+
+ELSEWHERE = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
+"""Topics that belong to no rig: recorded only on request."""
+
+DEPTH = 1000
+"""Queue of the recorder in the middleware, messages per topic; it never applies back-pressure."""
+
+
+def wanted(name: str, namespace: str, also: Collection[str] = (), leave_out: Sequence[str] = ()) -> bool:
+    """Whether a topic is recorded: those of the namespace, unless hidden or left out, and `also` others.
+
+    Args:
+        name: full name.
+        namespace: namespace of the rig, `/` for the root.
+        also: full names of topics to record outside the namespace.
+        leave_out: prefixes of names relative to the namespace that are not recorded.
+    """
+    if name in also:
+        return True
+    prefix = namespace.rstrip("/") + "/"
+    if name in ELSEWHERE or not name.startswith(prefix) or "/_" in name:
+        return False
+    return not name.removeprefix(prefix).startswith(tuple(leave_out))
+
+
+def offered(endpoints: Sequence[Any]) -> Qos:
+    """The QoS that all publishers of a topic (`TopicEndpointInfo`) offer."""
+    profiles = [endpoint.qos_profile for endpoint in endpoints]
+    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+    depth = max((p.depth for p in profiles), default=0)
+    usual = 1 if latched else Qos().depth  # discovery does not always report the depth
+    return Qos(
+        "reliable" if reliable else "best_effort",
+        "transient_local" if latched else "volatile",
+        depth if depth > 0 else usual,
+    )
+
+
+def reader_profile(qos: Qos) -> QoSProfile:
+    """The profile with which a recorder receives everything that is offered with this QoS."""
+    reliable, latched = qos.reliability == "reliable", qos.durability == "transient_local"
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+_KIND: Final = re.compile(r"(?:sequence<)?(?P<base>[\w/ ]+?)(?:<\d+>)?(?:\[(?P<length>\d+)\])?(?:, \d+)?>?$")
+
+
+class MessageTypeError(TwinmatchError):
+    """A message type is not installed here."""
+
+
+def message_class(kind: str) -> Any:
+    """The class of a type, `package/msg/Type`.
+
+    Raises:
+        MessageTypeError: it is not installed.
+    """
+    package, _, name = kind.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        msg = f"the type {kind} is not installed here; source the workspace with {package}, and restart"
+        raise MessageTypeError(msg) from None
+
+
+def fields_of(kind: str) -> Mapping[str, Field]:
+    """The fields of an installed type.
+
+    Raises:
+        MessageTypeError: it is not installed.
+    """
+    return {n: _field(text) for n, text in message_class(kind).get_fields_and_field_types().items()}
+
+
+def _field(text: str) -> Field:
+    """From ROS's notation of a field type: `double`, `sequence<std_msgs/Header, 3>`, `float[9]`."""
+    match = _KIND.match(text)
+    base = match["base"] if match else text
+    if "/" in base:
+        package, name = base.split("/")
+        base = f"{package}/msg/{name}"
+    length = match["length"] if match else None
+    return Field(base, text.startswith("sequence") or length is not None, int(length) if length else None)
+
 
 _OURS: Final = ("/plant/", "/twin/", "/thermal/")
 _SHARED: Final = ("/clock", "/diagnostics", "/parameter_events", "/rosout")

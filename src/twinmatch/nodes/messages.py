@@ -1,0 +1,259 @@
+"""Convert between the twin's objects and messages, without losing a bit.
+
+`twinmatch.record` describes the recorded form of verdicts and matches; this module fills the messages.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from twinmatch.comparing import ForecastScore, Verdict
+from twinmatch.comparing.verdict import CandidateScore
+from twinmatch.description import Description, Quantity
+from twinmatch.dynamics import Parameters, PlantError
+from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
+from twinmatch.nodes.sample_messages import LOOP, stamped
+from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
+from twinmatch.signals import FloatArray, SignalError, Window
+from twinmatch.twin import MatchReport, MatchRequest, MirrorState
+from twinmatch_msgs import msg as messages
+from twinmatch_msgs import srv as services
+
+_SAMPLED = (*LOOP, "disturbances")
+
+STATE_FIGURES = (
+    "closed_output", "closed_input", "driven_output", "closed_residual_y", "closed_residual_u",
+    "driven_residual_y", "closed_rms_y", "closed_rms_u", "driven_rms_y",
+)  # fmt: skip
+
+SHOWN = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0)
+"""Times ahead at which a forecast is published, s: closely spaced where the forecast is sharp."""
+
+
+def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> messages.TwinState:
+    """The states of the twins as `TwinState`.
+
+    Args:
+        state: the twins at one tick.
+        leader: name of the candidate whose parameters they use.
+        states: names of all states of the plant, in the order of its description.
+    """
+    order = list(states)
+    message = messages.TwinState(
+        index=state.sample.index,
+        leader=leader,
+        reference=[state.sample.reference],
+        closed_states=[state.closed_states.get(name, math.nan) for name in order],
+        driven_states=[state.driven_states.get(name, math.nan) for name in order],
+        **{name: [getattr(state, name)] for name in STATE_FIGURES},
+    )
+    return stamped(message, state.sample.stamp)
+
+
+def match_message(report: MatchReport, stamp: int) -> messages.Match:
+    """A match as `Match`; `stamp` (ns) is that of the sample that triggered it."""
+    return stamped(_filled(messages.Match(), tree_of(report)), stamp)
+
+
+def match_from(message: messages.Match) -> MatchReport:
+    """A match from `Match`."""
+    return object_of(MatchReport, tree_of_message(message))
+
+
+def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
+    """A verdict as `ModelScore`; `stamp` (ns) is that of the sample that triggered it."""
+    return stamped(_filled(messages.ModelScore(), tree_of(verdict)), stamp)
+
+
+def verdict_from(message: messages.ModelScore) -> Verdict:
+    """A verdict from `ModelScore`."""
+    return object_of(Verdict, tree_of_message(message))
+
+
+def candidate_message(candidate: CandidateScore) -> messages.Candidate:
+    """A candidate of a verdict as `Candidate`."""
+    return _filled(messages.Candidate(), tree_of(candidate))
+
+
+def leader_message(score: ForecastScore) -> messages.ForecastScore:
+    """The leader's score as `ForecastScore`."""
+    return _filled(messages.ForecastScore(), tree_of(score))
+
+
+def parameters_from(message: messages.Parameters) -> Parameters:
+    """The parameters in a `Parameters`.
+
+    Raises:
+        PlantError: the message has none, they are those of another plant, or values are out of range.
+    """
+    found = parameters_of(tree_of_message(message))
+    if found is None:
+        raise PlantError("parameters: the message holds none")
+    return found
+
+
+def parameters_message(parameters: Parameters | None) -> messages.Parameters:
+    """Parameters as `Parameters`; for None a message without names."""
+    return _filled(messages.Parameters(), parameters_tree(parameters))
+
+
+def description_message(description: Description, period: float) -> messages.PlantDescription:
+    """A plant as `PlantDescription`; `period` (s) is the sampling period it is run with."""
+    tree = {n: list(v) if isinstance(v, tuple) else v for n, v in asdict(description).items()}
+    tree |= {"period": period} | {name: [tree[name]] for name in LOOP}
+    return _filled(messages.PlantDescription(), tree)
+
+
+def description_from(message: messages.PlantDescription) -> Description:
+    """A plant from `PlantDescription`.
+
+    Raises:
+        SignalError: it does not have one reference, one output and one input.
+    """
+    tree = tree_of_message(message)
+    if any(len(tree[name]) != 1 for name in LOOP):
+        counts = ", ".join(str(len(tree[name])) for name in LOOP)
+        msg = f"description of {message.plant}: has {counts} references, outputs and inputs; give one of each"
+        raise SignalError(msg)
+    del tree["period"]
+    for name in (*_SAMPLED, "states"):
+        tree[name] = tuple(Quantity(**quantity) for quantity in tree[name])
+    tree |= {name: tree[name][0] for name in LOOP} | {"structures": tuple(tree["structures"])}
+    return Description(**tree)
+
+
+def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
+    """A request as `MatchRequest`; `stamp` (ns) is that of the sample that triggered it."""
+    window = request.window
+    message = messages.MatchRequest(
+        sample=request.sample,
+        operating_point=request.operating_point,
+        first=window.first,
+        period=window.period,
+        start=parameters_message(request.start),
+        incumbent=parameters_message(request.incumbent),
+        **{name: getattr(window, name).ravel().tolist() for name in _SAMPLED},
+    )
+    return stamped(message, stamp)
+
+
+def request_from(message: messages.MatchRequest) -> MatchRequest:
+    """A request from `MatchRequest`.
+
+    Raises:
+        TwinmatchError: its window or its parameters cannot be used.
+    """
+    samples, disturbances = len(message.reference), len(message.disturbances)
+    if not samples or disturbances % samples:
+        msg = f"match request: {disturbances} disturbance values do not divide evenly among {samples} samples"
+        raise SignalError(msg)
+    arrays = {name: np.array(getattr(message, name)) for name in _SAMPLED}
+    arrays["disturbances"] = arrays["disturbances"].reshape(samples, -1)
+    window = Window(**arrays, first=message.first, period=message.period)
+    start, incumbent = parameters_from(message.start), parameters_of(tree_of_message(message.incumbent))
+    return MatchRequest(message.sample, message.operating_point, window, start, incumbent)
+
+
+def shown_samples(period: float, horizons: tuple[int, ...]) -> tuple[int, ...]:
+    """Samples ahead at which a forecast is published, with a period in s: all horizons, some between."""
+    longest = max(horizons)
+    between = {round(seconds / period) for seconds in SHOWN}
+    return tuple(sorted({*horizons, *(ahead for ahead in between if 1 <= ahead <= longest)}))
+
+
+def forecast_message(
+    forecast: Forecast, stamp: int, samples: tuple[int, ...] | None = None
+) -> messages.Forecast:
+    """A forecast as `Forecast`.
+
+    Args:
+        forecast: the forecast of one candidate.
+        stamp: stamp of the newest sample it was made from, ns.
+        samples: how many samples ahead are written, from 1; None: all.
+    """
+    rows = slice(None) if samples is None else np.array(samples) - 1
+    columns: dict[str, FloatArray] = {"time": forecast.time, "reference": forecast.reference}
+    for name, band in (("output", forecast.output), ("input", forecast.input)):
+        columns |= {name: band.mean, f"{name}_low": band.low, f"{name}_high": band.high}
+    message = messages.Forecast(
+        sample=forecast.sample,
+        candidate=forecast.candidate,
+        structure=forecast.structure,
+        confidence=forecast.confidence,
+        notes=list(forecast.notes),
+        **{name: array("d", values[rows].tobytes()) for name, values in columns.items()},
+    )
+    return stamped(message, stamp)
+
+
+def forecast_from(message: messages.Forecast) -> Forecast:
+    """A forecast from `Forecast`."""
+    output, entry = (
+        Band(*(np.array(getattr(message, f"{name}{edge}")) for edge in ("", "_low", "_high")))
+        for name in ("output", "input")
+    )
+    return Forecast(
+        sample=message.sample,
+        candidate=message.candidate,
+        structure=message.structure,
+        confidence=message.confidence,
+        time=np.array(message.time),
+        reference=np.array(message.reference),
+        output=output,
+        input=entry,
+        notes=tuple(message.notes),
+    )
+
+
+def question_from(request: services.WhatIf.Request) -> Question:
+    """A question from a request; what the request leaves open is None.
+
+    Raises:
+        SignalError: it names several outputs, but a twin runs one loop.
+    """
+    return Question(
+        times=tuple(request.times),
+        levels=tuple(request.levels),
+        ramps=request.ramps,
+        horizon=request.horizon or None,
+        level=_single(request, "level"),
+        tolerance=_single(request, "tolerance"),
+    )
+
+
+def answer_message(answer: WhatIfResult, stamp: int) -> services.WhatIf.Response:
+    """An answer as a response; `stamp` (ns) is that of the newest sample it was made from."""
+    moments = {
+        f"{name}{edge}": math.nan if moment is None else moment
+        for name, found in (("reach", answer.reached), ("hold", answer.settled))
+        for edge, moment in (("", found.expected), ("_earliest", found.earliest), ("_latest", found.latest))
+    }
+    return services.WhatIf.Response(
+        success=True,
+        forecast=forecast_message(answer.forecast, stamp),
+        level=[answer.level],
+        tolerance=[answer.tolerance],
+        largest_input=answer.largest.expected,
+        largest_input_time=answer.largest.time,
+        largest_input_least=answer.largest.least,
+        largest_input_most=answer.largest.most,
+        **moments,
+    )
+
+
+def _single(request: Any, name: str) -> float | None:
+    values = getattr(request, name)
+    if len(values) > 1:
+        msg = f"what if: {name} has {len(values)} values; a twin runs one loop, so give one or none"
+        raise SignalError(msg)
+    return None if not values or math.isnan(values[0]) else float(values[0])
+
+
+def _filled(message: Any, tree: dict[str, Any]) -> Any:
+    return fill(message, tree, lambda kind: getattr(messages, kind)())
