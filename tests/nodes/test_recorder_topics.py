@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from twinmatch.nodes.recorder_arrivals import Arrivals
+from twinmatch.nodes.recorder import Arrivals
 from twinmatch.nodes.topics import offered, reader_profile, wanted
 from twinmatch.sessions import Qos
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.nodes.stream import Missing, Stream
+from twinmatch.nodes.past import Missing, Stream
 from twinmatch.signals import Sample
 
 

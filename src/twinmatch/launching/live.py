@@ -22,7 +22,7 @@ from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.nodes.twin_parameters import read_settings
-from twinmatch.sessions.shelf import Shelf
+from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing import Summary
 from twinmatch.showing.line import Lines, closing_lines
 from twinmatch.showing.summary import Stretch, Tally, conclude
@@ -59,7 +59,7 @@ class Live:
 
     plan: LivePlan
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
-    samples: Shelf = field(default_factory=Shelf)
+    samples: SampleSpool = field(default_factory=SampleSpool)
     """All samples, kept on disk: a run may last for weeks."""
     verdicts: Tally = field(default_factory=Tally)
     sessions: list[Path] = field(default_factory=list)
@@ -70,11 +70,11 @@ class Live:
     ending: str = "stopped by the operator"
 
     def take_sample(self, sample: Sample) -> None:
-        """Put a sample on the shelf; an index at or before the newest one starts a new shelf."""
-        shelf = self.samples
-        if sample.index < shelf.end or len(sample.disturbances) != shelf.disturbances:
-            self.samples = Shelf(len(sample.disturbances))
-            shelf.close()
+        """Put a sample on the spool; an index at or before the newest one starts a new spool."""
+        spool = self.samples
+        if not spool.continued_by(sample):
+            self.samples = SampleSpool(len(sample.disturbances))
+            spool.close()
         self.samples.push(sample)
 
     def longest(self, period: float) -> Stretch:

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, Temperature
@@ -30,6 +29,7 @@ from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
+from twinmatch.nodes.sample_messages import time_message
 from twinmatch.signals import KELVIN
 
 FASTEST = 1000.0
@@ -87,12 +87,6 @@ def celsius_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
     if exposure.frozen:
         degrees = np.full_like(degrees, np.nan)
     return _image("32FC1", degrees.astype("<f4"), header)
-
-
-def time_message(nanoseconds: int) -> Time:
-    """A time stamp."""
-    seconds, rest = divmod(nanoseconds, 1_000_000_000)
-    return Time(sec=seconds, nanosec=rest)
 
 
 def _image(encoding: str, pixels: NDArray[Any], header: Callable[[Any], None]) -> Image:

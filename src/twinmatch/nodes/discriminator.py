@@ -18,7 +18,7 @@ from twinmatch import twin
 from twinmatch.comparing import Verdict
 from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
-from twinmatch.forecasting import Outlook, what_if
+from twinmatch.forecasting import what_if
 from twinmatch.nodes.messages import (
     answer_message,
     candidate_message,
@@ -44,7 +44,7 @@ QUESTIONS = "questions"
 """Key on /diagnostics: number of answers on `twin/what_if`."""
 
 
-class Foreteller:
+class ForecastPublisher:
     """Publishes the leader's forecast at every sample, and answers what-if questions.
 
     The judging thread leaves a snapshot of all candidates at every sample. Questions are answered from the
@@ -55,7 +55,7 @@ class Foreteller:
         """Create the topics and the service."""
         self._node, self._health = node, node.health
         self._snapshot = Snapshot()
-        self._leader: Outlook | None = None
+        self._leader: tuple[object, ...] = ()  # name and parameters
         self._ahead: tuple[int, ...] = ()
         self._made = 0
         self.heard = 0
@@ -66,7 +66,7 @@ class Foreteller:
 
     def publish(self, discriminator: Discriminator) -> None:
         """Publish the forecast from the newest sample that is fully judged, once there is a candidate."""
-        self.look(discriminator)
+        self.update(discriminator)
         name = self._snapshot.leader
         if name is None:
             return
@@ -74,10 +74,11 @@ class Foreteller:
         if self._made <= self.heard:
             return
         outlook = self._snapshot.outlook(name)
-        if self._leader is None or _identity(outlook) != _identity(self._leader):
+        leader = (outlook.candidate, outlook.parameters)
+        if leader != self._leader:
             score = next(score for score in discriminator.forecaster.scores if score.name == name)
             self._leaders.publish(leader_message(score))
-            self._leader = outlook
+            self._leader = leader
         if not self._ahead:
             self._ahead = shown_samples(outlook.period, discriminator.forecaster.horizons)
         sample = outlook.sample
@@ -91,7 +92,7 @@ class Foreteller:
         self._health.set("leader", name)
         self._health.set("forecast from sample", sample.index)
 
-    def look(self, discriminator: Discriminator) -> None:
+    def update(self, discriminator: Discriminator) -> None:
         """Take a new snapshot."""
         self._snapshot = discriminator.forecaster.snapshot()
 
@@ -104,10 +105,6 @@ class Foreteller:
             return WhatIf.Response(success=False, message=str(error))
         self._health.count(QUESTIONS)
         return answer_message(answer, outlook.sample.stamp)
-
-
-def _identity(outlook: Outlook) -> tuple[object, ...]:
-    return outlook.candidate, outlook.parameters
 
 
 PATIENCE = 2.0
@@ -140,9 +137,9 @@ class DiscriminatorNode(SampleNode):
         path = self.values["candidates"]
         given = read_candidates(Path(path)) if path else []
         self._discriminator = Discriminator(self.settings, given, self._followed)
-        self._foreteller = Foreteller(self)
+        self._forecasts = ForecastPublisher(self)
         self._stamps: dict[int, int] = {}
-        self._nominal: Candidate | None = None
+        self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
         self._made = 0  # verdicts
         self._published_before = 0  # verdicts published before this node started
@@ -180,7 +177,7 @@ class DiscriminatorNode(SampleNode):
     def learn(self, said: Past.Response) -> None:
         """Take the results of a discriminator before this one, which are not published again."""
         self._published_before = said.scores_heard
-        self._foreteller.heard = said.forecasts_heard
+        self._forecasts.heard = said.forecasts_heard
         self._answers += map(match_from, said.match)
 
     def _answer(self, request: twin.MatchRequest) -> MatchReport | None:
@@ -195,10 +192,10 @@ class DiscriminatorNode(SampleNode):
         for verdict in step.verdicts:
             self._publish(verdict)
         if step.verdicts:  # a match may have brought a candidate
-            self._foreteller.look(self._discriminator)
+            self._forecasts.update(self._discriminator)
 
     def _followed(self, _: Sample) -> None:
-        self._foreteller.publish(self._discriminator)
+        self._forecasts.publish(self._discriminator)
 
     def _request(self, request: MatchRequest) -> None:
         self._requested_at = time.monotonic()
@@ -237,13 +234,10 @@ class DiscriminatorNode(SampleNode):
         if chosen is None:
             return
         nominal = candidate_message(chosen)
-        if self._nominal is None or _identity(nominal) != _identity(self._nominal):
-            self._nominal = nominal
+        identity = (nominal.name, nominal.first, nominal.last, nominal.parameters)
+        if identity != self._nominal:
+            self._nominal = identity
             self._nominals.publish(nominal)
-
-
-def _identity(candidate: Candidate) -> tuple[object, ...]:
-    return candidate.name, candidate.first, candidate.last, candidate.parameters
 
 
 def main() -> None:

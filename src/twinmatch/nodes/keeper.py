@@ -10,21 +10,20 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from twinmatch.nodes.node import KEEPER, Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import BUILT_IN, Parameter
+from twinmatch.nodes.past import PAST
 from twinmatch.nodes.sample_messages import sample_from
-from twinmatch.sessions.shelf import Shelf, Texts
+from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.sessions.spool import MessageSpool, SampleSpool
 from twinmatch.signals import SignalError
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState
 from twinmatch_msgs.srv import Past
 
-__all__ = ["PAST", "Keeper"]
+__all__ = ["Keeper"]
 
-PAST = "plant/past"
-"""Name of the service."""
 MOST_SAMPLES = 2000
 """Most samples in one answer: some milliseconds of work."""
 MOST_MESSAGES = 20
@@ -32,8 +31,6 @@ MOST_MESSAGES = 20
 
 LINGER = 2.0
 """Time after a request during which the process stays up for the next one, wall s."""
-
-_EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Keeper(TwinmatchNode):
@@ -50,29 +47,27 @@ class Keeper(TwinmatchNode):
 
     def open(self) -> None:
         """Subscribe and offer the service."""
-        self._shelf = Shelf()
-        self._texts = {name: Texts() for name in self.KEPT}
-        self._counts = dict.fromkeys(self.COUNTED, 0)
+        self._start_session()
         self._requested_at = -LINGER
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, _EVERYTHING)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
         for name, kind in (self.KEPT | self.COUNTED).items():
-            self.create_subscription(kind, name, partial(self._on_said, name), _EVERYTHING, raw=True)
+            self.create_subscription(kind, name, partial(self._on_said, name), EVERYTHING, raw=True)
         self.create_service(Past, PAST, self._on_question)
         self.health.say("keeping")
         self.report_on()
 
     def report(self) -> Report:
         """The numbers of samples and messages kept."""
-        self.health.set("samples", len(self._shelf))
-        for name, texts in self._texts.items():
+        self.health.set("samples", len(self._samples))
+        for name, texts in self._messages.items():
             self.health.set(name, len(texts))
         return super().report()
 
     def close(self) -> bool:
         """Release the files."""
-        if hasattr(self, "_shelf"):
-            self._shelf.close()
-            for texts in self._texts.values():
+        if hasattr(self, "_samples"):
+            self._samples.close()
+            for texts in self._messages.values():
                 texts.close()
         return True
 
@@ -82,20 +77,20 @@ class Keeper(TwinmatchNode):
         except SignalError as error:
             self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
             return
-        if sample.index < self._shelf.end or len(sample.disturbances) != self._shelf.disturbances:
-            self._start_over(len(sample.disturbances))
-        self._shelf.push(sample)
+        if not self._samples.continued_by(sample):
+            self.close()
+            self._start_session(len(sample.disturbances))
+        self._samples.push(sample)
 
-    def _start_over(self, disturbances: int) -> None:
-        """Forget everything, because a new session starts."""
-        self.close()
-        self._shelf = Shelf(disturbances)
-        self._texts = {name: Texts() for name in self.KEPT}
+    def _start_session(self, disturbances: int = 0) -> None:
+        """Start with nothing."""
+        self._samples = SampleSpool(disturbances)
+        self._messages = {name: MessageSpool() for name in self.KEPT}
         self._counts = dict.fromkeys(self.COUNTED, 0)
 
     def _on_said(self, name: str, data: bytes) -> None:
-        if name in self._texts:
-            self._texts[name].push(bytes(data))
+        if name in self._messages:
+            self._messages[name].push(bytes(data))
         else:
             self._counts[name] += 1
 
@@ -106,12 +101,12 @@ class Keeper(TwinmatchNode):
 
     def _on_question(self, request: Past.Request, answer: Past.Response) -> Past.Response:
         self._requested_at = time.monotonic()
-        rows = self._shelf.rows(request.first, request.count, MOST_SAMPLES)
-        answer.heard = self._shelf.end
+        rows = self._samples.rows(request.first, request.count, MOST_SAMPLES)
+        answer.heard = self._samples.end
         for name in ("index", "stamp", "reference", "output", "input"):
             setattr(answer, name, rows[name].tolist())
         answer.disturbances = rows["disturbances"].ravel().tolist()
-        matches, scores = self._texts.values()
+        matches, scores = self._messages.values()
         answer.match = [deserialize_message(d, Match) for d in matches.since(request.matches, MOST_MESSAGES)]
         answer.score = [
             deserialize_message(d, ModelScore) for d in scores.since(request.scores, MOST_MESSAGES)

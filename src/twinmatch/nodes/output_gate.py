@@ -13,12 +13,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.nodes.topics import RELIABLE
 from twinmatch.safety import (
     ClockLimits,
     Fault,
@@ -246,8 +246,6 @@ def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
     )
 
 
-KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
-"""For samples and for the applied command."""
 UNWATCHED = 5.0
 """Time without `plant/sample` after which a warning says that runaway is not monitored, s."""
 
@@ -274,7 +272,7 @@ class GatedNode(TwinmatchNode):
         for place in ("~", "plant"):
             self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
             self.create_service(Trigger, f"{place}/stop", self._on_stop)
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, KEPT)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, RELIABLE)
 
     @property
     @abstractmethod

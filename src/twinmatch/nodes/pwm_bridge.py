@@ -11,11 +11,12 @@ from sensor_msgs.msg import Temperature
 
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
 from twinmatch.nodes.node import Report
-from twinmatch.nodes.output_gate import KEPT, GatedNode, fault_text, gate_limits, gate_table
+from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_limits, gate_table
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds
+from twinmatch.nodes.topics import RELIABLE
 from twinmatch.safety import ClockLimits, GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand
 
@@ -76,7 +77,7 @@ class PwmBridge(GatedNode):
                 PwmCommand, "plant/pwm_command", self._on_command, qos_profile_sensor_data
             )
         )
-        self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", KEPT)
+        self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
         settings = DriverSettings(repeat=self.values["repeat"])
         if self.get_parameter("use_sim_time").value:
             settings = DriverSettings(repeat=self.values["repeat"], poll=SIMULATED_POLL)

@@ -2,30 +2,165 @@
 
 from __future__ import annotations
 
-import importlib
+import json
 import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 
 from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.parameters import Parameter
-from twinmatch.nodes.recorder_arrivals import Arrivals
 from twinmatch.nodes.recorder_past import RecorderPast
-from twinmatch.nodes.recorder_settings import Settings
 from twinmatch.nodes.runner import run
-from twinmatch.nodes.topics import offered, reader_profile, wanted
+from twinmatch.nodes.topics import message_class, offered, reader_profile, wanted
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
+from twinmatch.sessions.documents import read_text
+from twinmatch.sessions.errors import DocumentError
 from twinmatch.sessions.installed import schema_of
+from twinmatch.sessions.settings import CANDIDATES, parameters_record
 
-__all__ = ["RecorderNode", "main"]
+RHYTHM = 10
+"""Messages after which a topic is expected to keep its rate."""
+SHORTEST = 3.0
+"""Shortest silence, s."""
+SILENCE = 10
+"""Silence in mean intervals between messages."""
+
+
+@dataclass
+class Arrivals:
+    """Arrivals of one topic; times in seconds of a clock that does not jump."""
+
+    count: int = 0
+    """Messages so far."""
+    first: float = 0.0
+    """When the first came, s."""
+    last: float = 0.0
+    """When the newest came, s."""
+    lost: int = 0
+    """Messages that the middleware lost."""
+
+    def push(self, now: float) -> None:
+        """Count a message."""
+        if self.count == 0:
+            self.first = now
+        self.count += 1
+        self.last = now
+
+    @property
+    def rate(self) -> float:
+        """Mean rate from the first to the newest message, 1/s; 0 before the second."""
+        span = self.last - self.first
+        return (self.count - 1) / span if span > 0 else 0.0
+
+    def silent(self, now: float) -> bool:
+        """Whether a topic with a known rate has gone silent."""
+        if self.count < RHYTHM or self.rate == 0:
+            return False
+        return now - self.last > max(SHORTEST, SILENCE / self.rate)
+
+    def text(self) -> str:
+        """Rate and count as text."""
+        lost = f", {self.lost} lost" if self.lost else ""
+        return f"{self.rate:.1f} Hz, {self.count} messages{lost}"
+
+
+PATIENCE = 3.0
+"""Wall seconds after which a node that has not answered is asked again."""
+
+Tell = Callable[[str, Mapping[str, str]], None]
+
+
+class NodeSettings:
+    """Asks every node until it has answered, and again after a restart of the node.
+
+    A killed node stays known for some seconds. If another node of its name starts meanwhile, only the missing
+    answer shows it.
+    """
+
+    def __init__(self, node: Node, tell: Tell) -> None:
+        """`tell` is called with the name and the values of each record, in the executor's thread."""
+        self._node = node
+        self._tell = tell
+        self._own = node.get_fully_qualified_name()
+        self._namespace = node.get_namespace().rstrip("/") + "/"
+        self._clients: dict[str, list[Any]] = {}
+        self._asked: dict[str, float] = {}  # when, s; without those that have answered
+        self._known: set[str] = set()
+        self._answered: set[str] = set()  # since the last look
+
+    def look(self) -> None:
+        """Ask new nodes; call it periodically."""
+        found = {
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in self._node.get_node_names_and_namespaces()
+        }
+        mine = {n for n in found if n.startswith(self._namespace) and n != self._own and "/_" not in n}
+        for done in self._answered | (self._clients.keys() - mine):
+            self._forget(done)
+        self._answered.clear()
+        self._known &= mine
+        now = time.monotonic()
+        for name in mine - self._known:
+            if name in self._asked and now - self._asked[name] > PATIENCE:
+                self._forget(name)
+            if name not in self._asked:
+                self._ask(name, now)
+
+    def _ask(self, name: str, now: float) -> None:
+        if name not in self._clients:
+            self._clients[name] = [
+                self._node.create_client(ListParameters, f"{name}/list_parameters"),
+                self._node.create_client(GetParameters, f"{name}/get_parameters"),
+            ]
+        clients = self._clients[name]
+        if not all(client.service_is_ready() for client in clients):
+            return
+        self._asked[name] = now
+        listing, getting = clients
+
+        def get(future: Any) -> None:
+            names = list(future.result().result.names) if future.result() is not None else []
+            answer = getting.call_async(GetParameters.Request(names=names))
+            answer.add_done_callback(lambda done: self._take(name, names, done))
+
+        listing.call_async(ListParameters.Request()).add_done_callback(get)
+
+    def _take(self, name: str, names: list[str], future: Any) -> None:
+        answer = future.result()
+        values = [parameter_value_to_python(value) for value in answer.values] if answer is not None else []
+        values = [list(v) if hasattr(v, "tolist") or isinstance(v, tuple) else v for v in values]
+        parameters = dict(zip(names, values, strict=False))
+        self._tell(parameters_record(name), {n: json.dumps(v) for n, v in parameters.items()})
+        path = parameters.get("candidates")
+        if isinstance(path, str) and path:
+            self._tell(CANDIDATES, {"text": _read(path)})
+        self._answered.add(name)
+        self._known.add(name)
+
+    def _forget(self, name: str) -> None:
+        self._asked.pop(name, None)
+        for client in self._clients.pop(name, []):
+            self._node.destroy_client(client)
+
+
+def _read(path: str) -> str:
+    try:
+        return read_text(Path(path))
+    except DocumentError:
+        return ""  # unknown: then the session records no candidates
+
 
 LOOK = 0.2
 """Interval between two searches for new topics, s."""
@@ -78,7 +213,7 @@ class RecorderNode(TwinmatchNode):
         self._stopped: SessionError | None = None
         self._left = threading.Event()
         self.worker = Worker(self._do, self.health, backlog=5000)
-        self._settings = Settings(self, self._on_record)
+        self._settings = NodeSettings(self, self._on_record)
         self._past = RecorderPast(self, self._keep, self._readers.__contains__)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK, self._on_look, clock=steady)
@@ -167,9 +302,8 @@ class RecorderNode(TwinmatchNode):
         if len(kinds) > 1:
             text = f"{name} is published as {' and '.join(kinds)}; only {topic.type} is recorded"
             self.health.flag(name, Level.WARN, text)
-        package, _, short = topic.type.split("/")
         reader = self.create_subscription(
-            getattr(importlib.import_module(f"{package}.msg"), short),
+            message_class(topic.type),
             name,
             partial(self._on_message, name),
             reader_profile(qos),

@@ -9,12 +9,11 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 
-from twinmatch.nodes.catching_up import CatchingUp
 from twinmatch.nodes.node import Health, Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.parameters import Parameter
+from twinmatch.nodes.past import CatchingUp, Stream
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.standstill import Standstill
-from twinmatch.nodes.stream import Stream
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.nodes.twin_parameters import settings_from, understood
 from twinmatch.signals import Sample, SignalError

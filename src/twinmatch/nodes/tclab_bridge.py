@@ -9,10 +9,11 @@ from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitLink, KitReading
 from twinmatch.nodes.kit_driver import KitDriver, KitPace
-from twinmatch.nodes.output_gate import KEPT, GatedNode, fault_text, gate_limits, gate_table
+from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_limits, gate_table
 from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds
+from twinmatch.nodes.topics import RELIABLE
 from twinmatch.safety import ClockLimits, GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 
@@ -78,7 +79,7 @@ class TCLabBridge(GatedNode):
             self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
         )
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
-        self._applied = self.create_publisher(PlantApplied, "plant/applied", KEPT)
+        self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
         simulated = bool(self.get_parameter("use_sim_time").value)
         pace = KitPace(self.values["repeat"], SIMULATED_POLL if simulated else KitPace.poll)
         self._kit_driver = KitDriver(

@@ -8,7 +8,7 @@ from contextlib import closing
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.sessions.shelf import Shelf, Texts
+from twinmatch.sessions.spool import MessageSpool, SampleSpool
 from twinmatch.signals import Sample
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
@@ -26,18 +26,18 @@ def test_rows_are_the_samples_with_these_indices(
 ) -> None:
     first, count, most = wish
     samples, index = [], begin
-    with closing(Shelf(width)) as shelf:  # an example may end in the middle
+    with closing(SampleSpool(width)) as spool:  # an example may end in the middle
         for step in steps:
             values = data.draw(st.tuples(numbers, numbers, numbers))
             extra = data.draw(st.lists(numbers, min_size=width, max_size=width))
             samples.append(Sample(index, index * 1000, *values, tuple(extra)))
-            shelf.push(samples[-1])
+            spool.push(samples[-1])
             index += step
-        assert len(shelf) == len(samples)
-        assert shelf.end == (samples[-1].index + 1 if samples else 0)
+        assert len(spool) == len(samples)
+        assert spool.end == (samples[-1].index + 1 if samples else 0)
         first = max(0, begin - 20) + first
         wanted = [s for s in samples if first <= s.index < first + count][:most]
-        rows = shelf.rows(first, count, most)
+        rows = spool.rows(first, count, most)
         found = [
             Sample(
                 *(row[n].item() for n in ("index", "stamp", "reference", "output", "input")),
@@ -52,7 +52,7 @@ def test_rows_are_the_samples_with_these_indices(
 def test_messages_come_back_by_their_number_and_repeated_ones_count_once(
     messages: list[bytes], number: int, most: int
 ) -> None:
-    texts = Texts()
+    texts = MessageSpool()
     for data in messages:
         texts.push(data)
         texts.push(data)
@@ -63,16 +63,16 @@ def test_messages_come_back_by_their_number_and_repeated_ones_count_once(
 
 
 def test_a_sample_takes_no_memory() -> None:
-    shelf = Shelf()
+    spool = SampleSpool()
     for k in range(1000):
-        shelf.push(Sample(k, k, 1.0, 2.0, 3.0))
+        spool.push(Sample(k, k, 1.0, 2.0, 3.0))
     tracemalloc.start()
     try:
         for k in range(1000, 21_000):
-            shelf.push(Sample(k, k, 1.0, 2.0, 3.0))
+            spool.push(Sample(k, k, 1.0, 2.0, 3.0))
         taken, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert taken < 20_000  # a byte per sample would be as much
-    assert len(shelf) == 21_000
-    shelf.close()
+    assert len(spool) == 21_000
+    spool.close()

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from twinmatch.signals import Sample, SignalError, Window
 
-__all__ = ["Shelf", "Texts"]
+__all__ = ["MessageSpool", "SampleSpool"]
 
 Rows = NDArray[np.void]
 
 
-class Shelf:
+class SampleSpool:
     """Samples by index."""
 
     def __init__(self, disturbances: int = 0) -> None:
@@ -46,6 +46,10 @@ class Shelf:
 
     def __len__(self) -> int:
         return self._count
+
+    def continued_by(self, sample: Sample) -> bool:
+        """Whether a sample is a later one of the same session."""
+        return sample.index >= self.end and len(sample.disturbances) == self.disturbances
 
     def push(self, sample: Sample) -> None:
         """Append a sample; its index must be greater than the previous one."""
@@ -103,7 +107,7 @@ class Shelf:
         return min(self._rows[run] + index - self._firsts[run], end)
 
 
-class Texts:
+class MessageSpool:
     """Serialised messages, by number."""
 
     def __init__(self) -> None:
