@@ -11,7 +11,7 @@ from tests.golden import SOURCES, MissingSourceError, compare, entry_of
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_results_are_the_golden_ones(name: str, tmp_path: Path) -> None:
-    """`python -m tests.golden` says the same faster; with `--make` it writes them anew."""
+    """`python -m tests.golden` says the same faster; with `--make` it writes them again."""
     try:
         found = entry_of(name, tmp_path)
     except MissingSourceError as error:
