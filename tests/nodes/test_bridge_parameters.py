@@ -12,8 +12,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
 from twinmatch.nodes.camera_bridge import CameraBridge
-from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.pwm_bridge import PWM_PARAMETERS, PwmBridge, limits_from
+from twinmatch.parameters.declared import check, render
 from twinmatch.safety import GuardLimits, SafetyError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "rig.yaml"

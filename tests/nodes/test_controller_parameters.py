@@ -13,9 +13,9 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.controller_parameters import controller_table, profile_from
-from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.recorder import RecorderNode
-from twinmatch.nodes.twin_parameters import twin_table
+from twinmatch.parameters.declared import check, render
+from twinmatch.parameters.twin import twin_table
 from twinmatch.safety import GuardLimits
 
 CONTROLLER = controller_table()

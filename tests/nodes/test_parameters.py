@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.plant_files import plant_file
-from twinmatch.nodes.parameters import Parameter, ParameterError, check, render
-from twinmatch.nodes.twin_parameters import (
+from twinmatch.parameters.declared import Parameter, ParameterError, check, render
+from twinmatch.parameters.twin import (
     read_settings,
     recorded_values,
     settings_from,

@@ -13,9 +13,9 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from tests.support.places import PROJECT
 from tests.support.plant_files import plant_file
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.recorder import RecorderNode
 from twinmatch.nodes.sampler import SamplerNode, limits_of, sampler_table, types_of, understood, wires_of
+from twinmatch.parameters.declared import check, render
 from twinmatch.plants import PLANTS, find_plant
 
 CONFIG = PROJECT / "config" / "attach.yaml"

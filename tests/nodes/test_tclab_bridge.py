@@ -28,8 +28,8 @@ from tests.support.waiting import wait_for
 from twinmatch.control import Profile
 from twinmatch.nodes.controller_parameters import controller_table, profile_from
 from twinmatch.nodes.output_gate import gate_limits
-from twinmatch.nodes.parameters import check, render
 from twinmatch.nodes.tclab_bridge import LIMITS, TCLabBridge
+from twinmatch.parameters.declared import check, render
 from twinmatch.plants import TCLab
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 

@@ -17,8 +17,8 @@ from tests.support.places import SHIPPED
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
 from twinmatch.nodes.messages import match_message, score_message
-from twinmatch.nodes.twin_parameters import read_settings, settings_from, twin_values, values_of
 from twinmatch.offline.verification import verify_session
+from twinmatch.parameters.twin import read_settings, settings_from, twin_values, values_of
 from twinmatch.plants import Peltier
 from twinmatch.sessions import Qos, SessionWriter, Topic
 from twinmatch.sessions.cdr import encode_sample

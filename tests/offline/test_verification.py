@@ -18,10 +18,10 @@ from rclpy.serialization import serialize_message
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
 from twinmatch.nodes.messages import match_message, score_message
-from twinmatch.nodes.twin_parameters import twin_values
 from twinmatch.offline.judgement import Judgement
 from twinmatch.offline.terms import TermsError
 from twinmatch.offline.verification import VerifyError, verify_session
+from twinmatch.parameters.twin import twin_values
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic
 from twinmatch.sessions.candidates import parse_candidates
 from twinmatch.sessions.cdr import encode_sample

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.support.limits import within
 from twinmatch.cli import main
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.twin_parameters import read_settings
+from twinmatch.parameters.twin import read_settings
 from twinmatch.sessions.candidates import CandidateFileError, parse_candidates, read_candidates
 from twinmatch.sessions.documents import MOST_BYTES, parse_json, parse_yaml, read_yaml
 from twinmatch.sessions.errors import DocumentError

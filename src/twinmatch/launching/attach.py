@@ -9,10 +9,10 @@ from typing import Any
 
 from twinmatch.launching.plan import LivePlan, Wiring
 from twinmatch.launching.processes import LaunchError
-from twinmatch.nodes.loop_parameters import closing_of
-from twinmatch.nodes.parameters import ParameterError, Values, check, flattened, render
 from twinmatch.nodes.sampler import understood, wires_of
-from twinmatch.nodes.twin_parameters import at_period, read_settings, twin_table, values_of
+from twinmatch.parameters.declared import ParameterError, Values, check, flattened, render
+from twinmatch.parameters.loop import closing_of
+from twinmatch.parameters.twin import at_period, read_settings, twin_table, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sessions.column_map import ColumnMap
 from twinmatch.sessions.documents import read_yaml

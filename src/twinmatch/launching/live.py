@@ -21,7 +21,7 @@ from twinmatch.nodes.node import Level, TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING
-from twinmatch.nodes.twin_parameters import read_settings
+from twinmatch.parameters.twin import read_settings
 from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing import Summary
 from twinmatch.showing.line import Lines, closing_lines

@@ -14,12 +14,12 @@ from rich.console import Console
 from twinmatch.comparing import Verdict
 from twinmatch.launching.processes import LaunchError, Processes
 from twinmatch.launching.settled import Settled
-from twinmatch.nodes.loop_parameters import UNKNOWN
 from twinmatch.nodes.messages import match_from, verdict_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.topics import EVERYTHING
-from twinmatch.nodes.twin_parameters import at_period, read_settings
+from twinmatch.parameters.loop import UNKNOWN
+from twinmatch.parameters.twin import at_period, read_settings
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
 from twinmatch.showing import Summary, summarise

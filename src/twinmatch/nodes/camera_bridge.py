@@ -27,9 +27,9 @@ from twinmatch.links.thermal_client import (
 )
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import time_message
+from twinmatch.parameters.declared import Parameter
 from twinmatch.signals import KELVIN
 
 FASTEST = 1000.0

@@ -15,13 +15,13 @@ from std_msgs.msg import Float64
 from twinmatch.control import Loop, Profile
 from twinmatch.dynamics import Pid, Plant, PlantError
 from twinmatch.nodes.controller_parameters import changed_profile, controller_table, profile_from
-from twinmatch.nodes.loop_parameters import pid_gains
 from twinmatch.nodes.node import Level, Report, TwinmatchNode, count_readers, missing_readers
-from twinmatch.nodes.parameters import Parameter, ParameterError, Values
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.nodes.wires import Wires, wires_of
+from twinmatch.parameters.declared import Parameter, ParameterError, Values
+from twinmatch.parameters.loop import pid_gains
 from twinmatch.plants import Peltier, find_plant
 from twinmatch_msgs.msg import LoopSample
 

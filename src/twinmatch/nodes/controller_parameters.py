@@ -7,9 +7,9 @@ from typing import Any
 
 from twinmatch.control import ControlError, Profile
 from twinmatch.dynamics import Plant, PlantError
-from twinmatch.nodes.loop_parameters import loop_parameters
 from twinmatch.nodes.node import READERS
-from twinmatch.nodes.parameters import Parameter
+from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.loop import loop_parameters
 from twinmatch.plants import Peltier, find_plant, written_name
 
 __all__ = ["changed_profile", "controller_table", "profile_from"]

@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 from rclpy.serialization import deserialize_message
 
 from twinmatch.nodes.node import KEEPER, Level, Report, TwinmatchNode
-from twinmatch.nodes.parameters import BUILT_IN, Parameter
 from twinmatch.nodes.past import PAST
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.parameters.declared import BUILT_IN, Parameter
 from twinmatch.sessions.spool import MessageSpool, SampleSpool
 from twinmatch.signals import SignalError
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState

@@ -20,7 +20,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check
+from twinmatch.parameters.declared import Parameter, ParameterError, Values, check
 
 PERIOD = 1.0
 """Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 from std_srvs.srv import Trigger
 
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import RELIABLE
+from twinmatch.parameters.declared import Parameter
 from twinmatch.safety import (
     ClockLimits,
     Fault,

@@ -11,8 +11,8 @@ from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.virtual_rig_clock import ClockClient, Stillness, parse_address
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
+from twinmatch.parameters.declared import Parameter
 
 __all__ = ["CLOCK", "PlantClock", "main"]
 

@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.parameters import Parameter
+from twinmatch.parameters.declared import Parameter
 
 __all__ = ["PlantPace"]
 

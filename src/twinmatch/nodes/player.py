@@ -22,8 +22,8 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_readers, missing_readers
 from twinmatch.nodes.pace import Pace
-from twinmatch.nodes.parameters import Parameter, Values
 from twinmatch.nodes.runner import run
+from twinmatch.parameters.declared import Parameter, Values
 from twinmatch.sessions import Message, Qos, Topic, read_session
 
 __all__ = ["Player", "PlayerError", "main"]

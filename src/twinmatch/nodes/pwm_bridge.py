@@ -12,11 +12,11 @@ from sensor_msgs.msg import Temperature
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
 from twinmatch.nodes.node import Report
 from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_limits, gate_table
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
+from twinmatch.parameters.declared import Parameter
 from twinmatch.safety import ClockLimits, GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand
 

@@ -20,10 +20,10 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.recorder_past import RecorderPast
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.topics import message_class, offered, reader_profile, wanted
+from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.documents import read_text
 from twinmatch.sessions.errors import DocumentError

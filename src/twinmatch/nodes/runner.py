@@ -29,7 +29,7 @@ from rclpy.utilities import remove_ros_args
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes import network
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.parameters import render
+from twinmatch.parameters.declared import render
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
 

@@ -17,10 +17,10 @@ from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, missing_readers
-from twinmatch.nodes.parameters import Parameter, ParameterError
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
+from twinmatch.parameters.declared import Parameter, ParameterError
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.sessions.column_map import parse_source
 from twinmatch.sessions.sampling import (

@@ -10,12 +10,12 @@ from typing import Any
 from rclpy.publisher import Publisher
 
 from twinmatch.nodes.node import Health, Level, Report, TwinmatchNode, Worker
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.past import CatchingUp, Stream
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.standstill import Standstill
 from twinmatch.nodes.topics import EVERYTHING
-from twinmatch.nodes.twin_parameters import settings_from, understood
+from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.twin import settings_from, understood
 from twinmatch.signals import Sample, SignalError
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample

@@ -10,10 +10,10 @@ from rclpy.qos import qos_profile_sensor_data
 from twinmatch.links.kit_link import KitLink, KitReading
 from twinmatch.nodes.kit_driver import KitDriver, KitPace
 from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_limits, gate_table
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
+from twinmatch.parameters.declared import Parameter
 from twinmatch.safety import ClockLimits, GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 

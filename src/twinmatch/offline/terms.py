@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from twinmatch.comparing import Candidate
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.twin_parameters import at_period, read_settings, recorded_values, settings_from
+from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session
 from twinmatch.sessions.candidates import parse_candidates, read_candidates
 from twinmatch.sessions.settings import CANDIDATES, parameters_of

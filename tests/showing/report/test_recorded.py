@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 
 from tests.support.rig import rig, run
 from twinmatch.nodes.messages import match_message, score_message
-from twinmatch.nodes.twin_parameters import settings_from, twin_values
+from twinmatch.parameters.twin import settings_from, twin_values
 from twinmatch.sessions import Qos, SessionWriter, Topic, samples_of
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.installed import schema_of

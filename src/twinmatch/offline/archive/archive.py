@@ -82,7 +82,7 @@ def judge_archive(
 
 
 def _terms(config: Path | None, candidates: Path | None, plant: str | None) -> Terms:
-    from twinmatch.nodes.twin_parameters import read_settings  # noqa: PLC0415 — imports the whole twin
+    from twinmatch.parameters.twin import read_settings  # noqa: PLC0415 — imports the whole twin
     from twinmatch.plants import find_plant  # noqa: PLC0415
     from twinmatch.sessions.candidates import read_candidates  # noqa: PLC0415
 

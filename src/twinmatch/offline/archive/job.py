@@ -98,8 +98,8 @@ def judge(job: Job, place: str = "") -> Outcome:
 
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as a dictionary for JSON, with one row per candidate."""
-    from twinmatch.nodes.twin_parameters import at_period, read_settings  # noqa: PLC0415
     from twinmatch.offline.judgement import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
+    from twinmatch.parameters.twin import at_period, read_settings  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError, open_any  # noqa: PLC0415
     from twinmatch.showing import document  # noqa: PLC0415

@@ -14,10 +14,10 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from twinmatch.description import Description
 from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.plant_clock import CLOCK
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.topics import LATCHED, offered, reader_profile, wanted
+from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.installed import schema_of
 from twinmatch.showing.foxglove.clock import StreamTime

@@ -19,11 +19,11 @@ from twinmatch.description import UNDESCRIBED
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.messages import description_from, forecast_from, verdict_from
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.parameters import Parameter
 from twinmatch.nodes.sample_messages import one_of, sample_from
 from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.topics import LATCHED
-from twinmatch.nodes.twin_parameters import read_settings
+from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.named import description_of
 from twinmatch.showing.page.page import Page

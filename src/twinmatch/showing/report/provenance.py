@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import twinmatch
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.twin_parameters import twin_table, values_of
+from twinmatch.parameters.twin import twin_table, values_of
 from twinmatch.twin import TwinSettings
 
 __all__ = ["FileHash", "Provenance", "Setting", "provenance", "settings_of"]

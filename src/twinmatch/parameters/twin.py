@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from twinmatch.dynamics import FILED, Closing, Filed, Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
-from twinmatch.nodes.loop_parameters import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
-from twinmatch.nodes.old_parameters import refuse_renamed, translated, without_absent
-from twinmatch.nodes.parameters import Parameter, ParameterError, Values, check, flattened
+from twinmatch.parameters.declared import Parameter, ParameterError, Values, check, flattened
+from twinmatch.parameters.loop import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
+from twinmatch.plants.written import structure_of
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
 from twinmatch.twin import ForecastSettings, TrustLimits, TwinError, TwinSettings
@@ -34,6 +34,27 @@ __all__ = [
     "understood",
     "values_of",
 ]
+
+
+_RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
+    "noise.temperature": ("noise.output",),
+    "noise.pwm": ("noise.input",),
+    "camera.noise": ("sensor.noise",),
+    "camera.resolution": ("sensor.resolution",),
+    "pid.limit": ("pid.low", "pid.high"),
+}
+"""Parameters of earlier versions, and their current names."""
+_MONITOR: Final = "only the health monitor reports faults"
+_BANDS: Final = "limits.doubtful sets how far beyond its bands a twin is doubtful"
+_GONE: Final = {
+    "limits.fault_y": _MONITOR,
+    "limits.fault_u": _MONITOR,
+    "limits.doubtful_y": _BANDS,
+    "limits.doubtful_u": _BANDS,
+    "health.drift": "health.change sets the evidence needed to report a change",
+}
+"""Removed parameters, and their replacements."""
+_START: Final = "start."
 
 
 def twin_table(
@@ -76,7 +97,7 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Parameter, .
     Raises:
         ParameterError: there is no such plant or structure, or it lacks a given parameter.
     """
-    refuse_renamed(place, given)
+    _refuse_renamed(place, given)
     try:
         if given.get("allow_fmu"):
             adopt_fmus(Path(str(given["allow_fmu"])))
@@ -87,7 +108,7 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Parameter, .
     except PlantError as error:
         msg = f"{place}: {error}"
         raise ParameterError(msg) from error
-    return table, without_absent(place, given, model)
+    return table, _without_absent(place, given, model)
 
 
 def twin_values(place: str, given: Mapping[str, Any]) -> Values:
@@ -108,7 +129,7 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
     Raises:
         ParameterError: as `twin_values`.
     """
-    kept = {name: value for name, value in translated(given).items() if name != "allow_fmu"}
+    kept = {name: value for name, value in _translated(given).items() if name != "allow_fmu"}
     if "plant" in kept:
         try:
             kept["plant"] = written_name(plant_named(str(kept["plant"])))
@@ -343,3 +364,56 @@ def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
             for n, text, unit, low, high in health
         ),
     )
+
+
+def _refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
+    """Refuse names that are no longer used.
+
+    Raises:
+        ParameterError: a given name is no longer used.
+    """
+    for name, now in _RENAMED.items():
+        if name in given:
+            msg = f"{place}: {name} is now called {' and '.join(now)}; rename it"
+            raise ParameterError(msg)
+    for name, instead in _GONE.items():
+        if name in given:
+            msg = f"{place}: {name} is no longer used: {instead}; remove it"
+            raise ParameterError(msg)
+
+
+def _without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[str, Any]:
+    """The given values without zeros for what the structure lacks: earlier versions left parts out so.
+
+    Raises:
+        ParameterError: a parameter that this structure lacks has a value other than zero.
+    """
+    kept = dict(given)
+    for name, value in given.items():
+        of = name.removeprefix(_START)
+        if of == name or of in model.declared or of not in model.plant.parameters:
+            continue
+        if value:
+            plant = model.plant
+            having = [s for s in plant.structures if of in plant.model(s).declared]
+            msg = (
+                f"{place}: parameter {name} is {value}, but structure {model.structure_name!r} has no {of}; "
+                f"choose a structure that has: {', '.join(having) or 'none'}"
+            )
+            raise ParameterError(msg)
+        del kept[name]
+    return kept
+
+
+def _translated(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Recorded values under their current names."""
+    kept = {name: value for name, value in given.items() if name not in {*_RENAMED, *_GONE}}
+    for old, names in _RENAMED.items():
+        if old in given:
+            kept |= dict.fromkeys(names, given[old])
+    if "pid.limit" in given:
+        kept["pid.low"] = -given["pid.limit"]
+    if "structure" not in kept and kept.get("plant", Peltier.name) == Peltier.name:
+        starts = {n.removeprefix(_START): v for n, v in kept.items() if n.startswith(_START)}
+        kept["structure"] = structure_of(Peltier, starts)
+    return kept

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from twinmatch.dynamics import FILED, Closing, Drive, Filed, PidGains, Plant, gains_for
-from twinmatch.nodes.parameters import Parameter
+from twinmatch.parameters.declared import Parameter
 
 __all__ = ["UNKNOWN", "closing_of", "loop_parameters", "pid_gains", "unit_of"]
 
