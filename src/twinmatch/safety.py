@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.settings import setting
 
 __all__ = [
     "ClockLimits",
@@ -89,22 +90,17 @@ class SafetyClock:
 class RunawayLimits:
     """Limits from which a drive without effect is a fault."""
 
-    hysteresis: float = 5.0
-    """Control error that is always tolerated, °C."""
-    patience: float = 120.0
-    """Integral of the error beyond the hysteresis, over the time without progress, that is a fault, °C·s."""
-    gain: float = 2.0
-    """Movement towards the set-point within `gain_time` that counts as progress, °C."""
-    gain_time: float = 20.0
-    """s"""
-    wrong_way: float = 3.0
-    """Movement away from the set-point at full drive that is a fault at once, °C."""
-    full_drive: float = 250.0
-    """Magnitude of the command from which the drive counts as full, in its unit."""
+    hysteresis: float = setting(5.0, "Control error that is always tolerated.", "{y}", 0.1, 100.0)
+    patience: float = setting(
+        120.0, "Integral of the error beyond it, without progress, that is a fault.", "{y}·s", 1.0, 1e5
+    )
+    gain: float = setting(2.0, "Movement towards the set-point that counts as progress.", "{y}", 0.01, 100.0)
+    gain_time: float = setting(20.0, "Time for that movement.", "s", 1.0, 3600.0)
+    wrong_way: float = setting(3.0, "Movement away at full drive that is a fault.", "{y}", 0.1, 100.0)
+    full_drive: float = setting(250.0, "Magnitude from which the drive counts as full.", "{u}", 1.0, 255.0)
 
     def __post_init__(self) -> None:
-        for name in ("hysteresis", "patience", "gain", "gain_time", "wrong_way", "full_drive"):
-            value = getattr(self, name)
+        for name, value in vars(self).items():
             if not (math.isfinite(value) and value > 0):
                 msg = f"runaway limits: {name} is {value}; it must be positive"
                 raise SafetyError(msg)
@@ -118,9 +114,9 @@ class Runaway:
     of the plant; it detects a lost drive, a detached sensor, or reversed polarity.
     """
 
-    def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate") -> None:
-        """Start without history; `thing` names what is heated or cooled, for messages."""
-        self._thing = thing
+    def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate", unit: str = "°C") -> None:
+        """Start without history; `thing` names what is driven, `unit` is that of its output, for messages."""
+        self._thing, self._unit = thing, unit
         self.limits = limits or RunawayLimits()
         self.reset()
 
@@ -129,13 +125,13 @@ class Runaway:
         self._time: float | None = None
         self._reference = 0.0
         self._heating = True
-        self._unexplained = 0.0  # °C·s
-        self._goal = 0.0  # distance from the set-point that will count as progress, °C
+        self._unexplained = 0.0  # in the output's unit times s
+        self._goal = 0.0  # distance from the set-point that will count as progress
         self._deadline = 0.0
         self._nearest_at_full = math.inf  # smallest distance since the drive became full
 
     def check(self, now: float, reference: float, temperature: float, drive: float) -> str | None:
-        """Take one tick (s, °C, °C, the drive's unit); returns an error message, or None.
+        """Take one tick (s, twice the output's unit, the drive's unit); returns an error message, or None.
 
         If the clock jumps back, the check starts over.
         """
@@ -154,7 +150,7 @@ class Runaway:
         if pushing and distance - self._nearest_at_full >= limits.wrong_way:
             word, away = "heating" if heating else "cooling", distance - self._nearest_at_full
             return (
-                f"at full {word} the {self._thing} moved {away:.1f} °C away from the set-point; "
+                f"at full {word} the {self._thing} moved {away:.1f} {self._unit} away from the set-point; "
                 "check drive, polarity and sensor"
             )
         return self._progress(now, elapsed, distance, drive)
@@ -178,8 +174,8 @@ class Runaway:
             return None
         word = "heating" if self._heating else "cooling"
         return (
-            f"{word} makes no progress: {distance:.1f} °C from the set-point, less than {limits.gain:g} °C "
-            f"closer in {limits.gain_time:g} s; check drive, fan and sensor"
+            f"{word} makes no progress: {distance:.1f} {self._unit} from the set-point, less than "
+            f"{limits.gain:g} {self._unit} closer in {limits.gain_time:g} s; check drive, fan and sensor"
         )
 
 
@@ -218,20 +214,22 @@ class Fault:
 class GuardLimits:
     """Limits beyond which the output goes to zero."""
 
-    command_timeout: float = 1.0
-    """Longest time between two commands, s."""
-    temperature_timeout: float = 3.0
-    """Highest age of the newest temperature, without repeated ones, s; flat-field corrections take 1 s."""
+    command_timeout: float = setting(1.0, "Zero after this time without a command.", "s", 0.1, 10.0)
+    temperature_timeout: float = setting(
+        3.0, "Zero when the newest temperature is older than this{note}.", "s", 0.1, 60.0
+    )
+    highest: float = setting(110.0, "Over-temperature limit.", "{y}", -50.0, 150.0)
+    lowest: float = setting(-10.0, "Under-temperature limit.", "{y}", -50.0, 150.0)
     commands: tuple[float, float] = (-255.0, 255.0)
     """Lowest and highest valid command."""
-    highest: float = 110.0
-    """Over-temperature limit, °C."""
-    lowest: float = -10.0
-    """Under-temperature limit, °C: below it the plate ices or the sensor is wrong."""
     thing: str = "plate"
     """Name of the heated object, for messages."""
     sensor: str = "camera"
     """Name of its sensor, for messages."""
+    unit: str = "°C"
+    """Unit of the output, that of the plant."""
+    drive_unit: str = "PWM"
+    """Unit of the commands."""
     runaway: RunawayLimits = field(default_factory=RunawayLimits)
 
     def __post_init__(self) -> None:
@@ -240,7 +238,8 @@ class GuardLimits:
                 msg = f"guard limits: {name} is {getattr(self, name)} s; it must be within 0 to 60 s"
                 raise SafetyError(msg)
         if not self.lowest < self.highest:
-            msg = f"guard limits: lowest {self.lowest} °C must be below highest {self.highest} °C"
+            low, high = f"{self.lowest} {self.unit}", f"{self.highest} {self.unit}"
+            msg = f"guard limits: lowest {low} must be below highest {high}"
             raise SafetyError(msg)
 
 
@@ -264,7 +263,7 @@ class OutputGuard:
     def __init__(self, limits: GuardLimits | None = None) -> None:
         """Start waiting, with the output at zero."""
         self.limits = limits or GuardLimits()
-        self._runaway = Runaway(self.limits.runaway, self.limits.thing)
+        self._runaway = Runaway(self.limits.runaway, self.limits.thing, self.limits.unit)
         self.clear()
 
     @property
@@ -288,16 +287,16 @@ class OutputGuard:
         limits = self.limits
         if self.fault is not None:
             return
+        found = f"the {limits.thing} is at {celsius:.1f} {limits.unit}"
         if not math.isfinite(celsius):
-            self.trip(
-                FaultKind.TEMPERATURE_INVALID, f"the temperature is {celsius}; check the {limits.sensor}", now
-            )
+            message = f"the temperature is {celsius}; check the {limits.sensor}"
+            self.trip(FaultKind.TEMPERATURE_INVALID, message, now)
         elif celsius > limits.highest:
-            found = f"the {limits.thing} is at {celsius:.1f} °C, above {limits.highest:g} °C"
-            self.trip(FaultKind.OVER_TEMPERATURE, f"{found}; let it cool and find the cause", now)
+            message = f"{found}, above {limits.highest:g} {limits.unit}; let it cool and find the cause"
+            self.trip(FaultKind.OVER_TEMPERATURE, message, now)
         elif celsius < limits.lowest:
-            found = f"the {limits.thing} is at {celsius:.1f} °C, below {limits.lowest:g} °C"
-            self.trip(FaultKind.UNDER_TEMPERATURE, f"{found}; check sensor and polarity", now)
+            message = f"{found}, below {limits.lowest:g} {limits.unit}; check sensor and polarity"
+            self.trip(FaultKind.UNDER_TEMPERATURE, message, now)
         else:
             self._temperature.take(celsius, now - max(0.0, age))
 

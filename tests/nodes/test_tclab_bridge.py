@@ -27,8 +27,7 @@ from tests.support.ros import Listener
 from tests.support.waiting import wait_for
 from twinmatch.control import Profile
 from twinmatch.nodes.controller_parameters import controller_table, profile_from
-from twinmatch.nodes.output_gate import gate_limits
-from twinmatch.nodes.tclab_bridge import LIMITS, TCLabBridge
+from twinmatch.nodes.tclab_bridge import TCLabBridge
 from twinmatch.parameters.declared import check, render
 from twinmatch.plants import TCLab
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
@@ -49,9 +48,8 @@ def test_the_file_is_what_the_tables_render_but_for_the_profile() -> None:
     assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
 
 
-def test_the_defaults_are_those_of_the_guard() -> None:
-    assert gate_limits(LIMITS, check("node", TCLabBridge.PARAMETERS, {})) == LIMITS
-    assert TCLab.output.safe[1] < LIMITS.highest < 100.0
+def test_the_heaters_go_off_between_the_highest_set_point_and_what_the_kit_bears() -> None:
+    assert TCLab.output.safe[1] < TCLabBridge.LIMITS.highest < 100.0
 
 
 class Rig:

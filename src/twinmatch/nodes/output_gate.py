@@ -11,21 +11,20 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from std_srvs.srv import Trigger
 
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Parameter, group, parameters_of
 from twinmatch.safety import (
     ClockLimits,
     Fault,
     FaultKind,
     GuardLimits,
     OutputGuard,
-    RunawayLimits,
     SafetyClock,
 )
 from twinmatch.signals import SignalError
@@ -147,85 +146,20 @@ class OutputGate:
         return self._safety_clock.read(times.plant, times.wall), times
 
 
-_C = ClockLimits()
-
-
-def gate_table(usual: GuardLimits, unit: str, *, stale: str = "") -> tuple[Parameter, ...]:
-    """Name, default, meaning, unit and range of the limits of a plant whose drive has the unit `unit`.
-
-    `stale` is appended to the description of the temperature's timeout and explains its default.
-    """
-    runaway = usual.runaway
-    low, high = usual.commands
-    most = max(abs(low), abs(high))
+def gate_table(usual: GuardLimits, note: str = "") -> tuple[Parameter, ...]:
+    """The parameters of the limits of a plant; `note` explains the default of the temperature's timeout."""
+    most = max(map(abs, usual.commands))
+    names = {"y": usual.unit, "u": usual.drive_unit, "note": note}
+    silence, *others = parameters_of(usual, **names)
+    *runaway, full = parameters_of(usual.runaway, "runaway.", **names)
+    clock = "Zero when /clock stands still for this long, by the wall clock."
     return (
-        Parameter(
-            "command_timeout",
-            usual.command_timeout,
-            "Zero after this time without a command.",
-            "s",
-            0.1,
-            10.0,
-        ),
-        Parameter(
-            "temperature_timeout",
-            usual.temperature_timeout,
-            f"Zero when the newest temperature is older than this{stale}.",
-            "s",
-            0.1,
-            60.0,
-        ),
-        Parameter(
-            "clock_timeout",
-            _C.patience,
-            "Zero when /clock stands still for this long, by the wall clock.",
-            "s",
-            0.1,
-            10.0,
-        ),
-        Parameter("highest", usual.highest, "Over-temperature limit.", "°C", -50.0, 150.0),
-        Parameter("lowest", usual.lowest, "Under-temperature limit.", "°C", -50.0, 150.0),
-        Parameter(
-            "runaway.hysteresis",
-            runaway.hysteresis,
-            "Control error that is always tolerated.",
-            "°C",
-            0.1,
-            100.0,
-        ),
-        Parameter(
-            "runaway.patience",
-            runaway.patience,
-            "Integral of the error beyond it, without progress, that is a fault.",
-            "°C·s",
-            1.0,
-            1e5,
-        ),
-        Parameter(
-            "runaway.gain",
-            runaway.gain,
-            "Movement towards the set-point that counts as progress.",
-            "°C",
-            0.01,
-            100.0,
-        ),
-        Parameter("runaway.gain_time", runaway.gain_time, "Time for that movement.", "s", 1.0, 3600.0),
-        Parameter(
-            "runaway.wrong_way",
-            runaway.wrong_way,
-            "Movement away at full drive that is a fault.",
-            "°C",
-            0.1,
-            100.0,
-        ),
-        Parameter(
-            "runaway.full_drive",
-            runaway.full_drive,
-            "Magnitude from which the drive counts as full.",
-            unit,
-            most / 255.0,
-            most,
-        ),
+        silence,
+        others[0],
+        Parameter("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 10.0),
+        *others[1:],
+        *runaway,
+        replace(full, low=most / 255.0, high=most),
     )
 
 
@@ -235,15 +169,8 @@ def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
     Raises:
         SafetyError: values contradict each other.
     """
-    runaway = {n.removeprefix("runaway."): v for n, v in values.items() if n.startswith("runaway.")}
-    return replace(
-        usual,
-        command_timeout=values["command_timeout"],
-        temperature_timeout=values["temperature_timeout"],
-        highest=values["highest"],
-        lowest=values["lowest"],
-        runaway=RunawayLimits(**runaway),
-    )
+    own = {parameter.name: values[parameter.name] for parameter in parameters_of(usual)}
+    return replace(usual, **own, runaway=replace(usual.runaway, **group(values, "runaway.")))
 
 
 UNWATCHED = 5.0
@@ -257,11 +184,18 @@ class GatedNode(TwinmatchNode):
     `plant/clear_fault` or `~/clear_fault` is called; `plant/stop` and `~/stop` latch one.
     """
 
-    BOARD: str
+    BOARD: ClassVar[str]
     """Name of the hardware in messages."""
+    LIMITS: ClassVar[GuardLimits]
+    """The usual limits, whose `gate_table` is part of the parameters."""
 
-    def make_gate(self, limits: GuardLimits, clock: ClockLimits) -> None:
-        """Create the gate."""
+    def make_gate(self) -> None:
+        """Create the gate.
+
+        Raises:
+            SafetyError: parameters contradict each other.
+        """
+        limits, clock = gate_limits(self.LIMITS, self.values), ClockLimits(self.values["clock_timeout"])
         self.gate = OutputGate(self._read_clocks, limits, clock)
         self._reported_fault: Fault | None = None
         self._sampled_at = 0.0

@@ -3,47 +3,26 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Temperature
 
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
 from twinmatch.nodes.node import Report
-from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_limits, gate_table
+from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_table
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Parameter
-from twinmatch.safety import ClockLimits, GuardLimits
+from twinmatch.parameters.loop import unit_of
+from twinmatch.plants import Peltier
+from twinmatch.safety import GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand
 
-_G, _L = GuardLimits(), LinkSettings()
-
-PWM_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("port", "/dev/ttyACM0", "Serial port of the PWM board."),
-    Parameter(
-        "timeout", _L.timeout, "Longest wait for an answer of the board, by the wall clock.", "s", 0.01, 2.0
-    ),
-    Parameter("retries", _L.retries, "Retries of an unanswered request.", "", 0, 10),
-    Parameter("repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2),
-    Parameter("frame_id", "driver", "Frame of plant/pwm_applied."),
-    *gate_table(_G, "PWM", stale="; a flat-field correction takes 1 s"),
-)
-
-
-def limits_from(values: Mapping[str, Any]) -> GuardLimits:
-    """The guard's limits from checked parameter values.
-
-    Raises:
-        SafetyError: values contradict each other.
-    """
-    return gate_limits(_G, values)
-
-
 NAN = float("nan")
+_TIMEOUT = "Longest wait for an answer of the board, by the wall clock."
 SIMULATED_POLL = 0.004
 """Longest sleep of the driver when the plant's clock may run many times faster than the wall clock, s."""
 
@@ -53,7 +32,15 @@ class PwmBridge(GatedNode):
 
     NAME = "pwm_bridge"
     BOARD = "PWM board"
-    PARAMETERS: ClassVar = PWM_PARAMETERS
+    LIMITS: ClassVar = GuardLimits(unit=Peltier.output.unit, drive_unit=unit_of(Peltier.drive))
+    PARAMETERS: ClassVar = (
+        Parameter("port", "/dev/ttyACM0", "Serial port of the PWM board."),
+        Parameter("timeout", LinkSettings().timeout, _TIMEOUT, "s", 0.01, 2.0),
+        Parameter("retries", LinkSettings().retries, "Retries of an unanswered request.", "", 0, 10),
+        Parameter("repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2),
+        Parameter("frame_id", "driver", "Frame of plant/pwm_applied."),
+        *gate_table(LIMITS, "; a flat-field correction takes 1 s"),
+    )
     CLOSING: ClassVar = 3
 
     def read_parameters(self) -> None:
@@ -64,7 +51,7 @@ class PwmBridge(GatedNode):
         """
         values = self.values
         self._link = PwmLink(values["port"], LinkSettings(values["timeout"], values["retries"]))
-        self.make_gate(limits_from(values), ClockLimits(values["clock_timeout"]))
+        self.make_gate()
         self._pwm_driver: PwmDriver | None = None
 
     def open(self) -> None:

@@ -9,30 +9,19 @@ from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitLink, KitReading
 from twinmatch.nodes.kit_driver import KitDriver, KitPace
-from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_limits, gate_table
+from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_table
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Parameter
-from twinmatch.safety import ClockLimits, GuardLimits, RunawayLimits
+from twinmatch.parameters.loop import unit_of
+from twinmatch.plants import TCLab
+from twinmatch.safety import GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
-
-__all__ = ["LIMITS", "TCLabBridge", "main"]
 
 NAN = float("nan")
 SIMULATED_POLL = 0.004
 """Longest sleep of the driver when the plant's clock may run many times faster than the wall clock, s."""
-
-LIMITS = GuardLimits(
-    commands=(0.0, 100.0),
-    highest=85.0,  # 10 °C above the highest set-point; the kit itself tolerates 100 °C
-    lowest=-10.0,
-    thing="heater",
-    sensor="kit",
-    # A heater at full power gains 8 °C in 30 s at first, and 2 °C near its highest temperature.
-    runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
-)
-"""Limits beyond which the kit's heaters are switched off."""
 
 
 class TCLabBridge(GatedNode):
@@ -43,6 +32,17 @@ class TCLabBridge(GatedNode):
 
     NAME = "tclab_bridge"
     BOARD = "kit"
+    LIMITS: ClassVar = GuardLimits(
+        commands=(0.0, 100.0),
+        highest=85.0,  # 10 °C above the highest set-point; the kit itself tolerates 100 °C
+        lowest=-10.0,
+        thing="heater",
+        sensor="kit",
+        unit=TCLab.output.unit,
+        drive_unit=unit_of(TCLab.drive),
+        # A heater at full power gains 8 °C in 30 s at first, and 2 °C near its highest temperature.
+        runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
+    )
     PARAMETERS: ClassVar = (
         Parameter(
             "port", "", "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
@@ -58,7 +58,7 @@ class TCLabBridge(GatedNode):
             5.0,
         ),
         Parameter("frame_id", "kit", "Frame of plant/reading and plant/applied."),
-        *gate_table(LIMITS, "%"),
+        *gate_table(LIMITS),
     )
     CLOSING: ClassVar = 6
 
@@ -70,7 +70,7 @@ class TCLabBridge(GatedNode):
         """
         values = self.values
         self._link = KitLink(values["port"], values["deadline"])
-        self.make_gate(gate_limits(LIMITS, values), ClockLimits(values["clock_timeout"]))
+        self.make_gate()
         self._kit_driver: KitDriver | None = None
 
     def open(self) -> None:

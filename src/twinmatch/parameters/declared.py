@@ -11,13 +11,24 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import shown
 
-__all__ = ["BUILT_IN", "Parameter", "ParameterError", "Value", "Values", "check", "flattened", "render"]
+__all__ = [
+    "BUILT_IN",
+    "Parameter",
+    "ParameterError",
+    "Value",
+    "Values",
+    "check",
+    "flattened",
+    "group",
+    "parameters_of",
+    "render",
+]
 
 Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]
@@ -93,6 +104,34 @@ class Parameter:
         if isinstance(item, str):
             return not self.choices or item in self.choices
         return bool(self.low <= item <= self.high)
+
+
+def parameters_of(record: Any, prefix: str = "", **names: str) -> tuple[Parameter, ...]:
+    """The parameters for the settings that a dataclass declares, with an object's values as defaults.
+
+    Args:
+        record: an object of the dataclass.
+        prefix: precedes their names.
+        names: fill in what texts and units leave open, such as the plant's `y`.
+    """
+    names = {"y": "", "u": "", "note": "", **names}
+    return tuple(
+        Parameter(
+            prefix + it.name,
+            getattr(record, it.name),
+            it.metadata["text"].format_map(names),
+            it.metadata["unit"].format_map(names),
+            it.metadata["low"],
+            it.metadata["high"],
+        )
+        for it in fields(record)
+        if "text" in it.metadata
+    )
+
+
+def group(values: Mapping[str, Any], prefix: str) -> Values:
+    """The values whose names start with a prefix, without it."""
+    return {name.removeprefix(prefix): it for name, it in values.items() if name.startswith(prefix)}
 
 
 def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Values:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from twinmatch.dynamics import FILED, Closing, Drive, Filed, PidGains, Plant, gains_for
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Parameter, group
 
 __all__ = ["UNKNOWN", "closing_of", "loop_parameters", "pid_gains", "unit_of"]
 
@@ -64,8 +64,7 @@ def pid_gains(values: Mapping[str, Any]) -> PidGains:
     Raises:
         PlantError: the gains cannot be used.
     """
-    gains = {n.removeprefix("pid."): v for n, v in values.items() if n.startswith("pid.")}
-    return PidGains(period=values["period"], **gains)
+    return PidGains(period=values["period"], **group(values, "pid."))
 
 
 def _span(default: float) -> tuple[float, float]:
