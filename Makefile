@@ -29,30 +29,34 @@ export PIP_ROOT_USER_ACTION := ignore
 unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 
-PIP := $(RUN) -m pip --quiet install --prefer-binary --progress-bar off
+INSTALL := sh .ci/install.sh $(RUN)
 
-.PHONY: help setup test check demo bench docs dist pythons clean
+.PHONY: help setup setup-test test check demo bench docs dist pythons clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13;"
 	@echo "                          ROS=kilted uses that ROS 2 instead of jazzy)"
-	@echo "make test                 setup, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
-	@echo "make check                setup, then only ruff, mypy and import-linter"
+	@echo "make setup-test           setup, then the tools of the tests, a browser and the simulated Arduino"
+	@echo "make test                 setup-test, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
+	@echo "make check                setup-test, then only ruff, mypy and import-linter"
 	@echo "make demo                 setup, then run the live graph on a virtual rig (SESSION=path plays a session instead)"
 	@echo "make bench                setup and the peers, then compare speeds (BENCH_ARGS='--quick nu_gap' picks)"
-	@echo "make docs                 setup, then the pages of docs/ as a site in build/docs"
+	@echo "make docs                 setup-test, then the pages of docs/ as a site in build/docs"
 	@echo "make dist                 setup, then wheels of twinmatch and its messages in dist/, to install without a clone"
-	@echo "make pythons              setup and PYTHON_TESTS with each of PYTHONS that is installed, in build/<python>"
+	@echo "make pythons              setup-test and PYTHON_TESTS with each of PYTHONS that is installed, in build/<python>"
 	@echo "make clean                remove $(VENV) and everything built"
 
-setup: $(STAMPS)/messages $(STAMPS)/board $(STAMPS)/browser $(STAMPS)/compiled
+setup: $(STAMPS)/messages $(STAMPS)/compiled
 	@:
 
-test: setup
+setup-test: setup $(STAMPS)/test $(STAMPS)/board $(STAMPS)/browser
+	@:
+
+test: setup-test
 	$(RUN) -m pytest $(PYTEST_ARGS)
 
-check: setup
+check: setup-test
 	$(RUN) -m pytest -q tests/packaging/test_house.py
 
 demo: setup
@@ -61,7 +65,7 @@ demo: setup
 bench: setup $(STAMPS)/peers
 	$(RUN) -m benchmarks $(BENCH_ARGS)
 
-docs: setup
+docs: setup-test
 	$(RUN) -m sphinx -q -W --keep-going docs build/docs
 	@echo "docs: build/docs/index.html"
 
@@ -73,7 +77,7 @@ dist: setup
 pythons:
 	@for python in $(PYTHONS); do \
 		if ! $$python -c "" 2>/dev/null; then echo "pythons: $$python is not installed; skipped"; continue; fi; \
-		$(MAKE) --no-print-directory setup VENV=build/$$python PYTHON=$$python && \
+		$(MAKE) --no-print-directory setup-test VENV=build/$$python PYTHON=$$python && \
 		build/$$python/bin/python -m pytest -q $(PYTHON_TESTS) || exit 1; \
 	done
 
@@ -87,30 +91,35 @@ $(STAMPS)/venv:
 	@$(PYTHON) .ci/check_machine.py
 	@echo "setup: making $(VENV) with $$($(PYTHON) --version)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) --upgrade pip
 	@mkdir -p $(STAMPS) && touch $@
 
 # Wheels of two releases share names and folders, so one set is removed before the other is installed.
 $(STAMPS)/ros-$(ROS): | $(STAMPS)/venv
-	@$(RUN) -m pip list --format=freeze 2>/dev/null | sed -n 's/^\(ros-[^=]*\|twinmatch[-_]msgs\)[= ].*/\1/p' | \
+	@! ls $(STAMPS)/ros-* >/dev/null 2>&1 || \
+		$(RUN) -m pip list --format=freeze 2>/dev/null | sed -n 's/^\(ros-[^=]*\|twinmatch[-_]msgs\)[= ].*/\1/p' | \
 		xargs -r $(RUN) -m pip --quiet uninstall --yes
 	@rm -f $(STAMPS)/ros-*
 	@touch $@
 
 $(STAMPS)/dependencies: pyproject.toml setup.py setup.cfg package.xml $(wildcard config/*) $(STAMPS)/ros-$(ROS) | $(STAMPS)/venv
-	@echo "setup: installing twinmatch with ROS 2 ($(ROS)) and the test tools (a minute or two)"
-	@$(PIP) --editable '.[$(ROS_EXTRA),test]'
+	@echo "setup: installing twinmatch with ROS 2 ($(ROS)) (half a minute)"
+	@$(INSTALL) --editable '.[$(ROS_EXTRA),run]'
 	@touch $@
 
 $(STAMPS)/messages: $(wildcard $(MESSAGES)/msg/*.msg $(MESSAGES)/srv/*.srv) $(addprefix $(MESSAGES)/,setup.py pyproject.toml package.xml) $(STAMPS)/dependencies
 	@echo "setup: building the ROS messages (half a minute)"
 	@$(RUN) .ci/check_machine.py
-	@$(PIP) --no-build-isolation --no-deps --force-reinstall ./$(MESSAGES)
+	@$(RUN) -m pip --quiet install --no-index --no-build-isolation --no-deps --force-reinstall ./$(MESSAGES)
 	@touch $@
 
-$(STAMPS)/peers: pyproject.toml $(STAMPS)/dependencies
+$(STAMPS)/test: $(STAMPS)/dependencies
+	@echo "setup: installing the tools of the tests (half a minute)"
+	@$(INSTALL) --editable '.[$(ROS_EXTRA),test]'
+	@touch $@
+
+$(STAMPS)/peers: $(STAMPS)/test
 	@echo "bench: installing the peers (a minute)"
-	@$(PIP) --editable '.[bench]'
+	@$(INSTALL) --editable '.[$(ROS_EXTRA),test,bench]'
 	@touch $@
 
 $(STAMPS)/board: .ci/board_tools.sh | $(STAMPS)/venv

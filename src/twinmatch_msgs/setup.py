@@ -7,12 +7,18 @@ file is not used: colcon reads package.xml and CMakeLists.txt.
 
 from __future__ import annotations
 
+import copy
+import functools
+import multiprocessing
 import os
 import re
 import shutil
 import sysconfig
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import distributions
 from pathlib import Path
+from typing import Any
 
 from setuptools import Extension, setup
 from setuptools.command.build import build
@@ -24,6 +30,8 @@ MESSAGES = sorted((HERE / "msg").glob("*.msg"))
 SERVICES = sorted((HERE / "srv").glob("*.srv"))
 GENERATED = HERE / "build" / "generated" / NAME
 USED_PACKAGES = ("std_msgs", "service_msgs", "builtin_interfaces")
+JOINED = {"python.c": "*_s.c", "fastrtps.cpp": "*__type_support_c.cpp"}
+"""Generated files that are compiled as one: their headers take longer than their code."""
 
 DISPATCH_HEAD = """\
 #include <cstring>
@@ -105,6 +113,7 @@ def generate(prefix: Path) -> None:
     from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
     from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
+    parse_once()
     share = [str(prefix / "share")]
     idl = [
         str(path)
@@ -119,15 +128,47 @@ def generate(prefix: Path) -> None:
     hashes = HashTypeDescription("hashes").generate_type_hashes(
         package_name=NAME, interface_files=idl, include_paths=share, output_path=GENERATED
     )
-    GenerateC("c").generate(NAME, idl, share, GENERATED, type_description_files=hashes)
-    for path in GENERATED.glob("*/detail/*__type_support.c"):  # the introspection has files of this name too
-        path.rename(path.with_name(path.name.replace("__type_support", "__events")))
-    GenerateFastRTPSCTypesupport("fastrtps").generate(NAME, idl, share, GENERATED)
-    GenerateIntrospectionCTypesupport("introspection").generate(NAME, idl, share, GENERATED)
+
+    def generate_c() -> None:
+        GenerateC("c").generate(NAME, idl, share, GENERATED, type_description_files=hashes)
+        for path in GENERATED.glob(
+            "*/detail/*__type_support.c"
+        ):  # the introspection has files of this name too
+            path.rename(path.with_name(path.name.replace("__type_support", "__events")))
+        GenerateIntrospectionCTypesupport("introspection").generate(NAME, idl, share, GENERATED)
+
+    def generate_fastrtps() -> None:
+        GenerateFastRTPSCTypesupport("fastrtps").generate(NAME, idl, share, GENERATED)
+
+    def generate_python() -> None:
+        implementations = {"typesupport_implementations": ["rosidl_typesupport_c"]}
+        GeneratePython("python", **implementations).generate(NAME, idl, share, GENERATED)
+
+    side_by_side(generate_python, generate_c, generate_fastrtps)
     (GENERATED / "dispatch.cpp").write_text(DISPATCH_HEAD + "".join(map(dispatch, MESSAGES + SERVICES)))
-    implementations = {"typesupport_implementations": ["rosidl_typesupport_c"]}
-    GeneratePython("python", **implementations).generate(NAME, idl, share, GENERATED)
+    for name, pattern in JOINED.items():
+        parts = sorted(path.relative_to(GENERATED.parent) for path in GENERATED.rglob(pattern))
+        (GENERATED / name).write_text("".join(f'#include "{part}"\n' for part in parts))
     (GENERATED / "__init__.py").touch()
+
+
+def parse_once() -> None:
+    """Let the generators share what is parsed: each of them parses every file, and that is most of their time."""
+    from rosidl_parser import parser
+
+    parse = functools.cache(parser.parse_idl_string)
+    parser.parse_idl_string = lambda text, **options: copy.deepcopy(parse(text, **options))
+
+
+def side_by_side(*jobs: Callable[[], None]) -> None:
+    """Run jobs in processes of their own, which know everything that this one does."""
+    started = [multiprocessing.get_context("fork").Process(target=job) for job in jobs]
+    for process in started:
+        process.start()
+    for process in started:
+        process.join()
+    if any(process.exitcode for process in started):
+        raise SystemExit(f"{NAME}: the rosidl generators failed")
 
 
 def dispatch(source: Path) -> str:
@@ -148,9 +189,11 @@ def fill(extension: Extension, prefix: Path) -> None:
     """Set the extension's sources to the generated code, and its libraries to those of the messages used."""
     import numpy
 
-    extension.sources = sorted(
-        os.path.relpath(path, HERE) for path in GENERATED.rglob("*") if path.suffix in {".c", ".cpp"}
-    )
+    joined = {path for pattern in JOINED.values() for path in GENERATED.rglob(pattern)}
+    sources = {path for path in GENERATED.rglob("*") if path.suffix in {".c", ".cpp"}} - joined
+    # The longest first, so that no processor waits for one at the end.
+    names = [os.path.relpath(path, HERE) for path in sorted(sources)]
+    extension.sources = sorted(names, key=lambda name: Path(name).name not in JOINED)
     include = prefix / "include"
     folders = sorted(path for path in include.iterdir() if path.is_dir())
     extension.include_dirs = [str(path) for path in (GENERATED.parent, include, *folders)]
@@ -186,8 +229,19 @@ class BuildExtension(build_ext):
         """Fill in the sources, then compile them."""
         for extension in self.extensions:
             fill(extension, ros_prefix())
-        self.parallel = self.parallel or os.cpu_count()
         super().run()
+
+    def build_extensions(self) -> None:
+        """Compile the sources of the extension side by side."""
+        compile_some = self.compiler.compile
+
+        def compile_all(sources: list[str], **options: Any) -> list[str]:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                made = pool.map(lambda source: compile_some([source], **options), sources)
+                return [name for names in made for name in names]
+
+        self.compiler.compile = compile_all
+        super().build_extensions()
 
 
 for folder in ("msg", "srv"):
