@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.places import PROJECT
-from tests.support.prose import read_prose
+from tests.words.test_style import prose
 from twinmatch.comparing.verdict import ADMITTED, REFUSED, TrustLevel
 from twinmatch.fitting.gate import Status
 from twinmatch.health.faults import Fault, State
@@ -115,7 +115,7 @@ QUOTED = [
 
 @pytest.fixture(scope="module")
 def said() -> str:
-    return "\n".join(" ".join(text.split()) for path in SOURCES for _, text in read_prose(path))
+    return "\n".join(" ".join(text.split()) for path in SOURCES for text in prose(path))
 
 
 def test_there_are_quotations() -> None:

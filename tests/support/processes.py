@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -9,11 +10,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from tests.support.waiting import PATIENCE, wait_for
+from twinmatch.cli import main
 
 T = TypeVar("T")
 
@@ -183,9 +185,17 @@ class Processes:
             process.kill()
 
 
-def run_twinmatch(
-    *arguments: object, folder: Path | None = None, patience: float = 4 * PATIENCE
-) -> subprocess.CompletedProcess[str]:
-    """Run the command line to its end."""
-    command = [sys.executable, "-m", "twinmatch.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, timeout=patience)
+def run_twinmatch(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in this process, in a folder: what it prints, and its exit code."""
+    words = [str(word) for word in arguments]
+    out, err = io.StringIO(), io.StringIO()
+    before = Path.cwd()
+    os.chdir(folder or before)
+    try:
+        with redirect_stdout(out), redirect_stderr(err):
+            code = main(words)
+    except SystemExit as ended:  # argparse
+        code = ended.code if isinstance(ended.code, int) else 1
+    finally:
+        os.chdir(before)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
