@@ -153,7 +153,7 @@ def generate(prefix: Path) -> None:
 
 
 def parse_once() -> None:
-    """Let the generators share what is parsed: each of them parses every file, and that is most of their time."""
+    """Let the generators share what is parsed; each parses every file, which is most of their time."""
     from rosidl_parser import parser
 
     parse = functools.cache(parser.parse_idl_string)
