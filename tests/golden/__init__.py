@@ -46,7 +46,7 @@ GROUPS: Final = (
 )
 """Groups of the fields of a judged session, by the outermost name but `verdicts`, which is for the rest."""
 MARK: Final = re.compile(r" \(FMU [0-9a-f]{8}\)")
-"""The hash of an FMU in the name of its structure: of a file that is built anew."""
+"""The hash of an FMU in the name of its structure: of a file that is built again."""
 ROUGHLY: Final = 1e-3
 """How far figures may be apart on another machine, relatively."""
 
