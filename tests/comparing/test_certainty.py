@@ -10,16 +10,17 @@ import pytest
 from twinmatch.comparing import (
     CandidateScore,
     Certainty,
-    Held,
+    LoopConditions,
     PlantGaps,
     Uncertain,
     family_uncertainty,
     judge_uncertainty,
-    loop_margin,
+    loop_controller,
     loop_plant,
     nu_gap_of,
     plant_gaps,
     spans_of,
+    stability_margin,
 )
 from twinmatch.dynamics import Parameters, PidGains, gains_of
 from twinmatch.plants import Peltier
@@ -31,7 +32,7 @@ RIGS = {
     "70 °C": MODEL.parameters(seebeck=0.055, conductance=0.55, heat_capacity=28.0),
     "90 °C": MODEL.parameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
 }
-TERMS = Held(gains_of(Peltier, 1.0), spans_of(Peltier))
+TERMS = LoopConditions(gains_of(Peltier, 1.0), spans_of(Peltier))
 COVARIANCE = np.diag([0.002, 0.03, 0.8]) ** 2
 """Of Seebeck coefficient, conductance and heat capacity, as a good window leaves them."""
 
@@ -68,7 +69,9 @@ def test_every_field_is_filled_with_what_its_source_says() -> None:
     nominal = loop_plant(RIGS["70 °C"], 70.0)
     for k, (candidate, (name, rig)) in enumerate(zip(found.candidates, RIGS.items(), strict=True)):
         point = float(name.split(maxsplit=1)[0])
-        assert candidate.margin == loop_margin(rig, point)
+        assert candidate.margin == stability_margin(
+            loop_plant(rig, point), loop_controller(gains_of(Peltier, 1.0))
+        )
         assert candidate.plant_gap_to_nominal == nu_gap_of(loop_plant(rig, point), nominal)
         assert candidate.nu_gap_low == tuple(known.nu_gap_low[k])
         assert candidate.nu_gap_high == tuple(known.nu_gap_high[k])
@@ -108,7 +111,7 @@ def test_a_choice_against_the_probabilities_is_not_decided() -> None:
 def test_a_single_candidate_leaves_no_choice() -> None:
     found = judged("50 °C", family=1)
     assert found.decided
-    margin = loop_margin(RIGS["50 °C"], 50.0)
+    margin = stability_margin(loop_plant(RIGS["50 °C"], 50.0), loop_controller(gains_of(Peltier, 1.0)))
     assert found.certainty == (
         "50 °C is the only candidate; the controller stabilises it and every plant "
         f"within a ν-gap of {margin:.2f}"

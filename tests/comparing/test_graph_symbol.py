@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.comparing import DiscriminationError, GraphSymbol, graph_symbol, nu_gap_of
-from twinmatch.comparing.polynomials import even_part, exact, multiply, to_half_plane
-from twinmatch.comparing.state_space import column_of
+from twinmatch.comparing.polynomials import column_of, even_part, exact, multiply, to_half_plane
 
 wholes = st.lists(st.integers(-50, 50), min_size=1, max_size=6)
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.comparing.hurwitz import is_hurwitz
-from twinmatch.comparing.polynomials import Polynomial, multiply
+from twinmatch.comparing.polynomials import Polynomial, is_hurwitz, multiply
 
 rationals = st.fractions(Fraction(-5), Fraction(5), max_denominator=1000)
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from tests.support.servo import PERIOD, Servo
-from twinmatch.comparing import Held, Uncertain, family_uncertainty, plant_gaps, spans_of
-from twinmatch.comparing.held import ANGLES, held_slopes
+from twinmatch.comparing import LoopConditions, Uncertain, family_uncertainty, plant_gaps, spans_of
+from twinmatch.comparing.plant_gap import ANGLES, response_slopes
 
-TERMS = Held(None, spans_of(Servo), 240, PERIOD)
+TERMS = LoopConditions(None, spans_of(Servo), 240, PERIOD)
 POINTS = (0.0, 90.0)
 
 
 def test_responses_are_those_of_an_integrator() -> None:
     """By formula: k/(s (1 + t s)) with a hold, at frequencies at which the hold does not matter."""
     servo = Servo.model("free").parameters(k=50.0, t=0.12)
-    response, slopes = held_slopes(servo, ("k", "t"), 0.0, TERMS)
+    response, slopes = response_slopes(servo, ("k", "t"), 0.0, TERMS)
     assert np.isfinite(response).all()
     assert np.isfinite(slopes).all()
     s = 1j * ANGLES[1:3] / PERIOD

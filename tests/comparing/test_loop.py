@@ -14,7 +14,6 @@ from twinmatch.comparing import (
     DiscriminationError,
     Scales,
     loop_controller,
-    loop_margin,
     loop_plant,
     nu_gap,
     nu_gap_of,
@@ -48,6 +47,14 @@ class Lagging(Peltier, name="lagging-peltier"):
     structures = {  # noqa: RUF012
         "sensor lag": Structure(free=("seebeck",), parts=frozenset({"sensor lag"}))
     }
+
+
+def loop_margin(
+    rig: Parameters, point: float, gains: PidGains = GAINS, scales: Scales | None = None
+) -> float:
+    return stability_margin(
+        loop_plant(rig, point, gains, scales=scales), loop_controller(gains, scales=scales)
+    )
 
 
 def balance(rig: Parameters, celsius: float) -> tuple[float, float]:

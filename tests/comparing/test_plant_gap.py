@@ -13,7 +13,7 @@ from scipy.stats import spearmanr
 from tests.support.plants import Lag
 from twinmatch.comparing import (
     DiscriminationError,
-    Held,
+    LoopConditions,
     Scales,
     loop_plant,
     nu_gap_of,
@@ -21,7 +21,7 @@ from twinmatch.comparing import (
     plant_gaps,
     spans_of,
 )
-from twinmatch.comparing.held import ANGLES, held, held_slopes, held_symbol
+from twinmatch.comparing.plant_gap import ANGLES, linearised_in_loop, response_slopes, symbol_in_loop
 from twinmatch.dynamics import (
     Parameters,
     PidGains,
@@ -39,7 +39,7 @@ from twinmatch.signals import FloatArray
 MODEL = Peltier.model()
 RICH = Peltier.model("sink with mass, free ambient, switched drive")
 GAINS = gains_of(Peltier, 1.0)
-TERMS = Held(GAINS, spans_of(Peltier))
+TERMS = LoopConditions(GAINS, spans_of(Peltier))
 POINTS = (30.0, 50.0, 70.0, 90.0)
 ONE = MODEL.parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
 OTHER = MODEL.parameters(seebeck=0.075, conductance=0.4, heat_capacity=24.0)
@@ -119,7 +119,7 @@ def test_it_does_not_depend_on_order_or_common_units(
 ) -> None:
     gap = plant_gap(one, other, POINTS, TERMS)
     assert plant_gap(other, one, POINTS, TERMS) == pytest.approx(gap, abs=1e-9)
-    scaled = Held(GAINS, Scales(35.0 * factor, 255.0 * factor))
+    scaled = LoopConditions(GAINS, Scales(35.0 * factor, 255.0 * factor))
     assert plant_gap(one, other, POINTS, scaled) == pytest.approx(gap, abs=1e-9)
 
 
@@ -164,7 +164,7 @@ def test_a_twin_that_cannot_rest_is_taken_as_the_loop_holds_it() -> None:
 
 
 def test_beyond_the_drive_it_is_taken_where_the_drive_holds_it() -> None:
-    found = held(ONE, 300.0, TERMS)
+    found = linearised_in_loop(ONE, 300.0, TERMS)
     assert found.rest.input == 255.0
     top = found.rest.states[0] - 273.15
     assert 80.0 < top < 300.0
@@ -180,22 +180,22 @@ def test_a_point_at_which_one_twin_has_no_plant_is_left_out_for_all() -> None:
     assert "too short for a period of 1 s" in found.left_out[0]
     np.testing.assert_array_equal(found.matrix, 1.0 - np.eye(3))
     with pytest.raises(PlantError):
-        held_symbol(hopeless, 50.0, TERMS)
+        symbol_in_loop(hopeless, 50.0, TERMS)
 
 
 def test_a_loop_that_diverges_is_refused() -> None:
     lag, scales = Lag.model().parameters(), spans_of(Lag)
-    calm = Held(PidGains(1.0, 0.1, 0.0, 1.0, -10.0, 10.0), scales)
-    assert held(lag, 3.0, calm).rest.states[0] == pytest.approx(3.0, abs=1e-6)
-    wild = Held(PidGains(1e6, 0.0, 0.0, 0.0, -1e308, 1e308), scales)
+    calm = LoopConditions(PidGains(1.0, 0.1, 0.0, 1.0, -10.0, 10.0), scales)
+    assert linearised_in_loop(lag, 3.0, calm).rest.states[0] == pytest.approx(3.0, abs=1e-6)
+    wild = LoopConditions(PidGains(1e6, 0.0, 0.0, 0.0, -1e308, 1e308), scales)
     with pytest.raises(DiscriminationError, match="the loop of Lag, lag does not hold it at 3 m"):
-        held(lag, 3.0, wild)
+        linearised_in_loop(lag, 3.0, wild)
     assert len(plant_gaps([lag, lag.replace(gain=3.0)], [3.0], wild).left_out) == 1
 
 
 def test_it_is_the_plant_of_the_margin_in_other_units() -> None:
     """At one point and in units of the margin both say the same."""
-    terms = Held(GAINS, Scales.of(GAINS))
+    terms = LoopConditions(GAINS, Scales.of(GAINS))
     expected = nu_gap_of(loop_plant(ONE, 60.0), loop_plant(OTHER, 60.0))
     assert plant_gap(ONE, OTHER, [60.0], terms) == pytest.approx(expected, rel=1e-3)
 
@@ -205,13 +205,13 @@ def test_it_is_the_plant_of_the_margin_in_other_units() -> None:
 def test_slopes_are_those_of_the_exact_responses(twin: Parameters, point: float) -> None:
     """Along one direction in all free parameters, against two plants ten times farther apart."""
     free = twin.model.structure.free
-    response, slopes = held_slopes(twin, free, point, TERMS)
+    response, slopes = response_slopes(twin, free, point, TERMS)
     scales = {name: twin.model.declared[name].scale for name in free}
     moved = [
         twin.replace(**{name: twin[name] + sign * 5e-3 * scale for name, scale in scales.items()})
         for sign in (1, -1)
     ]
-    difference = np.subtract(*(held_slopes(m, (), point, TERMS)[0] for m in moved)) / 1e-2
+    difference = np.subtract(*(response_slopes(m, (), point, TERMS)[0] for m in moved)) / 1e-2
     found = sum(scale * row for scale, row in zip(scales.values(), slopes, strict=True))
     assert response.shape == ANGLES.shape
     np.testing.assert_allclose(found, difference, atol=0.03 * np.abs(difference).max())
@@ -220,13 +220,13 @@ def test_slopes_are_those_of_the_exact_responses(twin: Parameters, point: float)
 def test_a_parameter_on_the_edge_of_what_is_possible_has_a_slope() -> None:
     edge = ONE.replace(conductance=0.0)
     inside = ONE.replace(conductance=1e-3)
-    (slope,) = held_slopes(edge, ("conductance",), 50.0, TERMS)[1]
-    (near,) = held_slopes(inside, ("conductance",), 50.0, TERMS)[1]
+    (slope,) = response_slopes(edge, ("conductance",), 50.0, TERMS)[1]
+    (near,) = response_slopes(inside, ("conductance",), 50.0, TERMS)[1]
     np.testing.assert_allclose(slope, near, atol=0.05 * np.abs(near).max())
 
 
 def test_at_rest_the_linearisation_is_that_of_the_rest() -> None:
-    at, rest = held(ONE, 50.0, TERMS), linearised(ONE, 50.0, 1.0)
+    at, rest = linearised_in_loop(ONE, 50.0, TERMS), linearised(ONE, 50.0, 1.0)
     np.testing.assert_allclose(at.rest.states, rest.rest.states, atol=1e-3)
     np.testing.assert_allclose(at.A, rest.A, rtol=1e-5)
     np.testing.assert_allclose(at.B, rest.B, rtol=1e-4)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.comparing import GraphSymbol, nu_gap_of
-from twinmatch.comparing.spread import (
+from twinmatch.comparing.uncertainty import (
     directions,
     disturbed_pair,
     estimates,

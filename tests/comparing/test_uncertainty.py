@@ -16,21 +16,21 @@ import pytest
 
 from twinmatch.comparing import (
     DiscriminationError,
-    Held,
+    LoopConditions,
     PlantGaps,
     Uncertain,
     family_uncertainty,
     plant_gaps,
     spans_of,
 )
-from twinmatch.comparing.certainty import DECIDED_FROM
+from twinmatch.comparing.verdict import DECIDED_FROM
 from twinmatch.dynamics import Parameters, begin, gains_of, simulate_closed_loop
 from twinmatch.fitting import match
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Window
 
 MODEL = Peltier.model()
-TERMS = Held(gains_of(Peltier, 1.0), spans_of(Peltier))
+TERMS = LoopConditions(gains_of(Peltier, 1.0), spans_of(Peltier))
 POINTS = (30.0, 50.0, 70.0, 85.0)
 RIGS = (
     MODEL.parameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),

@@ -10,15 +10,15 @@ from tests.support.box_runs import PERIOD, TRUTH, step_test, switched
 from tests.support.plants import Box, Lag
 from twinmatch.comparing import (
     CandidateScore,
-    Held,
+    LoopConditions,
     identify,
     plant_gap,
     score,
     spans_of,
     with_margins,
 )
-from twinmatch.comparing.held import held
 from twinmatch.comparing.models import operating_level
+from twinmatch.comparing.plant_gap import linearised_in_loop
 from twinmatch.dynamics import begin, linearised, simulate_driven
 from twinmatch.fitting import IdentificationError
 from twinmatch.signals import Window
@@ -65,8 +65,8 @@ def test_a_plant_is_compared_where_it_rests() -> None:
     """The gap of two lags that differ in gain alone is that of another program's frequency responses."""
     one = Lag.model().parameters(gain=1.0, lag=12.0)
     other = one.replace(gain=1.6)
-    terms = Held(None, spans_of(Lag), 240, 1.0)
-    np.testing.assert_array_equal(held(one, 2.0, terms).A, linearised(one, 2.0, 1.0).A)
+    terms = LoopConditions(None, spans_of(Lag), 240, 1.0)
+    np.testing.assert_array_equal(linearised_in_loop(one, 2.0, terms).A, linearised(one, 2.0, 1.0).A)
     scale = terms.scales.ratio
     z = np.exp(1j * np.geomspace(1e-4, np.pi, 2000))
     responses = []

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support.rig import GAINS, rig, run
-from twinmatch.comparing import Held, plant_gap, spans_of
+from twinmatch.comparing import LoopConditions, plant_gap, spans_of
 from twinmatch.dynamics import Parameters
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
@@ -33,4 +33,4 @@ def recorded(parameters: Parameters, seed: int, first: int = 0) -> Window:
 
 def apart(one: Parameters, other: Parameters) -> float:
     """The ν-gap between two plants at 30, 50 and 70 °C."""
-    return plant_gap(one, other, (30.0, 50.0, 70.0), Held(GAINS, spans_of(Peltier)))
+    return plant_gap(one, other, (30.0, 50.0, 70.0), LoopConditions(GAINS, spans_of(Peltier)))

@@ -3,7 +3,7 @@
 `code_length` and `information_gain` measure, in characters, what a model leaves unexplained. `naic`, `bic`
 and `mdl` weigh its prediction errors against the number of its parameters. `nu_gap` is the distance between
 two models that matters for feedback: it is small where one controller serves both. `stability_margin` gives
-the ν-gap up to which a given controller still stabilises, and `loop_margin` does so for the running PID.
+the ν-gap up to which a given controller still stabilises: `loop_controller`, the running PID, for one.
 
 The judgement of a `Family` of candidates is built on these: `twin_response` runs a candidate's twin on its
 window, `identify` estimates Box–Jenkins models of the response, and `score` compares them with the measured
@@ -12,35 +12,46 @@ nearest to all others, and `judge_uncertainty` gives the uncertainty of all this
 result.
 """
 
-from twinmatch.comparing.certainty import DECIDED_FROM, Certainty, judge_uncertainty, with_margins
 from twinmatch.comparing.code_length import (
     InformationGain,
     code_length,
     information_gain,
     two_part_length,
 )
-from twinmatch.comparing.criteria import aic, bic, loss, mdl, mdl_as_printed, naic, naic_as_printed
-from twinmatch.comparing.errors import DiscriminationError
+from twinmatch.comparing.criteria import (
+    AkaikeWeights,
+    Criteria,
+    OrderScore,
+    akaike_weights,
+    bic,
+    choose_order,
+    common_order,
+    mdl,
+    naic,
+    score,
+    score_orders,
+)
 from twinmatch.comparing.family import Candidate, Family
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
-from twinmatch.comparing.held import Held
-from twinmatch.comparing.loop import Scales, loop_controller, loop_margin, loop_plant
-from twinmatch.comparing.margin import stability_margin
+from twinmatch.comparing.margin import Scales, loop_controller, loop_plant, stability_margin
 from twinmatch.comparing.models import SimoModel, identify, twin_response
-from twinmatch.comparing.nu_gap import chordal_distance, nu_gap, nu_gap_matrix, nu_gap_of
-from twinmatch.comparing.plant_gap import PlantGaps, plant_gap, plant_gaps, spans_of
-from twinmatch.comparing.score import Criteria, OrderScore, choose_order, common_order, score
+from twinmatch.comparing.nu_gap import nu_gap, nu_gap_matrix, nu_gap_of
+from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gap, plant_gaps, spans_of
+from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.uncertainty import FamilyUncertainty, Uncertain, family_uncertainty
 from twinmatch.comparing.verdict import (
     ADMITTED,
+    DECIDED_FROM,
     REFUSED,
     CandidateScore,
+    Certainty,
     ForecastScore,
     TrustLevel,
     Verdict,
+    judge_uncertainty,
     nominal_of,
+    with_margins,
 )
-from twinmatch.comparing.weights import AkaikeWeights, akaike_weights, score_orders
 
 __all__ = [
     "ADMITTED",
@@ -56,8 +67,8 @@ __all__ = [
     "FamilyUncertainty",
     "ForecastScore",
     "GraphSymbol",
-    "Held",
     "InformationGain",
+    "LoopConditions",
     "OrderScore",
     "PlantGaps",
     "Scales",
@@ -65,11 +76,9 @@ __all__ = [
     "TrustLevel",
     "Uncertain",
     "Verdict",
-    "aic",
     "akaike_weights",
     "bic",
     "choose_order",
-    "chordal_distance",
     "code_length",
     "common_order",
     "family_uncertainty",
@@ -78,13 +87,9 @@ __all__ = [
     "information_gain",
     "judge_uncertainty",
     "loop_controller",
-    "loop_margin",
     "loop_plant",
-    "loss",
     "mdl",
-    "mdl_as_printed",
     "naic",
-    "naic_as_printed",
     "nominal_of",
     "nu_gap",
     "nu_gap_matrix",

@@ -1,4 +1,6 @@
-"""Kernels: the chordal distance of two graph symbols at one frequency.
+"""Kernels: the chordal distance of two graph symbols at one frequency, and the largest over all frequencies.
+
+Dekker's and Knuth's exact sum and product; they rely on IEEE rounding, so never compile with `fastmath`.
 
 A frequency is t = ln Ω on the imaginary axis of the half plane, from −∞ to ∞. A row of coefficients
 c[0..n] stands for p(jΩ) = Σ c[k] (jΩ)^k; above Ω = 1 it is evaluated as p(jΩ)/Ω^n, which leaves every
@@ -8,6 +10,11 @@ so that even rows are real and odd ones imaginary.
 With the minors M[j,k] = g1[j] g2[k] − g1[k] g2[j], Lagrange's identity reads
 |g1|² |g2|² − |g2* g1|² = Σ |M[j,k]|², so κ² = Σ |M|² / (|g1|² |g2|²) needs no subtraction of nearly equal
 numbers, however close the models are.
+
+κ² as a function of t = ln Ω is analytic except at poles off the real axis, which are known: the spectral
+roots of the two models. The grid is as fine as the nearest of them requires, however narrow the peak. Between
+nodes Hermite cubics, checked at every midpoint, bound κ²; intervals that may still exceed the best value
+found are halved until none is left. This finds the global maximum.
 """
 
 from __future__ import annotations
@@ -15,12 +22,66 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twinmatch.comparing import double_double as dd
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = ["exact_distance", "minors", "squared_distance", "value", "with_derivatives", "with_powers_of_j"]
+__all__ = [
+    "add",
+    "exact_distance",
+    "frequency_grid",
+    "highest",
+    "minors",
+    "multiply",
+    "scale",
+    "squared_distance",
+    "value",
+    "with_derivatives",
+    "with_powers_of_j",
+]
+
+
+@compiled
+def _two_sum(a: float, b: float) -> tuple[float, float]:
+    s = a + b
+    v = s - a
+    return s, (a - (s - v)) + (b - v)
+
+
+@compiled
+def _two_product(a: float, b: float) -> tuple[float, float]:
+    p = a * b
+    t = 134217729.0 * a
+    a_high = t - (t - a)
+    a_low = a - a_high
+    t = 134217729.0 * b
+    b_high = t - (t - b)
+    b_low = b - b_high
+    return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+@compiled
+def add(a: float, a_low: float, b: float, b_low: float) -> tuple[float, float]:
+    """Sum; both parts of both operands are summed exactly before the last rounding."""
+    s, e = _two_sum(a, b)
+    t, f = _two_sum(a_low, b_low)
+    s, e = _two_sum(s, e + t)
+    return _two_sum(s, e + f)
+
+
+@compiled
+def multiply(a: float, a_low: float, b: float, b_low: float) -> tuple[float, float]:
+    """Product."""
+    p, e = _two_product(a, b)
+    return _two_sum(p, e + (a * b_low + a_low * b))
+
+
+@compiled
+def scale(a: float, a_low: float, b: float) -> tuple[float, float]:
+    """Product with one float."""
+    p, e = _two_product(a, b)
+    return _two_sum(p, e + a_low * b)
 
 
 @compiled
@@ -59,10 +120,10 @@ def minors(
         for k in range(j + 1, rows):
             for a in range(width1):
                 for b in range(width2):
-                    p, e = dd.multiply(high1[j, a], low1[j, a], high2[k, b], low2[k, b])
-                    q, f = dd.multiply(high1[k, a], low1[k, a], high2[j, b], low2[j, b])
-                    p, e = dd.add(p, e, -q, -f)
-                    high[row, a + b], low[row, a + b] = dd.add(high[row, a + b], low[row, a + b], p, e)
+                    p, e = multiply(high1[j, a], low1[j, a], high2[k, b], low2[k, b])
+                    q, f = multiply(high1[k, a], low1[k, a], high2[j, b], low2[j, b])
+                    p, e = add(p, e, -q, -f)
+                    high[row, a + b], low[row, a + b] = add(high[row, a + b], low[row, a + b], p, e)
             row += 1
     return high, low
 
@@ -118,11 +179,11 @@ def squared_distance(
 @compiled
 def _horner(high: FloatArray, low: FloatArray, x: float) -> float:
     """Value of a polynomial in x², highest power first."""
-    y, y_low = dd.scale(x, 0.0, x)
+    y, y_low = scale(x, 0.0, x)
     a, a_low = 0.0, 0.0
     for k in range(high.size):
-        a, a_low = dd.multiply(a, a_low, y, y_low)
-        a, a_low = dd.add(a, a_low, high[k], low[k])
+        a, a_low = multiply(a, a_low, y, y_low)
+        a, a_low = add(a, a_low, high[k], low[k])
     return a
 
 
@@ -153,3 +214,108 @@ def exact_distance(
     size1 = math.sqrt(_exact_square(pair1[0], pair1[1], t, 1.0))
     size2 = math.sqrt(_exact_square(pair2[0], pair2[1], t, 1.0))
     return min(1.0, math.sqrt(_exact_square(pair_minors[0], pair_minors[1], t, 1 / size1 / size2)))
+
+
+STEP = 0.25
+"""Length of a first interval over its distance to the nearest pole."""
+
+MARGIN = 7.0
+"""How far the grid reaches beyond the outermost pole: there κ² equals its end value to within e^−14."""
+
+TOLERANCE = 1e-12
+"""Relative excess over the best κ² that an interval must be able to reach to be searched."""
+
+STACK = 128
+SHORTEST = 1e-10
+MOST_HALVINGS = 20_000
+
+
+@compiled
+def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128]) -> FloatArray:
+    """Nodes t, increasing, over the range of all poles; at least its two ends."""
+    count = roots1.size + roots2.size
+    if count == 0:
+        return np.array([-1.0, 1.0])
+    where = np.empty(count)
+    off = np.empty(count)
+    for i in range(count):
+        root = roots1[i] if i < roots1.size else roots2[i - roots1.size]
+        where[i] = math.log(abs(root))
+        off[i] = max(1e-14, math.atan2(root.real, abs(root.imag)))  # angle from the axis of frequencies
+    nodes = [where.min() - MARGIN]
+    end = where.max() + MARGIN
+    while nodes[-1] < end:
+        nodes.append(nodes[-1] + STEP * _clearance(where, off, nodes[-1]))
+    return np.array(nodes)
+
+
+@compiled
+def _clearance(where: FloatArray, off: FloatArray, t: float) -> float:
+    """Distance from t to the nearest pole."""
+    nearest = math.inf
+    for i in range(where.size):
+        nearest = min(nearest, (t - where[i]) ** 2 + off[i] ** 2)
+    return math.sqrt(nearest)
+
+
+@compiled
+def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
+    """Largest value of a Hermite cubic on [0, 1]."""
+    top = max(f, f_end)
+    square = 3 * (f_end - f) - 2 * slope - slope_end
+    cube = 2 * (f - f_end) + slope + slope_end
+    discriminant = square * square - 3 * cube * slope
+    if discriminant < 0:
+        return top
+    below = math.sqrt(discriminant) - square
+    if below == 0:
+        return top
+    x = slope / below
+    if 0 < x < 1:
+        top = max(top, f + x * (slope + x * (square + x * cube)))
+    return top
+
+
+@compiled
+def highest(
+    stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, grid: FloatArray
+) -> tuple[float, float]:
+    """The largest κ² and its place t, which may be −∞ or ∞."""
+    best, place = squared_distance(stack1, stack2, stack_minors, -math.inf)[0], -math.inf
+    end = squared_distance(stack1, stack2, stack_minors, math.inf)[0]
+    if end > best:
+        best, place = end, math.inf
+    f = np.empty(grid.size)
+    slope = np.empty(grid.size)
+    for i in range(grid.size):
+        f[i], slope[i] = squared_distance(stack1, stack2, stack_minors, grid[i])
+        if f[i] > best:
+            best, place = f[i], grid[i]
+    todo = np.empty((STACK, 6))
+    halvings = 0
+    for i in range(grid.size - 1):
+        todo[0] = (grid[i], grid[i + 1], f[i], f[i + 1], slope[i], slope[i + 1])
+        waiting = 1
+        while waiting:
+            waiting -= 1
+            a, b, fa, fb, da, db = todo[waiting]
+            h = b - a
+            m = 0.5 * (a + b)
+            fm, dm = squared_distance(stack1, stack2, stack_minors, m)
+            halvings += 1
+            if fm > best:
+                best, place = fm, m
+            off = abs(fm - (0.5 * (fa + fb) + 0.125 * h * (da - db)))
+            off += 0.25 * h * abs(dm - (1.5 * (fb - fa) / h - 0.25 * (da + db)))
+            # halving reduces the error of the cubics 16 times; an eighth leaves a margin
+            bar = best * (1 + TOLERANCE) - 0.125 * off
+            if h < SHORTEST or halvings > MOST_HALVINGS or waiting > STACK - 3:
+                continue
+            h *= 0.5
+            if _cubic_top(fm, fb, h * dm, h * db) > bar:
+                todo[waiting] = (m, b, fm, fb, dm, db)
+                waiting += 1
+            if _cubic_top(fa, fm, h * da, h * dm) > bar:
+                todo[waiting] = (a, m, fa, fm, da, dm)
+                waiting += 1
+    return best, place

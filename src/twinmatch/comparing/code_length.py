@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinmatch.comparing.errors import DiscriminationError
+from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.signals import FloatArray
 
 __all__ = [
@@ -103,13 +103,8 @@ def code_length(values: ArrayLike, decimals: int) -> int:
     return int(_lengths(digits, decimals).sum()) + sum(written)
 
 
-def information_gain(  # noqa: PLR0917
-    measured: ArrayLike,
-    simulated: ArrayLike,
-    decimals: int = 2,
-    copied: int = 0,
-    trivial_program: int = TRIVIAL_PROGRAM,
-    model_program: int = MODEL_PROGRAM,
+def information_gain(
+    measured: ArrayLike, simulated: ArrayLike, decimals: int = 2, copied: int = 0
 ) -> InformationGain:
     """Information gain of a simulated signal over the bare table of the measured one (paper, section II-A).
 
@@ -121,8 +116,6 @@ def information_gain(  # noqa: PLR0917
         decimals: digits kept after the decimal point in both tables, 0 to 15.
         copied: number of samples at the start that are the model's initial conditions: its table holds
             the measured values there, not the differences.
-        trivial_program: characters of the program that prints the table.
-        model_program: characters of the program that runs the model.
 
     Raises:
         DiscriminationError: unequal shapes, no sample, values that are not finite, `decimals` or
@@ -143,7 +136,7 @@ def information_gain(  # noqa: PLR0917
     start: FloatArray = observed[:copied]
     rest: FloatArray = _differences(observed[copied:], modelled[copied:], copied)
     model = code_length(start, decimals) + code_length(rest, decimals)
-    return InformationGain(trivial_program + trivial, model_program + model, decimals)
+    return InformationGain(TRIVIAL_PROGRAM + trivial, MODEL_PROGRAM + model, decimals)
 
 
 def two_part_length(model_length: float, parameters: int, samples: int) -> float:

@@ -15,21 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.comparing.chordal import with_derivatives, with_powers_of_j
-from twinmatch.comparing.common_factors import without_unstable_common_factor
-from twinmatch.comparing.errors import DiscriminationError
 from twinmatch.comparing.polynomials import (
     Column,
+    DiscriminationError,
     Polynomial,
+    column_of,
     even_part,
     exact,
     multiply,
+    roots_of_even_part,
     split,
     to_half_plane,
     trim,
     trim_top,
+    without_unstable_common_factor,
 )
-from twinmatch.comparing.roots import roots_of_even_part
-from twinmatch.comparing.state_space import column_of
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:

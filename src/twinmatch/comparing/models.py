@@ -19,13 +19,21 @@ from twinmatch.dynamics import Parameters, PidGains, Sensor, simulate_window
 from twinmatch.fitting import ORDERS, BoxJenkins, estimate_ladder
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Level", "SimoModel", "ahead", "deviations", "identify", "operating_level", "twin_response"]
+__all__ = [
+    "OperatingLevel",
+    "SimoModel",
+    "ahead",
+    "deviations",
+    "identify",
+    "operating_level",
+    "twin_response",
+]
 
 LEAD = 20
 """Samples before the first step whose mean is the window's steady input."""
 
 
-class Level(NamedTuple):
+class OperatingLevel(NamedTuple):
     """The steady state at the start of a window; models describe deviations from it."""
 
     output: float
@@ -56,7 +64,7 @@ class SimoModel:
         return GraphSymbol.of_fractions([(self.y.B, self.y.F), (input_, self.u.F)], period=self.y.period)
 
 
-def operating_level(window: Window, *, driven: bool = False) -> Level:
+def operating_level(window: Window, *, driven: bool = False) -> OperatingLevel:
     """The level to subtract so that the window begins at zero.
 
     For reference and output it is the set-point before the first step; for the input the mean of the last
@@ -70,17 +78,17 @@ def operating_level(window: Window, *, driven: bool = False) -> Level:
     moved = np.flatnonzero(window.reference != window.reference[0])
     step = int(moved[0]) if moved.size else len(window)
     lead = window.input[max(0, step - LEAD) : step]
-    return Level(float(window.reference[0]), float(np.mean(lead)))
+    return OperatingLevel(float(window.reference[0]), float(np.mean(lead)))
 
 
-def _driven_level(window: Window) -> Level:
+def _driven_level(window: Window) -> OperatingLevel:
     moved = np.flatnonzero(window.input != window.input[0])
     step = int(moved[0]) if moved.size else len(window)
     before = slice(step - LEAD, step) if step >= LEAD else slice(None)
-    return Level(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
+    return OperatingLevel(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
 
 
-def deviations(window: Window, level: Level) -> tuple[FloatArray, FloatArray, FloatArray]:
+def deviations(window: Window, level: OperatingLevel) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Reference, output and input of a window as deviations from `level`, shape (N,) each."""
     return (
         window.reference - level.output,

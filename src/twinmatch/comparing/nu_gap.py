@@ -1,5 +1,9 @@
 """The ν-gap (Vinnicombe 1993) between models with one input and any number of outputs.
 
+With stable spectral factors w of |g|², c = g2* g1/(w2* w1) is the inner product of the normalised symbols:
+|c|² = 1 − κ². Its phase is tracked along the axis from 0 to ∞; steps are halved until the curve between two
+points is so close to its chord that it cannot pass on the other side of zero.
+
 δν(P1, P2) is the largest chordal distance between the models over all frequencies if the inner product of
 their normalised graph symbols, g2* g1, has no zero on the axis and does not wind around it; otherwise 1.
 The paper's formula is the first half alone; two models with a small chordal distance can have a ν-gap of 1,
@@ -14,21 +18,118 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
-from twinmatch.comparing import chordal, peak, winding
-from twinmatch.comparing.errors import DiscriminationError
+from twinmatch.comparing import chordal
+from twinmatch.comparing.chordal import value
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
+from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+__all__ = [
+    "GraphSymbol",
+    "graph_symbol",
+    "inner_product",
+    "nu_gap",
+    "nu_gap_matrix",
+    "nu_gap_of",
+    "turns",
+]
 
-__all__ = ["GraphSymbol", "chordal_distance", "graph_symbol", "nu_gap", "nu_gap_matrix", "nu_gap_of"]
+ZERO = 1e-8
+"""Below this |c| counts as zero: κ is 1 to the last bit."""
+
+CURVATURE = 3.0
+"""Least distance from the chord to zero, in deviations of a step's midpoint from its chord."""
+
+DEPTH = 60
+
+
+@compiled
+def _direction(roots: NDArray[np.complex128], t: float) -> complex:
+    """Π (jΩ + root) with every factor scaled to length 1 or less and 0.7 or more."""
+    product = 1 + 0j
+    if t <= 0:
+        frequency = math.exp(t)
+        for root in roots:
+            product *= (root + 1j * frequency) * (1 / (abs(root) + frequency))
+    else:
+        inverse = math.exp(-t)
+        for root in roots:
+            product *= (root * inverse + 1j) * (1 / (abs(root) * inverse + 1))
+    return product
+
+
+@compiled
+def inner_product(
+    signed1: FloatArray,
+    signed2: FloatArray,
+    roots1: NDArray[np.complex128],
+    roots2: NDArray[np.complex128],
+    t: float,
+) -> complex:
+    """c at t: real at both ends of the axis."""
+    inner = 0j
+    size1, size2 = 0.0, 0.0
+    x, above = math.exp(-abs(t)), t > 0
+    for k in range(signed1.shape[0]):
+        real1, imaginary1 = value(signed1[k], x, above)
+        real2, imaginary2 = value(signed2[k], x, above)
+        inner += complex(real1 * real2 + imaginary1 * imaginary2, real2 * imaginary1 - real1 * imaginary2)
+        size1 += real1 * real1 + imaginary1 * imaginary1
+        size2 += real2 * real2 + imaginary2 * imaginary2
+    smooth = _direction(roots1, t).conjugate() * _direction(roots2, t)
+    return inner * smooth * (1 / abs(smooth)) * (1 / math.sqrt(size1)) * (1 / math.sqrt(size2))
+
+
+@compiled
+def _clearance(a: complex, b: complex) -> float:
+    """Distance from zero to the chord from a to b."""
+    step = b - a
+    length = step.real * step.real + step.imag * step.imag
+    along = 0.0 if length == 0 else -(a.real * step.real + a.imag * step.imag) / length
+    return abs(a + min(1.0, max(0.0, along)) * step)
+
+
+@compiled
+def turns(
+    signed1: FloatArray,
+    signed2: FloatArray,
+    roots1: NDArray[np.complex128],
+    roots2: NDArray[np.complex128],
+    grid: FloatArray,
+) -> float:
+    """Half turns of c along the grid, counter-clockwise; NaN if c passes through zero."""
+    total = 0.0
+    at = np.empty(DEPTH + 1)
+    values = np.empty(DEPTH + 1, dtype=np.complex128)
+    left, c_left = grid[0], inner_product(signed1, signed2, roots1, roots2, grid[0])
+    for node in grid[1:]:
+        at[0], values[0] = node, inner_product(signed1, signed2, roots1, roots2, node)
+        waiting = 1
+        while waiting:
+            right, c_right = at[waiting - 1], values[waiting - 1]
+            if min(abs(c_left), abs(c_right)) < ZERO:
+                return math.nan
+            middle = 0.5 * (left + right)
+            c = inner_product(signed1, signed2, roots1, roots2, middle)
+            bend = CURVATURE * abs(c - 0.5 * (c_left + c_right))
+            if min(_clearance(c_left, c), _clearance(c, c_right)) > bend or waiting > DEPTH:
+                for end in (c, c_right):
+                    ratio = end * c_left.conjugate()
+                    total += math.atan2(ratio.imag, ratio.real)
+                    c_left = end
+                left = right
+                waiting -= 1
+            else:
+                at[waiting], values[waiting] = middle, c
+                waiting += 1
+    return total / math.pi
+
 
 ALMOST_ONE = 1 - 1e-15
 
@@ -70,31 +171,6 @@ def nu_gap_matrix(systems: Sequence[Any]) -> FloatArray:
     return gaps
 
 
-def chordal_distance(p1: Any, p2: Any, frequencies: ArrayLike) -> FloatArray:
-    """Chordal distance κ between two models at each frequency, 0 to 1.
-
-    Args:
-        p1, p2: as for `nu_gap`.
-        frequencies: rad/s, not negative, any shape; for discrete models up to π over the period (with an
-            unknown period: per sample).
-
-    Raises:
-        DiscriminationError: as `nu_gap`, or a frequency that is negative, not a number or above π/period.
-    """
-    g1, g2 = graph_symbol(p1), graph_symbol(p2)
-    period = common_period(g1, g2)
-    omega = np.asarray(frequencies, dtype=np.float64)
-    highest = math.pi / float(period) if period else math.inf
-    if not np.all((omega >= 0) & (omega <= highest * (1 + 1e-12))):
-        msg = f"chordal distance: frequencies from {omega.min()} to {omega.max()} rad/s; give 0 to {highest}"
-        raise DiscriminationError(msg)
-    axis = np.tan(np.minimum(omega * float(period) / 2, math.pi / 2)) if period else omega
-    with np.errstate(divide="ignore"):
-        t = np.log(axis)
-    kappa = _distances(g1.coefficients, g2.coefficients, g1.signed, g2.signed, t.ravel())
-    return kappa.reshape(omega.shape)
-
-
 def common_period(g1: GraphSymbol, g2: GraphSymbol) -> float | bool | None:
     """The time base that both models share."""
     if g1.outputs != g2.outputs:
@@ -126,8 +202,8 @@ def _compare(  # noqa: PLR0917
     """Largest κ, and the half turns of the inner product (NaN if it passes through zero)."""
     high, low = chordal.minors(pair1[0], pair1[1], pair2[0], pair2[1])
     high, low = chordal.with_powers_of_j(high), chordal.with_powers_of_j(low)
-    grid = peak.frequency_grid(roots1, roots2)
-    square, place = peak.highest(stack1, stack2, chordal.with_derivatives(high), grid)
+    grid = chordal.frequency_grid(roots1, roots2)
+    square, place = chordal.highest(stack1, stack2, chordal.with_derivatives(high), grid)
     if square == 0.0:  # one model is a multiple of the other, term by term
         return 0.0, 0.0
     if -math.inf < place < math.inf:
@@ -136,7 +212,7 @@ def _compare(  # noqa: PLR0917
         kappa = _polished(signed1, signed2, (high, low), grid, place)
     else:
         kappa = chordal.exact_distance(signed1, signed2, (high, low), place)
-    return kappa, winding.turns(signed1[0], signed2[0], roots1, roots2, grid)
+    return kappa, turns(signed1[0], signed2[0], roots1, roots2, grid)
 
 
 @compiled
@@ -162,19 +238,3 @@ def _polished(
             if kappa > best:
                 best, place = kappa, there
     return best
-
-
-@compiled
-def _distances(
-    pair1: tuple[FloatArray, FloatArray],
-    pair2: tuple[FloatArray, FloatArray],
-    signed1: tuple[FloatArray, FloatArray],
-    signed2: tuple[FloatArray, FloatArray],
-    places: FloatArray,
-) -> FloatArray:
-    high, low = chordal.minors(pair1[0], pair1[1], pair2[0], pair2[1])
-    high, low = chordal.with_powers_of_j(high), chordal.with_powers_of_j(low)
-    kappa = np.empty(places.size)
-    for i in range(places.size):
-        kappa[i] = chordal.exact_distance(signed1, signed2, (high, low), places[i])
-    return kappa

@@ -1,7 +1,16 @@
-"""ν-gaps between the plants of a family, at operating points that all of them share.
+"""ν-gaps between the plants of a family, linearised at operating points that all of them share.
+
+Twins are compared at shared operating points, but not every twin has an equilibrium at each of them: with
+little convection, the temperature of a heat sink keeps falling for as long as the plate is heated, and what
+the loop controls is the plant during the minutes in which a set-point is held. So the closed loop is
+simulated on a constant set-point, from a start that only the output determines, for as long as a set-point
+regime lasts before it is judged. Where the drive's limits keep the output from the set-point, the plant is
+linearised where the loop does hold it. For plants without slow states this is the equilibrium. Where the loop
+is not known, the plant is linearised at its equilibrium under a constant input.
 
 Two twins behave alike in the loop if the ν-gap between their plants is small wherever the loop takes them. So
-their equations are linearised where the loop holds them (`held`) at every operating point of the family, and
+their equations are linearised where the loop holds them (`linearised_in_loop`) at
+every operating point of the family, and
 the distance of two candidates is the largest ν-gap over these points, which is again a metric. A controller
 whose stability margin with one plant exceeds this distance at each of the points stabilises the other, too.
 
@@ -15,18 +24,133 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.comparing.graph_symbol import GraphSymbol
-from twinmatch.comparing.held import Held, held_symbol
-from twinmatch.comparing.loop import Scales
+from twinmatch.comparing.margin import Scales
 from twinmatch.comparing.nu_gap import nu_gap_of
-from twinmatch.dynamics import Parameters, Plant
+from twinmatch.comparing.polynomials import DiscriminationError
+from twinmatch.dynamics import (
+    Linear,
+    Parameters,
+    PidGains,
+    Plant,
+    begin,
+    linearised,
+    linearised_at,
+    simulate_closed_loop,
+)
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
-__all__ = ["PlantGaps", "plant_gap", "plant_gaps", "spans_of"]
+__all__ = [
+    "ANGLES",
+    "HOLD",
+    "LoopConditions",
+    "PlantGaps",
+    "linearised_in_loop",
+    "plant_gap",
+    "plant_gaps",
+    "response_slopes",
+    "spans_of",
+    "symbol_in_loop",
+]
+
+HOLD = 240
+"""Samples for which a set-point is held."""
+
+ANGLES: FloatArray = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, 8)])
+"""Frequencies at which responses are computed, radians per sample: zero, and from a quarter of the lowest
+that a regime resolves to the Nyquist frequency."""
+
+STEP = 1e-3
+"""Change of a parameter for a difference quotient, in units of its scale: the response of a plant is smooth
+over it, and the point at which the plant is held is accurate to a millionth."""
+
+_OFF = 1e-6
+"""The response of an integrator is infinite at frequency zero. If a pole lies within a tenth of this distance
+of a frequency, the response is computed this far beside it, radians per sample: it is then so large that only
+its phase matters."""
+
+
+class LoopConditions(NamedTuple):
+    """The loop in which twins are held; hashable, so that results can be cached."""
+
+    gains: PidGains | None
+    """Gains of the controller; None if it is not known."""
+    scales: Scales
+    """Scales of output and input."""
+    samples: int = HOLD
+    """How long a set-point is held, samples."""
+    period: float = 1.0
+    """Sample time if the loop is not known, s; otherwise the controller's is used."""
+
+
+def linearised_in_loop(parameters: Parameters, set_point: float, loop: LoopConditions) -> Linear:
+    """Linearise the plant where its loop holds it, in the units of output and input.
+
+    Raises:
+        DiscriminationError: the loop does not hold it: its states diverge.
+        PlantError: the plant is too fast for the period; without a loop, no input holds it there.
+    """
+    if loop.gains is None:
+        return linearised(parameters, float(set_point), loop.period)
+    reference = np.full(loop.samples, float(set_point))
+    run = simulate_closed_loop(
+        parameters, reference, states=begin(parameters, float(set_point)), gains=loop.gains
+    )
+    states, input_ = run.states[-2], float(run.input[-1])
+    finite = np.isfinite(states).all() and np.isfinite(input_)
+    linear = linearised_at(parameters, states, input_, loop.gains.period) if finite else None
+    if linear is None or not all(np.isfinite(matrix).all() for matrix in linear[:3]):
+        model = parameters.model
+        msg = f"ν-gap: the loop of {model.title} does not hold it at {set_point:g} {model.plant.output.unit}"
+        raise DiscriminationError(msg)
+    return linear
+
+
+@lru_cache(maxsize=1024)  # a candidate stays in the family for many verdicts
+def symbol_in_loop(parameters: Parameters, set_point: float, loop: LoopConditions) -> GraphSymbol:
+    """Graph symbol of the plant from input to output where it is held, scaled.
+
+    Raises as `linearised_in_loop`.
+    """
+    a, b, c, period = linearised_in_loop(parameters, set_point, loop)[:4]
+    return GraphSymbol.of_state_space(a, b, c * loop.scales.ratio, np.zeros((1, 1)), period)
+
+
+@lru_cache(maxsize=1024)
+def response_slopes(
+    parameters: Parameters, free: tuple[str, ...], set_point: float, loop: LoopConditions
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Frequency response of that plant at `ANGLES`, scaled, and its derivatives with respect to `free`.
+
+    Shapes (frequencies,) and (n, frequencies). Raises as `linearised_in_loop`.
+    """
+    response = _response(parameters, set_point, loop)
+    slopes = np.zeros((len(free), ANGLES.size), dtype=np.complex128)
+    for row, name in zip(slopes, free, strict=True):
+        declared, value = parameters.model.declared[name], parameters[name]
+        moved = value + STEP * declared.scale
+        if not declared.possible(moved):
+            moved = value - STEP * declared.scale
+        row[:] = (_response(parameters.replace(**{name: moved}), set_point, loop) - response) / (
+            moved - value
+        )
+    return response, slopes
+
+
+def _response(parameters: Parameters, set_point: float, loop: LoopConditions) -> NDArray[np.complex128]:
+    linear = linearised_in_loop(parameters, set_point, loop)
+    poles = np.linalg.eigvals(linear.A)
+    singular = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=1) < _OFF / 10
+    z = np.exp(1j * np.where(singular, ANGLES + _OFF, ANGLES))
+    resolvent = z[:, None, None] * np.eye(len(linear.A)) - linear.A
+    states = np.linalg.solve(resolvent, np.broadcast_to(linear.B, (z.size, *linear.B.shape)))
+    return np.asarray(loop.scales.ratio * (linear.C @ states)[:, 0, 0], dtype=np.complex128)
 
 
 def spans_of(plant: type[Plant]) -> Scales:
@@ -57,7 +181,7 @@ class PlantGaps:
         return PlantGaps(self.points, self.at[:, :count, :count], self.left_out)
 
 
-def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], terms: Held) -> PlantGaps:
+def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], loop: LoopConditions) -> PlantGaps:
     """ν-gaps between the plants of all pairs of twins, of any structures of one plant.
 
     A point at which one of them cannot be linearised is left out for all. If no shared point remains, the
@@ -66,7 +190,7 @@ def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], terms: Held
     shared, rows, left_out = [], [], []
     for point in sorted(set(points)):
         try:
-            rows.append([held_symbol(twin, point, terms) for twin in twins])
+            rows.append([symbol_in_loop(twin, point, loop) for twin in twins])
         except TwinmatchError as error:
             left_out.append(str(error))
         else:
@@ -80,9 +204,9 @@ def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], terms: Held
     return PlantGaps(tuple(shared), at if rows else (1.0 - np.eye(n))[None], tuple(left_out))
 
 
-def plant_gap(one: Parameters, other: Parameters, points: Sequence[float], terms: Held) -> float:
+def plant_gap(one: Parameters, other: Parameters, points: Sequence[float], loop: LoopConditions) -> float:
     """The largest ν-gap between the plants of two twins over some operating points."""
-    return float(plant_gaps((one, other), points, terms).matrix[0, 1])
+    return float(plant_gaps((one, other), points, loop).matrix[0, 1])
 
 
 @lru_cache(maxsize=8192)

@@ -1,5 +1,10 @@
 """Uncertainty of the ν-gaps of a family, and of the choice that rests on them.
 
+At one frequency the distance is the length of a complex vector, v = minors of [1 P1; 1 P2] over both lengths.
+A perturbation moves it to v + e. If the true vector were t·v, the estimate would be the largest |t·v + e|
+over the frequencies, and |t·v + e|² = a t² + b t + c with a = |v|², b = 2 Re v*e, c = |e|². These three
+coefficients per pair are enough to compute the estimates for any true t·v.
+
 The uncertainty is that of the matches: their parameters come with a covariance. Draws from it (fixed seed)
 perturb the frequency response of every plant at every operating point to first order. Parameters that trade
 off lie in a curved valley: to first order, a step along its tangent hardly changes the response, whereas
@@ -17,26 +22,201 @@ Model errors that no parameters of a structure can describe are not included.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinmatch.comparing.errors import DiscriminationError
-from twinmatch.comparing.held import Held, held_slopes
-from twinmatch.comparing.plant_gap import PlantGaps, plant_gaps
-from twinmatch.comparing.spread import (
-    directions,
-    disturbed_pair,
-    estimates,
-    failing_draws,
-    fitting_scales,
-)
+from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gaps, response_slopes
+from twinmatch.comparing.polynomials import DiscriminationError
+from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters
 from twinmatch.signals import FloatArray
 
-__all__ = ["CONFIDENCE", "FamilyUncertainty", "Uncertain", "family_uncertainty"]
+__all__ = [
+    "CONFIDENCE",
+    "FamilyUncertainty",
+    "Uncertain",
+    "directions",
+    "disturbed_pair",
+    "estimates",
+    "failing_draws",
+    "family_uncertainty",
+    "fitting_scales",
+    "turn",
+]
+
+Complex = NDArray[np.complex128]
+
+HALVINGS = 7
+"""Halvings of the interval that contains a scale: finer than a hundred draws resolve."""
+
+
+@compiled
+def directions(responses: Complex) -> Complex:
+    """Columns [1; P] of length 1, (n, frequencies, 1 + outputs), for P of shape (n, frequencies, outputs)."""
+    n, points, outputs = responses.shape
+    columns = np.empty((n, points, outputs + 1), dtype=np.complex128)
+    for i in range(n):
+        for w in range(points):
+            square = 1.0
+            for m in range(outputs):
+                square += responses[i, w, m].real ** 2 + responses[i, w, m].imag ** 2
+            scale = 1 / math.sqrt(square)
+            columns[i, w, 0] = scale
+            for m in range(outputs):
+                columns[i, w, m + 1] = responses[i, w, m] * scale
+    return columns
+
+
+@compiled
+def disturbed_pair(
+    still1: Complex, still2: Complex, moved1: Complex, moved2: Complex
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The coefficients a, b and c of one pair.
+
+    Args:
+        still1: unperturbed direction of the first model, shape (frequencies, 1 + outputs).
+        still2: that of the second model.
+        moved1: direction of the first model in every draw, shape (draws, frequencies, 1 + outputs).
+        moved2: that of the second model.
+
+    Returns:
+        Shapes (frequencies,), (frequencies, draws) and (frequencies, draws): draws are contiguous in memory,
+        so that they can be vectorised.
+    """
+    draws, points, rows = moved1.shape
+    a = np.zeros(points)
+    b = np.zeros((points, draws))
+    c = np.zeros((points, draws))
+    for m in range(rows):
+        for k in range(m + 1, rows):
+            for w in range(points):
+                v = still1[w, m] * still2[w, k] - still1[w, k] * still2[w, m]
+                a[w] += v.real * v.real + v.imag * v.imag
+                for s in range(draws):
+                    e = moved1[s, w, m] * moved2[s, w, k] - moved1[s, w, k] * moved2[s, w, m] - v
+                    b[w, s] += 2 * (v.real * e.real + v.imag * e.imag)
+                    c[w, s] += e.real * e.real + e.imag * e.imag
+    return a, b, c
+
+
+@compiled
+def turn(direction1: Complex, direction2: Complex) -> float:
+    """Total phase change of the inner product of two models' directions over the frequencies, radians."""
+    total, before = 0.0, 0j
+    for w in range(direction1.shape[0]):
+        inner = 0j
+        for m in range(direction1.shape[1]):
+            inner += direction1[w, m] * direction2[w, m].conjugate()
+        if w > 0:
+            ratio = inner * before.conjugate()
+            total += math.atan2(ratio.imag, ratio.real)
+        before = inner
+    return total
+
+
+@compiled
+def failing_draws(
+    a: FloatArray,
+    c: FloatArray,
+    still: tuple[Complex, Complex],
+    moved: tuple[Complex, Complex],
+    failed: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """In which draws the winding condition fails at any operating point, shape (draws,).
+
+    The condition cannot change while the distance stays below 1 along the perturbation; a change shows in the
+    phase of the inner product.
+
+    Args:
+        a: from `disturbed_pair`, the frequencies of one operating point after the other.
+        c: likewise.
+        still: unperturbed directions of the two models, shape (frequencies, 1 + outputs).
+        moved: the same in every draw, shape (draws, frequencies, 1 + outputs).
+        failed: whether the condition fails at each operating point without the draws, shape (points,).
+    """
+    width = a.size // failed.size
+    fails = np.full(c.shape[1], failed.any())
+    top = math.sqrt(a.max())
+    for s in range(c.shape[1]):
+        if not failed.any() and top + math.sqrt(c[:, s].max()) < 1:
+            continue
+        fails[s] = False
+        for p in range(failed.size):
+            part = slice(p * width, (p + 1) * width)
+            before = turn(still[0][part], still[1][part])
+            changed = abs(turn(moved[0][s, part], moved[1][s, part]) - before) > 0.5 * math.pi
+            if changed != failed[p]:
+                fails[s] = True
+    return fails
+
+
+@compiled
+def estimates(
+    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float
+) -> FloatArray:
+    """Sum over the pairs `which` of the largest |scale·v + e|, one per draw, shape (draws,)."""
+    points, draws = b.shape[1:]
+    total = np.zeros(draws)
+    top = np.empty(draws)
+    for p in which:
+        top[:] = 0.0
+        for w in range(points):
+            square = a[p, w] * scale
+            for s in range(draws):
+                found = (square + b[p, w, s]) * scale + c[p, w, s]
+                top[s] = found if found > top[s] else top[s]
+        for s in range(draws):
+            total[s] += min(1.0, math.sqrt(top[s]))
+    return total
+
+
+@compiled
+def _count_reaching(  # noqa: PLR0917
+    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float, seen: float
+) -> int:
+    """Number of draws in which `estimates` is `seen` or more."""
+    return int(np.sum(estimates(which, a, b, c, scale) >= seen))
+
+
+@compiled
+def fitting_scales(
+    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, tail: float
+) -> tuple[float, float]:
+    """Least and largest t for which the actual estimate lies between the quantiles tail and 1 − tail of t·v.
+
+    The actual estimate is the sum over the pairs of the largest |v|.
+    """
+    seen, most = 0.0, 0.0
+    for p in which:
+        seen += math.sqrt(a[p].max())
+        most += math.sqrt(c[p].max())
+    draws = b.shape[2]
+    rare = int(tail * draws)
+    # beyond these limits no draw reaches the actual estimate
+    widest = 2 * most / max(seen, 1e-300)
+    low, high = max(0.0, 1.0 - widest), 1.0
+    if low == 0.0 and _count_reaching(which, a, b, c, 0.0, seen) > rare:
+        high = 0.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if _count_reaching(which, a, b, c, middle, seen) > rare:
+            high = middle
+        else:
+            low = middle
+    least = low
+    low, high = 1.0, 1.0 + widest
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if _count_reaching(which, a, b, c, middle, seen) < draws - rare:
+            low = middle
+        else:
+            high = middle
+    return least, high
+
 
 CONFIDENCE = 0.9
 """Confidence of the intervals, both sides together."""
@@ -104,7 +284,7 @@ class FamilyUncertainty:
 def family_uncertainty(
     twins: Sequence[Uncertain],
     gaps: PlantGaps,
-    terms: Held,
+    loop: LoopConditions,
     *,
     plant: Parameters | None = None,
     seed: int = SEED,
@@ -114,7 +294,7 @@ def family_uncertainty(
     Args:
         twins: the candidates.
         gaps: ν-gaps between their plants.
-        terms: the loop in which they are held.
+        loop: the loop in which they are held.
         plant: the plant as it is now; two candidates always have equal sums, so the one nearer to the plant
             counts as nominal.
         seed: seed of the draws; the same seed gives the same bits.
@@ -127,14 +307,14 @@ def family_uncertainty(
     if not n or gaps.at.shape[1:] != (n, n):
         msg = f"uncertainty: {n} twins and ν-gaps of shape {gaps.at.shape}; give at least one, (points, n, n)"
         raise DiscriminationError(msg)
-    family = _Family.of(twins, gaps, terms, seed)
+    family = _Family.of(twins, gaps, loop, seed)
     low, high = np.zeros((n, n)), np.zeros((n, n))
     for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
         low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
     sums = [family.sum_of(i) for i in range(n)]
     shares = _shares(np.array([s.draws for s in sums]))
     if n == 2:
-        shares = np.full(2, 0.5) if plant is None else _nearer(twins, plant, gaps.points, terms, seed)
+        shares = np.full(2, 0.5) if plant is None else _nearer(twins, plant, gaps.points, loop, seed)
     return FamilyUncertainty(
         nu_gap_low=low,
         nu_gap_high=high,
@@ -165,9 +345,9 @@ class _Family:
     fails: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, twins: Sequence[Uncertain], gaps: PlantGaps, terms: Held, seed: int) -> _Family:
+    def of(cls, twins: Sequence[Uncertain], gaps: PlantGaps, loop: LoopConditions, seed: int) -> _Family:
         rng = np.random.default_rng(seed)
-        still, moved = zip(*(_directions(twin, gaps.points, terms, rng) for twin in twins), strict=True)
+        still, moved = zip(*(_directions(twin, gaps.points, loop, rng) for twin in twins), strict=True)
         first, second = np.triu_indices(len(twins), 1)
         width = still[0].shape[0]
         a, c = np.empty((first.size, width)), np.empty((first.size, width, DRAWS))
@@ -229,17 +409,17 @@ def _shares(draws: FloatArray) -> FloatArray:
 
 
 def _nearer(
-    twins: Sequence[Uncertain], plant: Parameters, points: Sequence[float], terms: Held, seed: int
+    twins: Sequence[Uncertain], plant: Parameters, points: Sequence[float], loop: LoopConditions, seed: int
 ) -> FloatArray:
     """Share of the draws in which each of two candidates is nearer to the plant, shape (2,)."""
     all_twins = [*twins, Uncertain(plant)]
-    family = _Family.of(all_twins, plant_gaps([t.parameters for t in all_twins], points, terms), terms, seed)
+    family = _Family.of(all_twins, plant_gaps([t.parameters for t in all_twins], points, loop), loop, seed)
     to_plant = np.flatnonzero(family.second == 2)
     return _shares(np.array([family.distance(int(p)) for p in to_plant]))
 
 
 def _directions(
-    twin: Uncertain, points: Sequence[float], terms: Held, rng: np.random.Generator
+    twin: Uncertain, points: Sequence[float], loop: LoopConditions, rng: np.random.Generator
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Directions of a twin's plant, the frequencies of one operating point after the other, unperturbed and
     in every draw; shapes (frequencies, 2) and (draws, frequencies, 2).
@@ -251,7 +431,7 @@ def _directions(
     if not points:
         nothing = np.zeros((1, DRAWS + 1, 1, 1), dtype=np.complex128)
         return directions(nothing[:, 0])[0], directions(nothing[0, 1:])
-    known = [held_slopes(twin.parameters, twin.loose, point, terms) for point in points]
+    known = [response_slopes(twin.parameters, twin.loose, point, loop) for point in points]
     response = np.concatenate([response for response, _ in known])[None, :, None]
     moves = draws @ np.hstack([slopes for _, slopes in known])
     moved = np.asarray(response + moves[..., None], dtype=np.complex128)

@@ -12,7 +12,7 @@ from twinmatch.comparing import (
     Candidate,
     CandidateScore,
     Family,
-    Held,
+    LoopConditions,
     OrderScore,
     SimoModel,
     Uncertain,
@@ -71,7 +71,8 @@ class Members:
         self._family = Family(settings.most_candidates, settings.regime_width)
         self._members: dict[str, _Member] = {}
         self._reached: tuple[float, float] | None = None
-        self._held = Held(settings.gains, spans_of(settings.plant), settings.schedule.span, settings.period)
+        scales, span = spans_of(settings.plant), settings.schedule.span
+        self._loop = LoopConditions(settings.gains, scales, span, settings.period)
 
     def __len__(self) -> int:
         return len(self._members)
@@ -158,7 +159,7 @@ class Members:
         identified = nu_gap_matrix([m.symbol for m in models])
         all_candidates = [*self._family.candidates, *structures]
         twins = [Uncertain(c.parameters, c.free, c.covariance) for c in all_candidates]
-        points, terms, count = self._points(newest), self._held, len(family)
+        points, terms, count = self._points(newest), self._loop, len(family)
         gaps = plant_gaps([t.parameters for t in twins], points, terms)
         to_now = [None if now is None else plant_gap(t.parameters, now, points, terms) for t in twins]
         distances = gaps.matrix[:, :count].sum(axis=1)

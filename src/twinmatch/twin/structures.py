@@ -24,8 +24,7 @@ import numpy as np
 
 from twinmatch.comparing import information_gain
 from twinmatch.comparing.code_length import two_part_length
-from twinmatch.comparing.criteria import bic, mdl, naic
-from twinmatch.comparing.score import Criteria
+from twinmatch.comparing.criteria import Criteria, bic, mdl, naic
 from twinmatch.dynamics import FILED, Closing, Model, Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import MatchingError, Noise, StructureFit, fit_structure
