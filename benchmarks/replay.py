@@ -19,7 +19,7 @@ from twinmatch.offline.judgement import Judgement, judge_samples
 from twinmatch.plants import Peltier
 from twinmatch.sessions import open_any
 from twinmatch.signals import Sample
-from twinmatch.twin import Discriminator, MatchReport, TwinSettings, answer
+from twinmatch.twin import Discriminator, MatchReport, TwinSettings, carry_out
 
 HOUR = 3600
 HOUR_TARGET = 1.2
@@ -98,7 +98,7 @@ def _before_a_verdict() -> tuple[Discriminator, Sample, MatchReport]:
     for sample in samples:
         request = probe.push_sample(sample).request
         if request is not None:
-            return ready, sample, answer(request, settings)
+            return ready, sample, carry_out(request, settings)
         ready.push_sample(sample)
     raise RuntimeError("the recording triggers no match")
 

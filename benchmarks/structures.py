@@ -28,14 +28,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from twinmatch.dynamics import simulate_window
+from twinmatch.dynamics import gains_of, simulate_window
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import StructureFit
+from twinmatch.fitting import Noise, StructureFit
 from twinmatch.plants import Peltier
 from twinmatch.sessions import read_recording, samples_of
 from twinmatch.signals import Window
-from twinmatch.twin import Schedule, StructureSettings, StructureWatch, choose_structure, nrmse
-from twinmatch.twin.structure_watch import watched
+from twinmatch.twin import Schedule, StructureFits, choose_structure, nrmse, watched
 
 MEDIAN_TARGET, LEAST_TARGET = (0.992, 0.90), (0.984, 0.82)
 CHOSEN = "chosen"
@@ -51,16 +50,19 @@ def judged(fitted: StructureFit, hour: Window, half: int) -> Figures:
     return y, nrmse(hour.input[half:], run.input[half - 2 :])
 
 
-def looks(hour: Window) -> str:
-    """The choices of the structure watch over the hour, and their CPU time."""
-    schedule, watch, chosen, costs = Schedule(), StructureWatch(StructureSettings(MODELS)), [], []
+def choices(hour: Window) -> str:
+    """The choices made beside the plant over the hour, and the CPU time of all fits with them."""
+    fits = StructureFits(MODELS, Noise.of(Peltier), gains_of(Peltier, 1.0))
+    schedule, chosen, costs = Schedule(), [], []
     for sample in samples_of(hour):
         trigger = schedule.push(sample)
         if trigger is None:
             continue
         began = time.process_time()
-        choice = watch.push(trigger.window)
-        if choice is not None:
+        before = fits.choice
+        fits.push(trigger.window, excited=False)
+        choice = fits.choice
+        if choice is not None and choice is not before:
             costs.append(time.process_time() - began)
             chosen.append(f"{choice.samples[0]}-{choice.samples[1]}: {choice.chosen}")
     return f"{1e3 * sum(costs):.0f} ms in {len(costs)} choices ({'; '.join(chosen)})"
@@ -99,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.print(_table(found, names, healthy))
     for path in paths:
         if path.name in names:
-            console.print(f"{path.name}: watch: {looks(read_recording(path))}")
+            console.print(f"{path.name}: watch: {choices(read_recording(path))}")
     return 0 if _met(console, [found[CHOSEN][n] for n in healthy]) else 1
 
 

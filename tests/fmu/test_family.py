@@ -21,8 +21,7 @@ from twinmatch.plants import Peltier
 from twinmatch.record.trees import parameters_of, parameters_tree
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import Twin, TwinSettings
-from twinmatch.twin.structure_watch import watched
+from twinmatch.twin import Twin, TwinSettings, watched
 from twinmatch.twin.structures import choose_structure
 
 NATIVE = Peltier.model("held sink")

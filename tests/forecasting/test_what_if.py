@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twinmatch.comparing import Candidate
 from twinmatch.dynamics import begin, gains_of, simulate_closed_loop
 from twinmatch.forecasting import NEAR, ForecastError, Moment, Outlook, Question, what_if
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import FloatArray, Window
-from twinmatch.twin.forecaster import Entrant, Forecaster
+from twinmatch.twin import Forecaster
 
 RIG = Peltier.model("sink with mass").parameters()
 PAST = np.repeat([35.0, 50.0], 200)
@@ -32,7 +33,7 @@ def run(reference: FloatArray) -> Window:
 def forecaster() -> Forecaster:
     """One candidate, the plant itself, after `PAST`."""
     made = Forecaster(gains_of(Peltier, 1.0))
-    made.enter([Entrant("rig", RIG, (0, 99))])
+    made.enter([Candidate("rig", 50.0, RIG, None)])
     for sample in samples_of(run(PAST)):
         made.push(sample)
     return made
@@ -125,7 +126,7 @@ def test_a_snapshot_does_not_change_when_the_forecaster_continues() -> None:
     before = what_if(snapshot.outlook(), Question((0.0,), (70.0,))).forecast
     for sample in samples_of(run(np.concatenate([PAST, np.repeat(80.0, 400)])))[PAST.size :]:
         made.push(sample)
-    made.enter([Entrant("other", Peltier.model().parameters(), (0, 1))])
+    made.enter([Candidate("other", 50.0, Peltier.model().parameters(), None)])
     after = what_if(snapshot.outlook("rig"), Question((0.0,), (70.0,))).forecast
     for band in ("output", "input"):
         for edge in ("mean", "low", "high"):

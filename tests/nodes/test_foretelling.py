@@ -24,7 +24,7 @@ from twinmatch.nodes.messages import (
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.signals import Sample
-from twinmatch.twin import Discriminator, TwinSettings, answer
+from twinmatch.twin import Discriminator, TwinSettings, carry_out
 from twinmatch_msgs.msg import Forecast, ForecastScore, LoopSample, Match, MatchRequest, ModelScore
 from twinmatch_msgs.srv import WhatIf
 
@@ -42,7 +42,7 @@ class Offline:
         for sample in samples:
             step = self.discriminator.push_sample(sample)
             if step.request is not None:
-                self.discriminator.push_match(answer(step.request, settings))
+                self.discriminator.push_match(carry_out(step.request, settings))
 
     def _followed(self, sample: Sample) -> None:
         forecaster = self.discriminator.forecaster

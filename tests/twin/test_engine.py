@@ -13,7 +13,7 @@ from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
 from twinmatch.dynamics import Parameters, Pid, advance, begin, read
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import Discriminator, MatchRequest, Outcome, Twin, TwinSettings, answer
+from twinmatch.twin import Discriminator, MatchRequest, Outcome, Twin, TwinSettings, carry_out
 
 
 def drive_lost_for_a_while(at: int = 550, again: int = 570, ticks: int = 1410) -> list[Sample]:
@@ -94,6 +94,6 @@ def test_given_candidates_are_who_a_match_of_their_regime_has_to_beat() -> None:
 def test_what_cannot_be_matched_is_refused_in_words() -> None:
     """An answer comes to every request, or the discriminator would wait for ever."""
     window = Window(np.full(9, 50.0), np.full(9, 50.0), np.full(9, 90.0), period=2.0)
-    report = answer(MatchRequest(8, 50.0, window, Peltier.model().parameters(), None), TwinSettings())
+    report = carry_out(MatchRequest(8, 50.0, window, Peltier.model().parameters(), None), TwinSettings())
     assert not report.match.accepted
     assert "the controller runs every 1.0 s" in report.match.reason

@@ -7,13 +7,12 @@ import pytest
 
 from tests.support.faulty_rig import profile
 from tests.support.rig import rig, run
+from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Parameters
 from twinmatch.forecasting import ForecastError
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample
-from twinmatch.twin import Twin, TwinSettings
-from twinmatch.twin.entrant import Entrant, ForecastSettings
-from twinmatch.twin.forecaster import Forecaster
+from twinmatch.twin import Forecaster, ForecastSettings, Twin, TwinSettings
 
 RICH = "sink with mass, free ambient, switched drive"
 TRUTH = rig(
@@ -34,8 +33,8 @@ def hour(seed: int, samples: int = 2400) -> list[Sample]:
     return list(samples_of(window))
 
 
-def entrants(**parameters: Parameters) -> list[Entrant]:
-    return [Entrant(name, p, (0, -1)) for name, p in parameters.items()]
+def given(**parameters: Parameters) -> list[Candidate]:
+    return [Candidate(name, 50.0, p, None) for name, p in parameters.items()]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +44,7 @@ def samples() -> list[Sample]:
 
 def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(entrants(plain=PLAIN, truth=TRUTH))
+    forecaster.enter(given(plain=PLAIN, truth=TRUTH))
     assert forecaster.leader == "plain", "as long as nothing has come, the one named first"
     for sample in samples[:1500]:
         forecaster.push(sample)
@@ -61,7 +60,7 @@ def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
     """Forecast from every twentieth sample; 100 forecasts that overlap are worth some thirty, so that the
     share within has a standard error of 0.05."""
     forecaster = Forecaster(GAINS)
-    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.enter(given(truth=TRUTH))
     inside = []
     for k, sample in enumerate(samples[:2000]):
         forecaster.push(sample)
@@ -100,7 +99,7 @@ def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
     """A plant without noise, and its own parameters: the observer has nothing to correct."""
     quiet = list(samples_of(run(TRUTH, [40.0] * 200 + [70.0] * 400)))
     forecaster = Forecaster(GAINS)
-    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.enter(given(truth=TRUTH))
     for sample in quiet[:250]:
         forecaster.push(sample)
     told = forecaster.outlook().forecast([s.reference for s in quiet[250:550]])
@@ -110,7 +109,7 @@ def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
 
 def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS, spoilt=lambda _first, _last: True)
-    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.enter(given(truth=TRUTH))
     for sample in samples[:700]:
         forecaster.push(sample)
     assert np.isnan(forecaster.scores[0].gain)
@@ -119,7 +118,7 @@ def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None
 
 def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.enter(given(truth=TRUTH))
     for sample in samples[:800]:
         forecaster.push(sample)
     learned = forecaster.scores[0].forecasts
@@ -127,12 +126,12 @@ def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(samples: list[Sa
         forecaster.push(sample)
     assert forecaster.outlook().sample.index == samples[1009].index
     assert forecaster.scores[0].forecasts == learned
-    assert forecaster.promise(60) is None, "nothing was forecast since the gap"
+    assert forecaster.check_bands(60) is None, "nothing was forecast since the gap"
 
 
-def test_a_plant_that_changes_breaks_its_promises(samples: list[Sample]) -> None:
+def test_a_plant_that_changes_leaves_its_bands(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.enter(given(truth=TRUTH))
     misses = []
     for sample in samples[:1200]:
         # From sample 1000 on the camera reads 3 °C too much: thirty times its noise.
@@ -140,8 +139,8 @@ def test_a_plant_that_changes_breaks_its_promises(samples: list[Sample]) -> None
             sample.index, sample.stamp, sample.reference, sample.output + 3.0, sample.input
         )  # fmt: skip
         forecaster.push(shifted)
-        promise = forecaster.promise(60)
-        misses.append(np.nan if promise is None else promise.miss)
+        check = forecaster.check_bands(60)
+        misses.append(np.nan if check is None else check.miss)
     assert np.nanmax(misses[400:1000]) < 2.0
     assert misses[1030] > 2.0
 
@@ -150,7 +149,7 @@ def test_a_question_too_early_or_to_a_wrong_name_is_refused() -> None:
     forecaster = Forecaster(GAINS)
     with pytest.raises(ForecastError, match="there is no candidate yet"):
         forecaster.outlook()
-    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.enter(given(truth=TRUTH))
     forecaster.push(Sample(0, 0, 40.0, 23.0, 0.0))
     with pytest.raises(ForecastError, match="no candidate 'other'; at this sample there are: truth"):
         forecaster.outlook("other")
@@ -162,7 +161,7 @@ def test_a_question_too_early_or_to_a_wrong_name_is_refused() -> None:
 
 def test_a_forecast_says_that_it_leaves_what_was_visited(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
-    forecaster.enter(entrants(truth=TRUTH))
+    forecaster.enter(given(truth=TRUTH))
     for sample in samples[:150]:
         forecaster.push(sample)
     here = samples[149].reference

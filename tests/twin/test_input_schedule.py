@@ -13,7 +13,7 @@ from tests.support.plants import Box, Lag
 from twinmatch.dynamics import Drive
 from twinmatch.signals import Sample
 from twinmatch.twin import ScheduleSettings, Trigger, TwinSettings
-from twinmatch.twin.input_schedule import InputSchedule
+from twinmatch.twin.schedule import InputSchedule
 
 SETTINGS = ScheduleSettings(min_input_step=10.0)
 CAPACITY, SPAN, LEAD = SETTINGS.capacity, SETTINGS.span, SETTINGS.lead

@@ -22,7 +22,7 @@ from twinmatch.twin import (
     Twin,
     TwinError,
     TwinSettings,
-    answer,
+    carry_out,
     window_fit,
 )
 
@@ -102,7 +102,7 @@ def test_late_matches_change_nothing_but_the_time_of_the_verdict(
         if step.request is not None:
             report = known[step.request.sample]
             if late == 37:  # once is enough: the other cases trust what this one has seen
-                assert repr(answer(step.request, settings)) == repr(report)
+                assert repr(carry_out(step.request, settings)) == repr(report)
             due.append((now + late, report))
 
     for sample in simulated_session:

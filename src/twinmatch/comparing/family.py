@@ -26,6 +26,30 @@ class Candidate:
     """Names of the parameters that were fitted."""
     covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     """Covariance of these, in their order and units, (n, n); empty if the candidate was given: exact."""
+    states: FloatArray | None = None
+    """States of its twin at the last samples of the window, shape (N, states), if its fit gave them."""
+
+    @property
+    def samples(self) -> tuple[int, int]:
+        """First and last sample to which it was fitted; (0, -1) if it was given."""
+        return (self.window.first, self.window.last) if self.window is not None else (0, -1)
+
+    @property
+    def known_covariance(self) -> FloatArray | None:
+        """The covariance if it can be used; None: the parameters count as exact.
+
+        Where a match left some combination unbounded, the other variances are unusable, too. The width of
+        the bands then follows from past errors.
+        """
+        usable = len(self.covariance) > 0 and bool(np.isfinite(self.covariance).all())
+        return self.covariance if usable else None
+
+    def states_at(self, sample: int) -> FloatArray | None:
+        """States of its twin at a sample, shape (states,); None where they are unknown."""
+        if self.states is None or self.window is None:
+            return None
+        place = sample - (self.window.last - len(self.states) + 1)
+        return self.states[place] if 0 <= place < len(self.states) else None
 
 
 class Family:

@@ -6,7 +6,6 @@
 width of the bands from past errors, and the `Ledger` keeps the cost of every candidate's forecasts.
 """
 
-from twinmatch.forecasting.bands import Calibration, leads_of
 from twinmatch.forecasting.forecast import (
     CONFIDENCE,
     HORIZONS,
@@ -16,8 +15,8 @@ from twinmatch.forecasting.forecast import (
     horizons_for,
     time_scale,
 )
-from twinmatch.forecasting.ledger import PERSISTENCE, Ledger
 from twinmatch.forecasting.outlook import Outlook, StateFilter
+from twinmatch.forecasting.scoring import PERSISTENCE, Calibration, Ledger, leads_of
 from twinmatch.forecasting.set_points import SetPoints
 from twinmatch.forecasting.what_if import (
     NEAR,

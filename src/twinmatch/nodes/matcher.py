@@ -10,7 +10,7 @@ from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.samples import TwinNode
 from twinmatch.nodes.topics import EVERYTHING, RELIABLE
-from twinmatch.twin import answer
+from twinmatch.twin import carry_out
 from twinmatch_msgs.msg import Match, MatchRequest
 
 __all__ = ["MatcherNode", "main"]
@@ -33,7 +33,7 @@ class MatcherNode(TwinNode):
     def work(self, item: MatchRequest) -> None:
         """Compute the match and publish it."""
         try:
-            report = answer(request_from(item), self.settings)
+            report = carry_out(request_from(item), self.settings)
         finally:
             with self._lock:
                 self._in_progress.discard((item.sample, item.first))

@@ -23,7 +23,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
-from twinmatch.twin.threads import one_thread
+from twinmatch.twin.matcher import one_thread
 
 __all__ = ["Member", "family"]
 

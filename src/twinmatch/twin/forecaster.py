@@ -6,28 +6,29 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Final
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import ForecastScore
+from twinmatch.comparing import Candidate, ForecastScore
 from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
 from twinmatch.forecasting import (
+    HORIZONS,
     PERSISTENCE,
     Calibration,
+    ForecastError,
     Ledger,
     Outlook,
     StateFilter,
+    horizons_for,
     leads_of,
     time_scale,
 )
 from twinmatch.signals import FloatArray, Sample
-from twinmatch.twin.entrant import Entrant, ForecastSettings
-from twinmatch.twin.hindsight import Hindsight
-from twinmatch.twin.promises import Promise, promise_of
-from twinmatch.twin.snapshot import Snapshot, candidate_called
+from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
-__all__ = ["Forecaster"]
+__all__ = ["ForecastSettings", "Forecaster", "Snapshot"]
 
 _RUN_IN: Final = (60.0, 300.0)
 """Newest stretch over which a new candidate tracks the plant before use, s: if its states are known, and if
@@ -36,11 +37,55 @@ _OTHERS_EVERY: Final = 3
 """The bands of candidates that do not lead learn from every third forecast only."""
 
 
+@dataclass(frozen=True)
+class ForecastSettings:
+    """Horizons and intervals at which the candidates' forecasts are scored.
+
+    Raises:
+        ForecastError: a value is not positive.
+    """
+
+    horizons: tuple[float, ...] = HORIZONS
+    """Forecast horizons, s."""
+    every: float = 30.0
+    """Time between two forecasts of all candidates, s."""
+    memory: float = 1800.0
+    """Time after which the weight of a forecast has fallen to 1/e, s."""
+
+    @classmethod
+    def of(cls, period: float) -> ForecastSettings:
+        """Settings for a sample time, s: slow samples get longer horizons, with intervals in proportion."""
+        factor = time_scale(period)
+        return cls(horizons_for(period), cls.every * factor, cls.memory * factor)
+
+    def __post_init__(self) -> None:
+        for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):
+            if not value > 0:
+                raise ForecastError(f"forecasts: {name} is {value} s; it must be positive")
+
+
+class Snapshot(NamedTuple):
+    """Outlooks of all candidates at one sample; immutable, so it can be used from any thread."""
+
+    leader: str | None = None
+    """The candidate whose forecasts have saved the most characters; None without candidates."""
+    outlooks: Mapping[str, Outlook] = MappingProxyType({})
+    """Outlooks by name of the candidate."""
+
+    def outlook(self, name: str | None = None) -> Outlook:
+        """The outlook of a candidate, by default the leader.
+
+        Raises:
+            ForecastError: there is no candidate yet, or none of that name.
+        """
+        return self.outlooks[_checked(self.leader if name is None else name, self.outlooks)]
+
+
 @dataclass
 class _Twin:
-    """A candidate with its observer and its bands."""
+    """A candidate with the filter of its states and the calibration of its bands."""
 
-    entrant: Entrant
+    candidate: Candidate
     state_filter: StateFilter
     calibration: Calibration = field(repr=False)
 
@@ -51,7 +96,7 @@ class Forecaster:
     At every sample each twin's states are corrected by the reading. Every `every` seconds the state of all
     twins is saved; when the samples up to a horizon are there, each twin forecasts them from the saved state,
     under the actual set-points, and ledger and bands learn from the errors. Twins whose loop is not known
-    forecast the output under the actual inputs. All this depends only on samples and entrants.
+    forecast the output under the actual inputs. All this depends only on samples and candidates.
     """
 
     def __init__(
@@ -82,7 +127,7 @@ class Forecaster:
         self._twins: dict[str, _Twin] = {}
         self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
-        self._hindsight = Hindsight(self._kept)
+        self._leader_confidence = LeaderConfidence(self._kept)
         self._departures: dict[int, Snapshot] = {}
         self._run_in = tuple(round(stretch * time_scale(period) / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
@@ -110,7 +155,7 @@ class Forecaster:
     @property
     def confidence(self) -> float:
         """Probability that the leader is within 3 % of the best in hindsight, estimated from the past."""
-        return self._hindsight.share
+        return self._leader_confidence.share
 
     @property
     def scores(self) -> tuple[ForecastScore, ...]:
@@ -120,12 +165,12 @@ class Forecaster:
             return ()
         found = []
         for name, gains in zip(self._order, ledger.gains(self._order), strict=True):
-            entrant = self._twins[name].entrant
-            first, last = entrant.samples
+            candidate = self._twins[name].candidate
+            first, last = candidate.samples
             found.append(
                 ForecastScore(
                     name=name,
-                    parameters=entrant.parameters,
+                    parameters=candidate.parameters,
                     first=first,
                     last=last,
                     gain=float(np.nansum(gains)) if np.isfinite(gains).any() else float("nan"),
@@ -170,34 +215,35 @@ class Forecaster:
             departure = self._departures.get(sample.index - ahead)
             if departure is not None:
                 self._learn(departure, sample.index - ahead, place)
-        # One forecast more is kept: `promise` needs one that is old enough at every sample.
+        # One forecast more is kept: `check_bands` needs one that is old enough at every sample.
         self._departures.pop(sample.index - self._longest - self._stride, None)
 
-    def enter(self, entrants: Sequence[Entrant], successors: Mapping[str, str] | None = None) -> None:
+    def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.
 
         Args:
-            entrants: all candidates; of two with equal savings, the one named first leads.
+            candidates: all of them; of two with equal savings, the one named first leads.
             successors: by name of a new candidate, the earlier one whose score it inherits.
         """
-        if self._ledger is None and entrants:
-            plant = entrants[0].parameters.model.plant
+        successors = successors or {}
+        if self._ledger is None and candidates:
+            plant = candidates[0].parameters.model.plant
             noise = np.array([plant.output.noise, plant.drive.noise])[: self._signals]
             self._ledger = Ledger(len(self.horizons), noise, self._kept)
         twins = {}
-        for entrant in entrants:
-            held = self._twins.get(entrant.name)
-            if held is None or held.entrant.parameters != entrant.parameters:
-                earlier = held or self._twins.get((successors or {}).get(entrant.name, ""))
+        for candidate in candidates:
+            twin = self._twins.get(candidate.name)
+            if twin is None or twin.candidate.parameters != candidate.parameters:
+                earlier = twin or self._twins.get(successors.get(candidate.name, ""))
                 try:
-                    held = self._built(entrant, earlier)
+                    twin = self._built(candidate, earlier)
                 except PlantError:
-                    if not entrant.parameters.model.is_elsewhere:
+                    if not candidate.parameters.model.is_elsewhere:
                         raise
                     continue
-            twins[entrant.name] = held
+            twins[candidate.name] = twin
         if self._ledger is not None:
-            for name, before in (successors or {}).items():
+            for name, before in successors.items():
                 if name not in self._twins:
                     self._ledger.inherit(name, before)
             self._ledger.keep(twins)
@@ -215,8 +261,8 @@ class Forecaster:
         Raises:
             ForecastError: there is no candidate yet, or none of that name.
         """
-        name = candidate_called(self.leader if name is None else name, self._twins if self._recent else {})
-        return self._outlook(name)
+        known = self._twins if self._recent else {}
+        return self._outlook(_checked(self.leader if name is None else name, known))
 
     def _outlook(self, name: str, *, banded: bool = True) -> Outlook:
         """The outlook of a candidate; `banded=False` if only the mean will be used."""
@@ -224,7 +270,7 @@ class Forecaster:
         return Outlook(
             sample=self._recent[-1],
             candidate=name,
-            parameters=twin.entrant.parameters,
+            parameters=twin.candidate.parameters,
             states=twin.state_filter.states,
             covariance=twin.state_filter.joint,
             unsure=twin.state_filter.free,
@@ -237,7 +283,7 @@ class Forecaster:
             notes=self.notes,
         )
 
-    def promise(self, samples: int) -> Promise | None:
+    def check_bands(self, samples: int) -> BandCheck | None:
         """How the newest readings lie in the bands forecast for them; None if there was no forecast.
 
         The forecast is that of the leader at its time, from the last saved state before these samples, under
@@ -259,7 +305,7 @@ class Forecaster:
             return None
         newest_of = came[-samples:]
         output, input_ = (np.array([getattr(s, name) for s in newest_of]) for name in ("output", "input"))
-        return promise_of(forecast, output, None if self._gains is None else input_)
+        return check_band(forecast, output, None if self._gains is None else input_)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -267,7 +313,7 @@ class Forecaster:
         try:
             yield
         except PlantError:
-            if not self._twins[name].entrant.parameters.model.is_elsewhere:
+            if not self._twins[name].candidate.parameters.model.is_elsewhere:
                 raise
             del self._twins[name]
             self._order = tuple(self._twins)
@@ -286,7 +332,7 @@ class Forecaster:
         for twin in self._twins.values():
             twin.state_filter.restart()
 
-    def _built(self, entrant: Entrant, before: _Twin | None) -> _Twin:
+    def _built(self, candidate: Candidate, before: _Twin | None) -> _Twin:
         """Build a twin and run it over the newest samples, as far back as they are kept."""
         if before:
             calibration = before.calibration.copy()
@@ -295,19 +341,19 @@ class Forecaster:
             calibration = Calibration(self._leads, self._kept, self._signals, stride)
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
-            states = entrant.states_at(recent[0].index) if recent else None
+            states = candidate.states_at(recent[0].index) if recent else None
             if states is not None:
                 break
         state_filter = StateFilter(
-            entrant.parameters,
+            candidate.parameters,
             self.period,
             states=states,
-            free=entrant.free,
-            covariance=entrant.covariance,
+            free=candidate.free,
+            covariance=candidate.known_covariance,
         )
         for sample in recent:
             state_filter.push(sample)
-        return _Twin(entrant, state_filter, calibration)
+        return _Twin(candidate, state_filter, calibration)
 
     def _learn(self, departure: Snapshot, sample: int, place: int) -> None:
         """Score the forecasts made at one sample on the samples up to one of their horizons."""
@@ -318,8 +364,8 @@ class Forecaster:
         given, rows, signals = self._condition(past[1:]), _rows(past), self._signals
         measured = np.array([[s.output for s in past[1:]], [s.input for s in past[1:]]])[:signals]
         before = max((h for h in self.horizons if h < ahead), default=0)
-        held = np.array([[past[0].output], [past[0].input]])[:signals]
-        errors, paths = {PERSISTENCE: (measured - held)[:, before:]}, {}
+        last = np.array([[past[0].output], [past[0].input]])[:signals]
+        errors, paths = {PERSISTENCE: (measured - last)[:, before:]}, {}
         skipped = sample // self._stride % _OTHERS_EVERY
         for name, outlook in departure.outlooks.items():
             if name not in self._twins:
@@ -336,9 +382,24 @@ class Forecaster:
                 paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))
         ledger.add(errors, place)
         if ahead == self._longest and departure.leader in paths:
-            self._hindsight.add(paths[departure.leader], min(paths.values()))
+            self._leader_confidence.add(paths[departure.leader], min(paths.values()))
 
 
 def _rows(samples: Sequence[Sample]) -> FloatArray | None:
     """The samples' disturbances, shape (N, d), or None if there are none."""
     return np.array([s.disturbances for s in samples]) if samples[0].disturbances else None
+
+
+def _checked(name: str | None, candidates: Mapping[str, object]) -> str:
+    """Check that there is a candidate of this name, and return the name.
+
+    Raises:
+        ForecastError: there is no candidate yet, or none of that name.
+    """
+    if name is None or not candidates:
+        msg = "forecast: there is no candidate yet; the first comes with the first match that is accepted"
+        raise ForecastError(msg)
+    if name not in candidates:
+        names = ", ".join(candidates)
+        raise ForecastError(f"forecast: no candidate {name!r}; at this sample there are: {names}")
+    return name

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
+from functools import cache
 from typing import NamedTuple
+
+from threadpoolctl import ThreadpoolController
 
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
@@ -10,9 +14,20 @@ from twinmatch.fitting import Match, Status, match
 from twinmatch.fitting.result import without_fit
 from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
-from twinmatch.twin.threads import one_thread
 
-__all__ = ["MatchReport", "MatchRequest", "answer"]
+__all__ = ["MatchReport", "MatchRequest", "carry_out", "one_thread"]
+
+_blas = cache(ThreadpoolController)
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Context within which the BLAS of the process uses one thread.
+
+    A BLAS that splits a product among threads sums in a different order than one thread does, and the last
+    bits differ. Verdicts are compared bit for bit, and the matrices here are too small to gain from threads.
+    """
+    limits: AbstractContextManager[object] = _blas().limit(limits=1, user_api="blas")
+    return limits
 
 
 class MatchRequest(NamedTuple):
@@ -44,7 +59,7 @@ class MatchReport(NamedTuple):
         return (self.sample, *self.match.samples) == (request.sample, window.first, window.last)
 
 
-def answer(request: MatchRequest, settings: TwinSettings) -> MatchReport:
+def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     """Carry out a request; if the window cannot be matched at all, the match is refused with the error."""
     try:
         with one_thread():

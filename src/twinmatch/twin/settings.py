@@ -11,7 +11,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.health import HealthSettings
 from twinmatch.plants import Peltier
-from twinmatch.twin.entrant import ForecastSettings
+from twinmatch.twin.forecaster import ForecastSettings
 from twinmatch.twin.schedule import ScheduleSettings
 
 __all__ = ["TrustLimits", "TwinError", "TwinSettings"]

@@ -11,7 +11,7 @@ from twinmatch.offline.backtest.peer import Peer
 from twinmatch.offline.backtest.scoring import marks, samples_within
 from twinmatch.offline.backtest.summary import Marked
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin.threads import one_thread
+from twinmatch.twin.matcher import one_thread
 
 __all__ = ["Origin", "ask", "mark", "origins", "regular", "stretches"]
 

@@ -24,7 +24,7 @@ from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin
-from twinmatch.twin.threads import one_thread
+from twinmatch.twin.matcher import one_thread
 
 __all__ = ["Listener", "backtest", "backtest_session", "graded"]
 

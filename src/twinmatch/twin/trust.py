@@ -1,4 +1,4 @@
-"""Whether the samples lie in the forecast bands, since when they do not, and at which levels they did."""
+"""How far to trust the leader: whether samples lie in its bands, and how often it was nearly the best."""
 
 from __future__ import annotations
 
@@ -10,23 +10,27 @@ from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import Forecast
 from twinmatch.signals import FloatArray
 
-__all__ = ["Promise", "Promises", "promise_of", "trust_level"]
+__all__ = ["BandCheck", "BandHistory", "LeaderConfidence", "check_band", "trust_level"]
 
 _NEIGHBOURS: Final = 10.0
 """Spans of output closer than this, in units of its noise, are merged: samples of a fast step are that far
 apart."""
+_NEAR: Final = 1.03
+"""A leader whose error is no larger than this times the least of all candidates counts as right."""
+_DOUBT: Final = 0.5
+"""Prior count of either outcome (Jeffreys)."""
 
 
-class Promise(NamedTuple):
-    """How readings lie in the band forecast for them."""
+class BandCheck(NamedTuple):
+    """How readings lie in the band forecast for them; the fields are those of a verdict."""
 
-    miss_y: float
+    miss_y: float = float("nan")
     """RMS of measured minus forecast output, in half widths of its band: 0.6 is usual."""
-    inside_y: float
+    inside_y: float = float("nan")
     """Share of the readings within the band; 0.9 is expected."""
-    miss_u: float
+    miss_u: float = float("nan")
     """The same for the input; NaN where the input is given."""
-    inside_u: float
+    inside_u: float = float("nan")
 
     @property
     def miss(self) -> float:
@@ -34,24 +38,24 @@ class Promise(NamedTuple):
         return self.miss_y if np.isnan(self.miss_u) else max(self.miss_y, self.miss_u)
 
 
-def promise_of(forecast: Forecast, output: FloatArray, input: FloatArray | None) -> Promise:
+def check_band(forecast: Forecast, output: FloatArray, input: FloatArray | None) -> BandCheck:
     """Compare the last N samples with a forecast, shape (N,) each; `input` is None where it was given."""
     figures: list[float] = []
-    foretold = [(output, forecast.output)]
+    signals = [(output, forecast.output)]
     if input is not None:
-        foretold.append((input, forecast.input))
-    for values, band in foretold:
+        signals.append((input, forecast.input))
+    for values, band in signals:
         mean, low, high = (part[-values.size :] for part in (band.mean, band.low, band.high))
         half = np.where(values > mean, high - mean, mean - low)
         # At a limit of the controller a band has one side only.
         half = np.maximum(half, 0.5 * (high - low))
         figures.append(float(np.sqrt(np.mean(np.square((values - mean) / half)))))
         figures.append(float(np.mean((low <= values) & (values <= high))))
-    return Promise(*figures, *[float("nan")] * (4 - len(figures)))
+    return BandCheck(*figures)
 
 
-class Promises:
-    """Tracks which levels kept their bands and since when bands are missed; depends only on its input."""
+class BandHistory:
+    """Tracks at which levels the bands held and since when they are missed; depends only on its input."""
 
     def __init__(self, limit: float, noise: float) -> None:
         """Begin without readings.
@@ -65,9 +69,9 @@ class Promises:
         self.since: int | None = None
         """First sample of the current stretch outside the bands; None while inside."""
 
-    def push(self, promise: Promise, first: int, output: FloatArray) -> None:
+    def push(self, check: BandCheck, first: int, output: FloatArray) -> None:
         """Add the result for samples from index `first` on, with this output."""
-        if promise.miss >= self._limit:
+        if check.miss >= self._limit:
             self.since = first if self.since is None else self.since
             return
         self.since = None
@@ -75,7 +79,7 @@ class Promises:
         self._newest = float(output[-1])
 
     @property
-    def held(self) -> tuple[float, float] | None:
+    def levels(self) -> tuple[float, float] | None:
         """Range of outputs, contiguous with the newest, in which the bands held.
 
         None if they never did. It shows where there is evidence, not where the physics ends.
@@ -93,8 +97,28 @@ def _merged(spans: list[tuple[float, float]], near: float) -> list[tuple[float, 
     return merged
 
 
-def trust_level(promise: Promise, doubtful: float) -> TrustLevel:
+def trust_level(check: BandCheck, doubtful: float) -> TrustLevel:
     """Trust level of a leader with this result; from a miss of `doubtful` on, it is not trusted."""
-    if np.isnan(promise.miss):
+    if np.isnan(check.miss):
         return TrustLevel.UNKNOWN
-    return TrustLevel.DOUBTFUL if promise.miss >= doubtful else TrustLevel.TRUSTED
+    return TrustLevel.DOUBTFUL if check.miss >= doubtful else TrustLevel.TRUSTED
+
+
+class LeaderConfidence:
+    """Share of the leader's forecasts that no other candidate beat by more than 3 %; old ones weigh less."""
+
+    def __init__(self, kept: float) -> None:
+        """Begin undecided; `kept` is the factor on past weights per forecast."""
+        self._kept = kept
+        self._right = self._wrong = _DOUBT
+
+    def add(self, leading: float, best: float) -> None:
+        """Add the error of the leader and the least error of all candidates."""
+        right = leading <= _NEAR * best
+        self._right = self._kept * self._right + right
+        self._wrong = self._kept * self._wrong + (not right)
+
+    @property
+    def share(self) -> float:
+        """The share, between 0 and 1."""
+        return self._right / (self._right + self._wrong)

@@ -1,4 +1,4 @@
-"""The discriminator: takes samples and matches, returns verdicts."""
+"""The engine: takes samples and matches, returns verdicts."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ import numpy as np
 
 from twinmatch.comparing import (
     ADMITTED,
+    DECIDED_FROM,
     REFUSED,
     Candidate,
     TrustLevel,
     Verdict,
 )
+from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.health import SLOW, Alarm, Health, Monitor, State
 from twinmatch.signals import Sample, Window
-from twinmatch.twin.bench import Bench
+from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.forecaster import Forecaster
-from twinmatch.twin.input_schedule import InputSchedule
-from twinmatch.twin.matcher import MatchReport, MatchRequest
-from twinmatch.twin.promises import Promise, Promises, trust_level
-from twinmatch.twin.residuals import Residuals, residuals
-from twinmatch.twin.schedule import Schedule, Trigger
+from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
+from twinmatch.twin.mirror import Residuals, residuals
+from twinmatch.twin.schedule import InputSchedule, Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
-from twinmatch.twin.structure_watch import watched
-from twinmatch.twin.threads import one_thread
+from twinmatch.twin.structure_fits import watched
+from twinmatch.twin.trust import BandCheck, BandHistory, trust_level
 
-__all__ = ["Discriminator", "Step"]
+__all__ = ["Discriminator", "Outcome", "Step", "Twin"]
 
 
 class Step(NamedTuple):
@@ -47,8 +47,23 @@ class _Decision(NamedTuple):
     """The decision on a match."""
 
     word: str
-    """`ADMITTED` or `REFUSED`."""
+    """`ADMITTED` or `REFUSED`; empty if no match was requested."""
     reason: str
+
+
+class _Assessment(NamedTuple):
+    """How far the twin is to be trusted at a sample; the fields are those of a verdict."""
+
+    level: TrustLevel
+    fault: str
+    fault_since: int | None
+    structure: str
+    structure_parameters: Parameters | None
+    driven_rms_y: float
+    closed_rms_u: float
+    miss_since: int | None
+    held_low: float
+    held_high: float
 
 
 class Discriminator:
@@ -74,21 +89,20 @@ class Discriminator:
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = _schedule(self.settings)
-        self._elsewhere = [model for model in watched(self.settings.plant) if model.is_elsewhere]
-        self._bench = Bench(self.settings, self._spoilt)
-        self._promises = Promises(self.settings.limits.doubtful, self.settings.noise.output)
+        self._external = [model for model in watched(self.settings.plant) if model.is_elsewhere]
+        self._pool = CandidatePool(self.settings, self._spoilt)
+        self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
         self._request: MatchRequest | None = None
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
-        self._standing: Verdict | None = None
 
     @property
     def forecaster(self) -> Forecaster:
         """The forecaster of all candidates, at the newest settled sample."""
-        return self._bench.forecaster
+        return self._pool.forecaster
 
     @property
     def request(self) -> MatchRequest | None:
@@ -103,9 +117,7 @@ class Discriminator:
     @property
     def nominal(self) -> Candidate | None:
         """The current nominal candidate."""
-        if self._standing is None or self._standing.nominal is None:
-            return None
-        return self._bench.members.candidate(self._standing.nominal)
+        return self._pool.nominal
 
     def push_sample(self, sample: Sample) -> Step:
         """Take one sample; return the verdicts now due, and the match to request."""
@@ -137,9 +149,10 @@ class Discriminator:
                 self.forecaster.push(item)
                 self.forecaster.notes = self._notes()
                 self._followed(item)
-                verdicts += [self._bench.with_forecasts(verdict) for verdict in due]
+                if due is not None:
+                    verdicts.append(due())
             elif not item.excited:
-                verdicts.append(self._judged(item, None))
+                verdicts.append(self._judged(item, _Decision("", item.reason)))
             elif (alarm := self.monitor.fault_between(item.window.first, item.window.last)) is not None:
                 reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
                 verdicts.append(self._judged(item, _Decision(REFUSED, reason)))
@@ -154,7 +167,7 @@ class Discriminator:
         with one_thread():
             while self._given:
                 self._admitted(self._given.pop(0), trigger.window)
-        rival = self._bench.members.standing_at(trigger.operating_point)
+        rival = self._pool.incumbent_at(trigger.operating_point)
         incumbent = rival.parameters if rival else None
         return MatchRequest(
             sample=trigger.sample,
@@ -164,8 +177,9 @@ class Discriminator:
             incumbent=incumbent,
         )
 
-    def _watch(self, sample: Sample) -> list[Verdict]:
-        """Judge the plant's health; return a verdict if a fault has just begun or ended."""
+    def _watch(self, sample: Sample) -> Callable[[], Verdict] | None:
+        """Judge the plant's health; return the verdict due if a fault has just begun or ended, which is to be
+        completed when the candidates have taken the sample, too."""
         if self._recent and sample.index != self._recent[-1].index + 1:
             if sample.index <= self._recent[-1].index:  # another session: the old alarms have other indices
                 self.monitor = Monitor(self.monitor.settings)
@@ -175,80 +189,92 @@ class Discriminator:
         self._health = self.monitor.push(sample, nominal.parameters if nominal else None)
         news = self._health.news
         if news is None:
-            return []
+            return None
         window = Window.from_samples(list(self._recent), self.settings.period)
+        reason = news.reason
+        gone: tuple[str, ...] = ()
         if news.last is not None:
             reason = f"{news.fault.value} is over: the plant responds normally again"
-            return [self._stand(sample.index, window, reason)]
         with one_thread():
-            gone = self._remove_spoilt(news)
-        return [replace(self._stand(sample.index, window, news.reason), dismissed=gone)]
+            if news.last is None:
+                gone = self._remove_spoilt(news)
+            self._pool.score_leader()
+        return self._verdict(sample.index, window, _Decision("", reason), dismissed=gone)
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
         if alarm.fault in SLOW:  # the plant has changed since then, but still obeys its drive
-            self._bench.renew(alarm.first)
+            self._pool.structures.cut(alarm.first)
             return ()
-        self._standing, gone = self._bench.expel(self._standing, alarm.first, alarm.flagged)
-        return gone
+        return self._pool.expel(alarm.first, alarm.flagged)
 
-    def _judged(
-        self, trigger: Trigger, decision: _Decision | None, report: MatchReport | None = None
-    ) -> Verdict:
-        """The verdict on a window and the decision on its match; None if no match was requested."""
+    def _judged(self, trigger: Trigger, decision: _Decision, report: MatchReport | None = None) -> Verdict:
+        """The verdict on a window and the decision on its match.
+
+        If the window cannot be scored, the scores of the verdict before stand.
+        """
+        window, pool = trigger.window, self._pool
         with one_thread():
-            verdict = self._judge(trigger, decision, report)
-        return self._bench.with_forecasts(replace(verdict, match=decision.word if decision else ""))
+            if self.monitor.fault_between(window.first, window.last) is None:
+                pool.structures.push(window, excited=trigger.excited)
+            pool.enter()
+            scored = bool(decision.word) and not pool.empty
+            if scored:
+                try:
+                    pool.score(window)
+                except TwinmatchError as error:
+                    scored = False
+                    decision = decision._replace(reason=f"nothing could be identified: {error}")
+            if not scored:
+                pool.score_leader()
+            doubtful = scored and report is not None and report.match.status is Status.NOT_EXPLAINED
+            return self._verdict(trigger.sample, window, decision, stands=not scored, doubtful=doubtful)()
 
-    def _notes(self) -> tuple[str, ...]:
-        """Reservations on forecasts at this sample, and structures that no longer take part."""
-        lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._elsewhere if model.lost)
-        return (*self._reservations(), *lost)
+    def _verdict(
+        self,
+        sample: int,
+        window: Window,
+        decision: _Decision,
+        *,
+        stands: bool = True,
+        doubtful: bool = False,
+        dismissed: tuple[str, ...] = (),
+    ) -> Callable[[], Verdict]:
+        """The verdict on a window with the newest scores; its forecasts are added when it is called."""
+        scores = self._pool.scores or UNSCORED
+        bands = self._checked_bands(window)
+        assessment = self._assessed(bands, window, doubtful=doubtful)
 
-    def _reservations(self) -> tuple[str, ...]:
-        health, since = self._health, self._promises.since
-        if health is not None and health.state is State.FAULT and health.fault is not None:
-            fault = f"the plant has shown {health.fault.value} since sample {health.since}"
-            return (f"{fault}: this forecast is for a healthy plant",)
-        if since is not None:
-            return (f"readings have been outside the bands since sample {since}: these bands may not hold",)
-        return ()
+        def verdict() -> Verdict:
+            forecaster = self.forecaster
+            leader, confidence = forecaster.leader, forecaster.confidence
+            sentences = (forecaster.sentence, scores.certainty)
+            return Verdict(
+                sample=sample,
+                first=window.first,
+                last=window.last,
+                stands=stands,
+                reason=decision.reason,
+                match=decision.word,
+                dismissed=dismissed,
+                decimals=self.settings.decimals,
+                leader=leader,
+                leader_confidence=float("nan") if leader is None else confidence,
+                decided=leader is not None and confidence >= DECIDED_FROM,
+                horizons=forecaster.settings.horizons,
+                forecasts=forecaster.scores,
+                **bands._asdict(),
+                **assessment._asdict(),
+                **scores._replace(certainty="; ".join(s for s in sentences if s))._asdict(),
+            )
 
-    def _spoilt(self, first: int, last: int) -> bool:
-        """Whether the plant was known to be at fault between two samples."""
-        return self.monitor.fault_between(first, last) is not None
+        return verdict
 
-    def _judge(self, trigger: Trigger, decision: _Decision | None, report: MatchReport | None) -> Verdict:
-        sample, window = trigger.sample, trigger.window
-        if self.monitor.fault_between(window.first, window.last) is None:
-            self._bench.watch(window, excited=trigger.excited)
-        self._bench.enter()
-        if decision is None:
-            return self._stand(sample, window, trigger.reason)
-        if not len(self._bench.members):
-            return self._stand(sample, window, decision.reason)
-        fresh = replace(self._standing or self._empty(), stands=False, reason=decision.reason)
-        try:
-            scored = self._bench.score(fresh, window)
-        except TwinmatchError as error:
-            return self._stand(sample, window, f"nothing could be identified: {error}")
-        doubtful = report is not None and report.match.status is Status.NOT_EXPLAINED
-        self._standing = self._at(scored, sample, window, doubtful=doubtful)
-        return self._standing
-
-    def _stand(self, sample: int, window: Window, reason: str) -> Verdict:
-        """Repeat the previous verdict, marked as such; only health, residuals and level are new."""
-        if self._standing is not None:
-            with one_thread():
-                self._standing = self._bench.with_leader(self._standing)
-        base = replace(self._standing or self._empty(), stands=True, reason=reason)
-        return self._at(base, sample, window)
-
-    def _at(self, verdict: Verdict, sample: int, window: Window, *, doubtful: bool = False) -> Verdict:
-        """Update the verdict for this sample: window, residuals of the nominal, fault, level."""
-        found, choice = self._residuals(verdict.nominal, window), self._bench.choice
-        promise, held = self._promised(window), self._promises.held or (float("nan"), float("nan"))
-        level, fault, since = trust_level(promise, self.settings.limits.doubtful), "", None
+    def _assessed(self, bands: BandCheck, window: Window, *, doubtful: bool) -> _Assessment:
+        """Residuals, fault and level at the end of a window; `doubtful`: no match explains it."""
+        found, choice = self._residuals(window), self._pool.structures.choice
+        low, high = self._bands.levels or (float("nan"), float("nan"))
+        level, fault, since = trust_level(bands, self.settings.limits.doubtful), "", None
         if doubtful and level is TrustLevel.TRUSTED:
             level = TrustLevel.DOUBTFUL
         health = self._health
@@ -256,11 +282,7 @@ class Discriminator:
             fault, since = health.fault.value, health.since
             # A plant that has changed still obeys its drive: its next matches adapt the twin.
             level = TrustLevel.DOUBTFUL if health.fault in SLOW else TrustLevel.FAULT
-        return replace(
-            verdict,
-            sample=sample,
-            first=window.first,
-            last=window.last,
+        return _Assessment(
             level=level,
             fault=fault,
             fault_since=since,
@@ -268,38 +290,48 @@ class Discriminator:
             structure_parameters=choice.parameters if choice else None,
             driven_rms_y=found.y,
             closed_rms_u=found.u,
-            **promise._asdict(),
-            miss_since=self._promises.since,
-            held_low=held[0],
-            held_high=held[1],
+            miss_since=self._bands.since,
+            held_low=low,
+            held_high=high,
         )
 
-    def _promised(self, window: Window) -> Promise:
+    def _checked_bands(self, window: Window) -> BandCheck:
         """How the newest samples lie in the bands that the leader forecast for them."""
         samples = min(self.settings.schedule.stride, len(window))
-        promise = self.forecaster.promise(samples)
-        if promise is None:
-            return Promise(*[float("nan")] * 4)
+        check = self.forecaster.check_bands(samples)
+        if check is None:
+            return BandCheck()
         newest = [s.output for s in self._recent][-samples:]
-        self._promises.push(promise, self._recent[-1].index - len(newest) + 1, np.array(newest))
-        return promise
+        self._bands.push(check, self._recent[-1].index - len(newest) + 1, np.array(newest))
+        return check
 
-    def _empty(self) -> Verdict:
-        return Verdict(
-            sample=0,
-            first=0,
-            last=0,
-            level=TrustLevel.UNKNOWN,
-            stands=True,
-            nominal=None,
-            reason="",
-            decimals=self.settings.decimals,
-            candidates=(),
-            order=None,
-            nu_gap=(),
-            driven_rms_y=float("nan"),
-            closed_rms_u=float("nan"),
+    def _residuals(self, window: Window) -> Residuals:
+        nominal = self.nominal
+        if nominal is None:
+            return Residuals(float("nan"), float("nan"))
+        alarms = self.monitor.alarms
+        over = alarms[-1].last if alarms else None  # residuals during a past fault are not the twin's
+        first = max(
+            window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
         )
+        newest = window.part(min(first, window.last), window.last)
+        return residuals(nominal.parameters, newest, self.settings.gains)
+
+    def _notes(self) -> tuple[str, ...]:
+        """Reservations on forecasts at this sample, and structures that no longer take part."""
+        lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._external if model.lost)
+        health, since = self._health, self._bands.since
+        if health is not None and health.state is State.FAULT and health.fault is not None:
+            fault = f"the plant has shown {health.fault.value} since sample {health.since}"
+            return (f"{fault}: this forecast is for a healthy plant", *lost)
+        if since is not None:
+            outside = f"readings have been outside the bands since sample {since}"
+            return (f"{outside}: these bands may not hold", *lost)
+        return lost
+
+    def _spoilt(self, first: int, last: int) -> bool:
+        """Whether the plant was known to be at fault between two samples."""
+        return self.monitor.fault_between(first, last) is not None
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> _Decision:
         match, window = report.match, trigger.window
@@ -313,20 +345,43 @@ class Discriminator:
 
     def _admitted(self, candidate: Candidate, window: Window) -> _Decision:
         try:
-            return _Decision(ADMITTED, self._bench.take_in(candidate, window))
+            return _Decision(ADMITTED, self._pool.admit(candidate, window))
         except TwinmatchError as error:
             return _Decision(REFUSED, f"no models identified for candidate {candidate.name}: {error}")
 
-    def _residuals(self, nominal: str | None, window: Window) -> Residuals:
-        if nominal is None:
-            return Residuals(float("nan"), float("nan"))
-        alarms = self.monitor.alarms
-        over = alarms[-1].last if alarms else None  # residuals during a past fault are not the twin's
-        first = max(
-            window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
-        )
-        newest = window.part(min(first, window.last), window.last)
-        return residuals(self._bench.members.candidate(nominal).parameters, newest, self.settings.gains)
+
+class Outcome(NamedTuple):
+    """The results of one sample."""
+
+    match: MatchReport | None
+    verdicts: tuple[Verdict, ...]
+
+
+class Twin:
+    """A discriminator whose match requests are answered immediately, on one stream of samples."""
+
+    def __init__(
+        self,
+        settings: TwinSettings | None = None,
+        given: Sequence[Candidate] = (),
+        *,
+        matching: TwinSettings | None = None,
+    ) -> None:
+        """Begin without samples, with the given candidates, if any.
+
+        `matching`: settings for the matches; default: `settings`.
+        """
+        self.settings = settings or TwinSettings()
+        self.discriminator = Discriminator(self.settings, given)
+        self._matching = matching or self.settings
+
+    def push(self, sample: Sample) -> Outcome:
+        """Take one sample; return the match and the verdicts that it triggers."""
+        step = self.discriminator.push_sample(sample)
+        if step.request is None:
+            return Outcome(None, step.verdicts)
+        report = carry_out(step.request, self._matching)
+        return Outcome(report, step.verdicts + self.discriminator.push_match(report).verdicts)
 
 
 def _schedule(settings: TwinSettings) -> Schedule:

@@ -1,0 +1,281 @@
+"""The pool of candidates: matches and fitted structures, with their scores and forecasts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.comparing import (
+    Candidate,
+    CandidateScore,
+    Family,
+    LoopConditions,
+    OrderScore,
+    SimoModel,
+    Uncertain,
+    choose_order,
+    common_order,
+    identify,
+    judge_uncertainty,
+    nominal_of,
+    nu_gap_matrix,
+    nu_gap_of,
+    plant_gap,
+    plant_gaps,
+    score,
+    score_orders,
+    spans_of,
+    twin_response,
+    with_margins,
+)
+from twinmatch.dynamics import Parameters, PlantError
+from twinmatch.fitting import ORDERS
+from twinmatch.signals import FloatArray, Window
+from twinmatch.twin.forecaster import Forecaster
+from twinmatch.twin.settings import TwinSettings
+from twinmatch.twin.structure_fits import StructureFits, watched
+
+__all__ = ["UNSCORED", "CandidatePool", "FamilyScores"]
+
+
+class FamilyScores(NamedTuple):
+    """The scores of all candidates; the fields are those of a verdict."""
+
+    candidates: tuple[CandidateScore, ...]
+    nominal: str | None
+    order: str | None
+    nu_gap: tuple[tuple[float, ...], ...]
+    nu_gap_points: tuple[float, ...]
+    identified_gap: tuple[tuple[float, ...], ...]
+    certainty: str
+
+
+UNSCORED: Final = FamilyScores((), None, None, (), (), (), "")
+
+
+@dataclass(frozen=True, eq=False)
+class _Member:
+    """A match of the family with the models of its twin and their scores, computed once on admission."""
+
+    candidate: Candidate
+    window: Window
+    models: dict[str, SimoModel]
+    orders: tuple[OrderScore, ...]
+    chosen: str
+
+
+class _NewestWindow(NamedTuple):
+    """The newest window that was scored, and the model identified on it."""
+
+    window: Window
+    model: SimoModel
+    now: Parameters | None
+    """Parameters of the plant fitted to the newest samples, if that was possible."""
+
+
+class CandidatePool:
+    """All candidates: the family of matches, the structures beside it, and the forecaster that runs them."""
+
+    def __init__(self, settings: TwinSettings, spoilt: Callable[[int, int], bool]) -> None:
+        """Begin without candidates; `spoilt(first, last)` excludes stretches from learning."""
+        plant, gains, period = settings.plant, settings.gains, settings.period
+        self._settings = settings
+        self.forecaster = Forecaster(gains, settings.forecasts, spoilt, period)
+        self.structures = StructureFits(
+            watched(plant),
+            settings.noise,
+            gains,
+            period,
+            matched=settings.start.model,
+            decimals=settings.decimals,
+        )
+        self.scores: FamilyScores | None = None
+        """The newest scores; None before the first."""
+        self._family = Family(settings.most_candidates, settings.regime_width)
+        self._members: dict[str, _Member] = {}
+        self._successors: dict[str, str] = {}
+        self._newest: _NewestWindow | None = None
+        self._reached: tuple[float, float] | None = None
+        self._loop = LoopConditions(gains, spans_of(plant), settings.schedule.span, period)
+
+    @property
+    def empty(self) -> bool:
+        """Whether the family has no match."""
+        return not self._members
+
+    @property
+    def nominal(self) -> Candidate | None:
+        """The nominal match of the newest scores."""
+        name = None if self.scores is None else self.scores.nominal
+        return None if name is None else self._members[name].candidate
+
+    def incumbent_at(self, operating_point: float) -> Candidate | None:
+        """The match whose regime contains this set-point, if any."""
+        return self._family.standing_at(operating_point)
+
+    def admit(self, candidate: Candidate, window: Window) -> str:
+        """Identify a match's twin on a window and admit it to the family; return a sentence about it.
+
+        Raises:
+            TwinmatchError: its twin cannot be run or identified there.
+        """
+        settings = self._settings
+        before = self._family.standing_at(candidate.operating_point)
+        if before is not None:
+            self._successors[candidate.name] = before.name
+        seed = settings.seed + window.first
+        response = twin_response(candidate.parameters, window, settings.gains, settings.sensor, seed)
+        models = {m.order: m for m in identify(response, scale=settings.model_scale)}
+        measured = window.part(response.first, response.last)
+        absolute = settings.plant.output.absolute
+        orders = score_orders(list(models.values()), measured, settings.decimals, absolute=absolute)
+        leaving = self._family.admit(candidate)
+        if leaving is not None:
+            self._members.pop(leaving.name)
+        self._members[candidate.name] = _Member(candidate, window, models, orders, choose_order(orders))
+        return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
+
+    def enter(self) -> None:
+        """Pass all candidates to the forecaster: the structures, then the matches, newest first."""
+        matches = [member.candidate for member in reversed(self._members.values())]
+        self.forecaster.enter([*self.structures.candidates, *matches], self._successors)
+        self._successors = {}
+
+    def expel(self, first: int, last: int) -> tuple[str, ...]:
+        """Remove the candidates fitted to samples that overlap `first` to `last`; return their names."""
+        spans = {name: member.candidate.samples for name, member in self._members.items()}
+        gone = tuple(name for name, span in spans.items() if span[0] <= last and span[1] >= first)
+        for name in gone:
+            self._family.dismiss(name)
+            del self._members[name]
+        gone += self.structures.expel(first, last)
+        self.enter()
+        if gone and self.scores is not None and self._newest is not None:
+            if self.empty:
+                self.scores = UNSCORED
+            else:
+                model = self._model(self._newest.window)
+                self.scores = self._scored(self._newest._replace(model=model))
+        return gone
+
+    def score(self, window: Window) -> None:
+        """Score all candidates on a window.
+
+        Raises:
+            TwinmatchError: no model can be identified on it.
+        """
+        self._newest = _NewestWindow(window, self._model(window), self.structures.plant_now())
+        self.scores = self._scored(self._newest)
+
+    def score_leader(self) -> None:
+        """Score all candidates again if the leader is a structure without scores."""
+        names = {candidate.name for candidate in self.scores.candidates} if self.scores else set()
+        if self._newest is not None and names and self.forecaster.leader not in names:
+            self.scores = self._scored(self._newest)
+
+    def _model(self, window: Window) -> SimoModel:
+        """Model of a measured window, of the order chosen by most members, in which all are compared.
+
+        It is reached through the lower orders like all others.
+
+        Raises:
+            IdentificationError: set-point or input does not move, or there are too few samples.
+        """
+        order = common_order([self._members[c.name].chosen for c in self._family.candidates])
+        orders = ORDERS[: ORDERS.index(order) + 1]
+        return identify(window, orders, scale=self._settings.model_scale)[-1]
+
+    def _scored(self, newest: _NewestWindow) -> FamilyScores:
+        """The scores of the family, and beside it of the structure with the best forecasts."""
+        fitted = {candidate.name: candidate for candidate in self.structures.candidates}
+        best = self.forecaster.best_of(fitted)
+        beside = [] if best is None else [fitted[best]]
+        try:
+            return self._compared(newest, beside)
+        except PlantError:
+            if not any(candidate.parameters.model.is_elsewhere for candidate in beside):
+                raise
+            return self._compared(newest, [])
+
+    def _compared(self, newest: _NewestWindow, beside: Sequence[Candidate]) -> FamilyScores:
+        """Compare all candidates with one another and with the plant, and choose the nominal one.
+
+        Structures beside the family (the paper's) have no Box–Jenkins models.
+        """
+        window, plant, now = newest
+        family = [self._members[c.name] for c in self._family.candidates]
+        models = [member.models[plant.order] for member in family]
+        identified = nu_gap_matrix([m.symbol for m in models])
+        candidates = [*self._family.candidates, *beside]
+        twins = [Uncertain(c.parameters, c.free, c.covariance) for c in candidates]
+        points, loop, count = self._points(window), self._loop, len(family)
+        gaps = plant_gaps([t.parameters for t in twins], points, loop)
+        to_now = [None if now is None else plant_gap(t.parameters, now, points, loop) for t in twins]
+        distances = gaps.matrix[:, :count].sum(axis=1).tolist()
+        decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
+        bare = [_bare_score(*of) for of in zip(candidates, distances, to_now, strict=True)]
+        scores = tuple(
+            replace(
+                bare[k],
+                first=member.window.first,
+                last=member.window.last if member.candidate.window else member.window.first - 1,
+                orders=member.orders,
+                chosen_order=member.chosen,
+                newest=score(model, window, decimals, absolute=absolute).total,
+                identified_gap_sum=float(identified[k].sum()),
+                identified_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
+            )
+            for k, (member, model) in enumerate(zip(family, models, strict=True))
+        )
+        nominal = nominal_of(scores)
+        certainty = judge_uncertainty(
+            scores, twins[:count], gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
+        )
+        others = tuple(bare[count:])
+        if nominal is not None:
+            centre = next(c for c in certainty.candidates if c.name == nominal)
+            others = with_margins((centre, *others), 0, self._settings.gains)[1:]
+        return FamilyScores(
+            candidates=(*certainty.candidates, *others),
+            nominal=nominal,
+            order=plant.order,
+            nu_gap=_rows(gaps.matrix),
+            nu_gap_points=gaps.points,
+            identified_gap=_rows(identified),
+            certainty=certainty.certainty,
+        )
+
+    def _points(self, newest: Window) -> tuple[float, ...]:
+        """Operating points at which plants are compared: the family's, and the lowest and the highest
+        set-point of all scored windows; where the loop is not known, the lowest and the highest output at
+        the end of a window."""
+        levels = newest.reference
+        if self._settings.gains is None:
+            levels = np.array([newest.output[-self._settings.schedule.min_span :].mean()])
+        seen = [float(levels.min()), float(levels.max()), *(self._reached or ())]
+        self._reached = min(seen), max(seen)
+        return tuple(sorted({*self._reached, *(c.operating_point for c in self._family.candidates)}))
+
+
+def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> CandidateScore:
+    """The scores of a candidate of any structure that need no models of its twin."""
+    first, last = candidate.samples
+    return CandidateScore(
+        name=candidate.name,
+        operating_point=candidate.operating_point,
+        parameters=candidate.parameters,
+        first=first,
+        last=last,
+        orders=(),
+        chosen_order="",
+        nu_gap_sum=distance,
+        newest=None,
+        nu_gap_to_plant=to_now,
+    )
+
+
+def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in matrix.tolist())

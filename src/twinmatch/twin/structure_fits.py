@@ -1,0 +1,211 @@
+"""Structures of the plant, fitted again and again to the newest samples.
+
+They are fitted for three purposes. All watched structures, every twenty minutes, to choose the one that the
+samples support. Those beside the matched one, at every excited window, to compete as candidates: a match of
+three parameters needs one step of the set-point, but the heat stored in a sink, or the temperature of the
+room, shows only over many. And the richest one, whenever the family is compared, as the plant as it is now.
+
+The candidates' fits take the plant file's typical values as one observation of each parameter, so that during
+the first minutes they do not drift along the valley in which many parameters fit equally well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from twinmatch.comparing import Candidate
+from twinmatch.dynamics import Model, Parameters, PidGains, Plant
+from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import Noise, StructureFit, fit_structure
+from twinmatch.forecasting import time_scale
+from twinmatch.signals import Window
+from twinmatch.twin.structures import StructureChoice, choose_structure
+
+__all__ = ["NewestSamples", "StructureFits", "watched"]
+
+CHOICE_S: Final = (900.0, 1200.0, 1200.0)
+"""Time before the first choice, between two choices, and length of the newest stretch that is compared, s."""
+LONGEST_S: Final = 2400.0
+"""Length of the newest stretch to which candidates are fitted, s."""
+EVERY_S: Final = 600.0
+"""Age after which a candidate's fit is repeated even without excitation, s."""
+
+
+def watched(plant: type[Plant]) -> tuple[Model, ...]:
+    """The plant in the structures that its file marks to be watched on a running plant."""
+    return tuple(plant.model(name) for name, structure in plant.structures.items() if structure.watched)
+
+
+class NewestSamples:
+    """Joins the windows of a schedule and keeps the newest samples.
+
+    Windows may overlap or follow one another; after a gap, or if one goes back, it starts over.
+    """
+
+    def __init__(self, longest: int) -> None:
+        """Begin without samples; keep at most `longest`."""
+        self._longest = longest
+        self.window: Window | None = None
+
+    def push(self, window: Window) -> Window:
+        """Take one window; return all samples that are kept now."""
+        kept = self.window
+        if kept is None or window.first > kept.last + 1 or window.last < kept.last:
+            kept = window
+        elif window.last > kept.last:
+            kept = _continued(kept, window.part(kept.last + 1, window.last))
+        self.window = kept.part(max(kept.first, kept.last - self._longest + 1), kept.last)
+        return self.window
+
+    def cut(self, first: int) -> None:
+        """Forget the samples before `first`."""
+        kept = self.window
+        if kept is not None and kept.first < first:
+            self.window = kept.part(first, kept.last) if first <= kept.last else None
+
+
+def _continued(window: Window, newer: Window) -> Window:
+    return Window(
+        reference=np.concatenate([window.reference, newer.reference]),
+        output=np.concatenate([window.output, newer.output]),
+        input=np.concatenate([window.input, newer.input]),
+        first=window.first,
+        period=window.period,
+        disturbances=np.concatenate([window.disturbances, newer.disturbances]),
+    )
+
+
+class StructureFits:
+    """Keeps the newest samples of a healthy plant and the structures' fits to them.
+
+    Everything depends on the samples alone, so a replay fits and chooses as the live twin did. Times are
+    scaled for slow and fast samples, as in forecasts.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        noise: Noise,
+        gains: PidGains | None,
+        period: float = 1.0,
+        *,
+        matched: Model | None = None,
+        decimals: int = 2,
+        choice: tuple[float, float, float] = CHOICE_S,
+    ) -> None:
+        """Begin without samples.
+
+        Args:
+            models: the plant in each structure that is watched, simple ones first.
+            noise: unit of the residuals.
+            gains: those of the running controller; None if the loop is not known.
+            period: sample time, s.
+            matched: the structure that matches fit, which does not compete as a structure, too.
+            decimals: decimal places of the tables of the information gain.
+            choice: the times of `CHOICE_S`, s.
+        """
+        self._models, self._noise, self._gains, self._decimals = tuple(models), noise, gains, decimals
+        self._competing = tuple(model for model in models if model is not matched)
+        # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
+        own = [model for model in models if not model.is_elsewhere] or models
+        self._richest = max(reversed(own), key=lambda model: model.structure.n_parameters())
+        pace = time_scale(period) / period
+        self._least, self._choose_every, longest = (round(time) for time in choice)
+        self._compared = NewestSamples(longest)
+        self._fitted = NewestSamples(max(round(LONGEST_S * pace), 1))
+        self._fit_every = round(EVERY_S * pace)
+        self._chosen_at: int | None = None
+        self._fits: dict[str, tuple[Candidate, StructureFit]] = {}
+        self._now: StructureFit | None = None
+        self.choice: StructureChoice | None = None
+        """The newest choice, if there is one yet."""
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """The structures that compete and can still be run, best fit first."""
+        able = (held for held in self._fits.values() if not held[1].model.lost)
+        return tuple(candidate for candidate, _ in sorted(able, key=lambda held: held[1].charge))
+
+    def push(self, window: Window, *, excited: bool) -> None:
+        """Take one window of the schedule, of a healthy plant; choose and fit if that is due.
+
+        Choices on samples that do not overlap add their evidence, so that a stretch with little information
+        does not change the choice.
+        """
+        before, newest = self._compared.window, self._compared.push(window)
+        if before is None or newest.first > before.last or newest.last < before.last:
+            self._chosen_at = None
+        aged = self._chosen_at is None or newest.last - self._chosen_at >= self._choose_every
+        if len(newest) >= self._least and aged:
+            self._chosen_at = newest.last
+            self.choice = choose_structure(
+                newest,
+                self._models,
+                previous=self.choice,
+                noise=self._noise,
+                gains=self._gains,
+                decimals=self._decimals,
+                thorough=False,
+            )
+        self._compete(self._fitted.push(window), excited=excited)
+
+    def plant_now(self) -> Parameters | None:
+        """The plant that candidates are compared with: the richest structure; None with too few samples.
+
+        Each fit starts from the previous one, so that undetermined parameters keep their values.
+        """
+        newest = self._compared.window
+        found = None if newest is None else self._fit(self._richest, newest, self._now)
+        self._now = found or self._now
+        return found.parameters if found else None
+
+    def cut(self, first: int) -> None:
+        """Fit candidates to no sample before `first`, where the plant changed; fits stay until replaced."""
+        self._fitted.cut(first)
+
+    def expel(self, first: int, last: int) -> tuple[str, ...]:
+        """Forget fits to samples that overlap `first` to `last`, a fault; return the candidates' names."""
+        self._now = None
+        kept = self._fitted.window
+        if kept is not None and kept.last >= first:
+            self._fitted.window = None
+        spans = {name: candidate.samples for name, (candidate, _) in self._fits.items()}
+        gone = tuple(name for name, span in spans.items() if span[1] >= first and span[0] <= last)
+        for name in gone:
+            del self._fits[name]
+        return gone
+
+    def _compete(self, window: Window, *, excited: bool) -> None:
+        """Fit the competing structures, at excited windows or if their newest fit is old."""
+        fitted_at = max((candidate.samples[1] for candidate, _ in self._fits.values()), default=None)
+        if not excited and (fitted_at is None or 0 <= window.last - fitted_at < self._fit_every):
+            return
+        level = window.output if self._gains is None else window.reference
+        for model in self._competing:
+            name, free = model.structure_name, model.structure.free
+            before = self._fits.get(name)
+            fit = None if model.lost else self._fit(model, window, before and before[1], informed=True)
+            if fit is not None:
+                point, states = float(np.median(level)), fit.states[-1]
+                candidate = Candidate(name, point, fit.parameters, window, free, fit.covariance, states)
+                self._fits[name] = candidate, fit
+
+    def _fit(
+        self, model: Model, window: Window, start: StructureFit | None, *, informed: bool = False
+    ) -> StructureFit | None:
+        """Fit one structure; None if there are too few samples or it does not converge."""
+        try:
+            return fit_structure(
+                [window],
+                model,
+                start=start,
+                noise=self._noise,
+                gains=self._gains,
+                thorough=False,
+                informed=informed,
+            )
+        except TwinmatchError:
+            return None

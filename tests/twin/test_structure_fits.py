@@ -1,0 +1,193 @@
+"""Structures fitted again and again beside a plant: which samples count, and what is found of known rigs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.support.rich_rig import RIG, apart, recorded
+from tests.support.rig import GAINS
+from twinmatch.dynamics import Model, Parameters, begin, simulate_closed_loop
+from twinmatch.fitting import Noise
+from twinmatch.plants import Peltier
+from twinmatch.sessions import samples_of
+from twinmatch.signals import Window
+from twinmatch.twin import Schedule, StructureChoice, StructureFits, watched
+
+PLAIN = Peltier.model().parameters(seebeck=0.065, conductance=0.65, heat_capacity=31.0)
+TWO = tuple(map(Peltier.model, ("held sink", "held sink, free ambient")))
+NEVER = (1e6, 1e6, 1200.0)
+RICHEST = "sink with mass, free ambient, switched drive"
+
+
+def candidates_only(models: tuple[Model, ...] = watched(Peltier)) -> StructureFits:
+    return StructureFits(models, Noise.of(Peltier), GAINS, matched=models[0], choice=NEVER)
+
+
+def choices_only() -> StructureFits:
+    """Chooses between two structures, every 300 samples; neither competes."""
+    return StructureFits(TWO, Noise.of(Peltier), GAINS, matched=TWO[1], choice=(300.0, 300.0, 300.0))
+
+
+def chosen(fits: StructureFits, window: Window) -> StructureChoice | None:
+    """The choice made on a window, if one was."""
+    before = fits.choice
+    fits.push(window, excited=False)
+    return fits.choice if fits.choice is not before else None
+
+
+def now(fits: StructureFits, window: Window) -> Parameters:
+    fits.push(window, excited=False)
+    found = fits.plant_now()
+    assert found is not None
+    return found
+
+
+def rich(fits: StructureFits) -> Parameters:
+    """The fit of the structure that was recorded."""
+    return next(c.parameters for c in fits.candidates if c.parameters.model is RIG.model)
+
+
+@pytest.fixture(scope="module")
+def hour() -> Window:
+    reference = np.repeat([50.0, 30.0, 75.0, 45.0, 60.0], 200)
+    sensor = Peltier.sensor.realise(reference.size, 1.0, 8)
+    run = simulate_closed_loop(PLAIN, reference, states=begin(PLAIN, 21.85), sensor=sensor)
+    return Window(reference, run.output, run.input)
+
+
+# --- choice of the structure ---
+
+
+def test_the_plant_file_says_what_is_watched() -> None:
+    own = [model for model in watched(Peltier) if model.structure.elsewhere is None]
+    assert [model.structure_name for model in own] == [
+        "held sink",
+        "sink with mass",
+        "sink with mass, free ambient",
+        RICHEST,
+    ]
+
+
+def test_it_chooses_every_so_many_samples_and_a_replay_chooses_the_same(hour: Window) -> None:
+    figures = []
+    for _ in range(2):
+        fits = choices_only()
+        found = [chosen(fits, hour.part(k, k + 99)) for k in range(0, 1000, 100)]
+        assert [c.samples for c in found if c] == [(0, 299), (300, 599), (600, 899)]
+        choice = fits.choice
+        assert choice is found[8]
+        assert choice is not None
+        assert choice.chosen == "held sink"
+        assert choice.score.evidence.bic == pytest.approx(sum(c.score.total.bic for c in found if c))
+        figures.append((choice.parameters, choice.score.evidence))
+    assert figures[0] == figures[1]
+
+
+def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
+    schedule, fits = Schedule(), choices_only()
+    triggers = [t for t in map(schedule.push, samples_of(hour)) if t]
+    assert any(t.excited for t in triggers)
+    choices = [c for c in (chosen(fits, t.window) for t in triggers) if c]
+    assert len(choices) == 3
+    for choice in choices:
+        first, last = choice.samples
+        assert last - first == 299
+        measured = choice.score.fitted.measured[0]
+        np.testing.assert_array_equal(measured[1], hour.input[first + 62 : last + 1])
+
+
+def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
+    fits = choices_only()
+    assert chosen(fits, hour.part(0, 299)) is not None
+    assert chosen(fits, hour.part(350, 640)) is None
+    assert chosen(fits, hour.part(641, 660)) is not None
+    assert chosen(fits, hour.part(0, 250)) is None
+    assert chosen(fits, hour.part(251, 310)) is not None
+
+
+# --- the plant as it is now ---
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_plant_now_is_the_richest_structure_and_near_the_one_that_was_recorded(seed: int) -> None:
+    """Nearer by far than a rig whose plate holds a third more heat."""
+    found = now(candidates_only(), recorded(RIG, seed))
+    assert found.model.structure_name == RICHEST
+    assert apart(found, RIG) < 0.5 * apart(RIG.replace(heat_capacity=40.0), RIG)
+
+
+def test_the_plant_now_follows_a_plant_that_changes() -> None:
+    """From one window to the next the plate has got heavier; each time the newest samples count."""
+    fits, heavy = candidates_only(), RIG.replace(heat_capacity=40.0)
+    first, second = now(fits, recorded(RIG, 4)), now(fits, recorded(heavy, 5, first=5000))
+    assert apart(first, RIG) < apart(first, heavy)
+    assert apart(second, heavy) < apart(second, RIG)
+
+
+def test_after_a_fault_the_plant_now_starts_over() -> None:
+    fits, window = candidates_only(), recorded(RIG, 6)
+    first = now(fits, window)
+    assert fits.plant_now() is not None
+    fits.expel(window.last + 1, window.last + 2)
+    assert fits.plant_now() == first
+
+
+# --- candidates ---
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_candidate_is_near_the_plant_that_was_recorded(seed: int) -> None:
+    fits, other = candidates_only(), RIG.replace(heat_capacity=40.0)
+    fits.push(recorded(RIG, seed), excited=True)
+    assert apart(rich(fits), RIG) < 0.5 * apart(other, RIG)
+
+
+def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> None:
+    fits, window = candidates_only(), recorded(RIG, 2)
+    fits.push(window, excited=True)
+    assert {c.parameters.model for c in fits.candidates} == set(watched(Peltier)[1:])
+    best = fits.candidates[0]
+    assert best.parameters.model.structure_name == RICHEST, "the fit that is worth most goes first"
+    states = best.states_at(window.last)
+    assert states is not None
+    assert states[0] - 273.15 == pytest.approx(window.output[-1], abs=0.5)  # five times the noise
+    assert best.states_at(window.last + 1) is None
+    assert best.states_at(-1) is None
+
+
+def test_too_few_samples_and_quiet_ones_tell_nothing() -> None:
+    few, quiet, window = candidates_only(), candidates_only(), recorded(RIG, 1)
+    assert few.plant_now() is None
+    few.push(window.part(0, 40), excited=True)
+    assert not few.candidates
+    assert few.plant_now() is None
+    quiet.push(window, excited=False)
+    assert not quiet.candidates, "the first fit waits for a step"
+
+
+def test_a_quiet_plant_is_fitted_again_when_the_fit_is_old() -> None:
+    fits, window = candidates_only(), recorded(RIG, 1)
+    lasts = []
+    for first, last, excited in ((0, 300, True), (301, 600, False), (601, 950, False)):
+        fits.push(window.part(first, last), excited=excited)
+        lasts.append(fits.candidates[0].samples[1])
+    assert lasts == [300, 300, 950]
+
+
+def test_a_plant_that_has_changed_is_fitted_to_later_samples() -> None:
+    fits, heavy = candidates_only(), RIG.replace(heat_capacity=45.0)
+    fits.push(recorded(RIG, 6), excited=True)
+    fits.cut(1000)
+    fits.push(recorded(heavy, 7, first=1000), excited=True)
+    assert fits.candidates[0].samples[0] == 1000
+    assert apart(rich(fits), heavy) < apart(rich(fits), RIG)
+
+
+def test_who_was_fitted_to_a_fault_has_to_go() -> None:
+    fits, window = candidates_only(), recorded(RIG, 6)
+    fits.push(window.part(0, 500), excited=True)
+    assert not fits.expel(600, 700)
+    gone = fits.expel(450, 520)
+    assert set(gone) == {model.structure_name for model in watched(Peltier)[1:]}
+    assert not fits.candidates

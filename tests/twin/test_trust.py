@@ -1,0 +1,112 @@
+"""Forecasts, how they came true, and how often the leader turned out to be right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twinmatch.comparing import TrustLevel
+from twinmatch.forecasting import Band, Forecast
+from twinmatch.twin.trust import BandCheck, BandHistory, LeaderConfidence, check_band, trust_level
+
+INSIDE = BandCheck(0.6, 0.9, 0.6, 0.9)
+OUTSIDE = BandCheck(0.6, 0.9, 3.0, 0.1)
+NOISE = 0.1
+
+
+def forecast(mean: float, half: float, samples: int = 100) -> Forecast:
+    band = Band(*(np.full(samples, v) for v in (mean, mean - half, mean + half)))
+    return Forecast(
+        sample=0,
+        candidate="c",
+        structure="s",
+        confidence=0.9,
+        time=np.arange(1.0, samples + 1),
+        reference=np.zeros(samples),
+        output=band,
+        input=band,
+    )
+
+
+def test_errors_of_the_expected_size_leave_six_tenths_of_the_half_width() -> None:
+    """A normal error has a standard deviation of 1/1.645 of the half width that holds 90 % of it."""
+    errors = np.random.default_rng(3).normal(0.0, 2.0 / 1.6449, (2, 20_000))
+    found = check_band(forecast(50.0, 2.0, 20_000), 50.0 + errors[0], 50.0 + errors[1])
+    assert found.miss_y == pytest.approx(0.608, abs=0.01)  # 20 000 draws: standard error 0.003
+    assert found.inside_y == pytest.approx(0.9, abs=0.01)
+    assert found.inside_u == pytest.approx(0.9, abs=0.01)
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.0, 5.0))
+def test_a_miss_counts_in_half_widths(half: float, off: float) -> None:
+    values = np.full(60, 20.0 + off * half)
+    found = check_band(forecast(20.0, half), values, values)
+    assert found.miss_y == pytest.approx(off, abs=1e-9)
+    assert found.miss == max(found.miss_y, found.miss_u)
+
+
+def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
+    band = Band(np.arange(100.0), np.arange(100.0) - 1, np.arange(100.0) + 1)
+    told = forecast(0.0, 1.0)
+    told = Forecast(0, "c", "s", 0.9, told.time, told.reference, band, band)
+    newest = np.arange(90.0, 100.0)
+    assert check_band(told, newest, newest) == BandCheck(0.0, 1.0, 0.0, 1.0)
+
+
+def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
+    """Where the mean is the limit, what comes below is judged by the side that is there."""
+    on_limit = Band(np.full(60, 255.0), np.full(60, 253.0), np.full(60, 255.0))
+    told = Forecast(0, "c", "s", 0.9, np.arange(1.0, 61.0), np.zeros(60), on_limit, on_limit)
+    found = check_band(told, np.full(60, 255.0), np.full(60, 251.0))
+    assert found.miss_y == 0.0
+    assert found.miss_u == pytest.approx(2.0)
+
+
+def test_since_when_and_between_which_levels() -> None:
+    bands = BandHistory(2.0, NOISE)
+    assert bands.levels is None
+    bands.push(INSIDE, 0, np.array([30.0, 40.0]))
+    bands.push(INSIDE, 60, np.array([40.5, 50.0]))
+    assert bands.levels == (30.0, 50.0)
+    assert bands.since is None
+    bands.push(OUTSIDE, 120, np.array([50.0, 70.0]))
+    bands.push(OUTSIDE, 180, np.array([70.0, 75.0]))
+    assert bands.since == 120
+    assert bands.levels == (30.0, 50.0), "a level at which it failed is not one to trust it at"
+    bands.push(INSIDE, 240, np.array([80.0, 82.0]))
+    assert bands.since is None
+    assert bands.levels == (80.0, 82.0), "what lies between was not seen to hold"
+    bands.push(INSIDE, 300, np.array([49.0, 80.5]))
+    assert bands.levels == (30.0, 82.0)
+
+
+def test_the_level_says_whether_the_band_held() -> None:
+    assert trust_level(INSIDE, 2.0) is TrustLevel.TRUSTED
+    assert trust_level(OUTSIDE, 2.0) is TrustLevel.DOUBTFUL
+    assert trust_level(BandCheck(), 2.0) is TrustLevel.UNKNOWN
+
+
+def test_it_begins_undecided_and_counts() -> None:
+    """With Jeffreys' half a case of either kind, nine right ones and one wrong come to 9.5 of 11."""
+    confidence = LeaderConfidence(1.0)
+    assert confidence.share == 0.5
+    for _ in range(9):
+        confidence.add(1.0, 1.0)
+    confidence.add(1.2, 1.0)
+    assert confidence.share == pytest.approx(9.5 / 11.0)
+
+
+def test_within_three_per_cent_counts_as_right() -> None:
+    right, wrong = LeaderConfidence(1.0), LeaderConfidence(1.0)
+    right.add(1.029, 1.0)
+    wrong.add(1.031, 1.0)
+    assert right.share > 0.5 > wrong.share
+
+
+def test_the_past_is_forgotten() -> None:
+    confidence = LeaderConfidence(0.9)
+    for error in (2.0,) * 50 + (1.0,) * 50:
+        confidence.add(error, 1.0)
+    assert confidence.share > 0.98
