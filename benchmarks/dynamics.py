@@ -24,7 +24,7 @@ from twinmatch.dynamics import (
     SensorRealisation,
     advance,
     begin,
-    foretell,
+    forecast_loop,
     gains_of,
     simulate_closed_loop,
 )
@@ -104,7 +104,7 @@ def _observer(quick: bool) -> list[Row]:
         slope = MODEL.kernels.slopes_at(vector, states, 0.0, row)[4]
         reach = covariance @ slope
         gain = reach / (slope @ reach + noise)
-        states = states + gain * (30.1 - MODEL.kernels.look(vector, states, 0.0, row)[0])
+        states = states + gain * (30.1 - MODEL.kernels.outputs_at(vector, states, 0.0, row)[0])
         kept = np.eye(2) - np.outer(gain, slope)
         covariance = kept @ covariance @ kept.T + noise * np.outer(gain, gain)
         slopes = np.zeros((2, 3))
@@ -128,7 +128,7 @@ def _forecast(quick: bool) -> list[Row]:
     rng, runs = np.random.default_rng(3), 20 if quick else 200
 
     def foretold() -> Array:
-        found = foretell(
+        found = forecast_loop(
             RIG, states=states, covariance=np.diag(spread**2), input=0.0, drift=[0.0, 0.0], unsure=unsure,
             reference=reference,
         )  # fmt: skip

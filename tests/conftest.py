@@ -79,7 +79,7 @@ def no_adopted_structures() -> Iterator[None]:
     yield
     for plant in PLANTS.values():
         for name in [name for name in plant.structures if is_fmu(name)]:
-            source = plant.structures[name].elsewhere
+            source = plant.structures[name].external
             plant.disown(name)
             if hasattr(source, "runner"):
                 source.runner.close()

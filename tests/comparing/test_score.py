@@ -20,7 +20,7 @@ from twinmatch.comparing import (
 )
 from twinmatch.comparing.models import ahead, deviations, operating_level
 from twinmatch.dynamics import Parameters, begin, simulate_closed_loop
-from twinmatch.fitting import IdentificationError
+from twinmatch.fitting import FittingError
 from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 
@@ -129,5 +129,5 @@ def test_the_twin_response_repeats_with_its_seed_only() -> None:
 
 def test_a_window_that_does_not_move_identifies_nothing() -> None:
     still = Window(np.full(200, 50.0), np.full(200, 50.0), np.full(200, 90.0))
-    with pytest.raises(IdentificationError, match="is constant"):
+    with pytest.raises(FittingError, match="is constant"):
         identify(still)

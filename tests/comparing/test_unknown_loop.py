@@ -20,7 +20,7 @@ from twinmatch.comparing import (
 from twinmatch.comparing.models import operating_level
 from twinmatch.comparing.plant_gap import linearised_in_loop
 from twinmatch.dynamics import begin, linearised, simulate_driven
-from twinmatch.fitting import IdentificationError
+from twinmatch.fitting import FittingError
 from twinmatch.signals import Window
 
 
@@ -47,7 +47,7 @@ def test_models_go_from_the_input_to_the_output() -> None:
     assert told.u is None
     assert told.total == told.y
     assert told.y.explanation > 0.2
-    with pytest.raises(IdentificationError, match="is constant"):
+    with pytest.raises(FittingError, match="is constant"):
         identify(Window(np.zeros(200), window.output[:200], np.ones(200)), scale=1.0)
 
 

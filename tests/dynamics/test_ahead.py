@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
-    Foretold,
+    LoopForecast,
     Parameters,
     Pid,
     PidGains,
@@ -24,7 +24,7 @@ from twinmatch.dynamics import (
     PlantError,
     advance,
     begin,
-    foretell,
+    forecast_loop,
     gains_of,
     read,
     rest_at,
@@ -103,11 +103,11 @@ def tank_case() -> Case:
     return base, unsure, joint, np.array([0.03]), first, gains, np.repeat([1.2, 1.5], [20, 60])
 
 
-def foretold(case: Case, inputs: Array | None) -> Foretold:
+def foretold(case: Case, inputs: Array | None) -> LoopForecast:
     """The same by small movements."""
     base, unsure, joint, drift, first, gains, reference = case
     loop = {"reference": reference, "gains": gains} if inputs is None else {"inputs": inputs}
-    return foretell(
+    return forecast_loop(
         base, covariance=joint, drift=drift, unsure=unsure, period=gains.period, **first, **loop,
     )  # fmt: skip
 
@@ -160,14 +160,14 @@ def test_the_mean_is_the_simulation_to_the_last_bit(structure: str) -> None:
     states, memory = begin(rig, 30.0), PidState(20.0, 1.0)
     reference = np.repeat([35.0, 60.0, 40.0], 30)
     n = states.size
-    found = foretell(
+    found = forecast_loop(
         rig, states=states, covariance=np.eye(n), input=50.0, drift=np.ones(n), reference=reference,
         controller=memory,
     )  # fmt: skip
     run = simulate_closed_loop(rig, reference, states=advance(rig, states, 50.0, 1.0), controller=memory)
     np.testing.assert_array_equal(found.output, run.output)
     np.testing.assert_array_equal(found.input, run.input)
-    driven = foretell(
+    driven = forecast_loop(
         rig, states=states, covariance=np.eye(n), input=50.0, drift=np.ones(n), inputs=run.input
     )  # fmt: skip
     np.testing.assert_array_equal(driven.output, run.output)
@@ -178,14 +178,14 @@ def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
     motor, states = MOTOR.parameters(), np.array([100.0])
     loads = np.linspace(0.0, 0.05, 61)[:, None]
     given_ = {"states": states, "covariance": np.eye(1), "input": 6.0, "drift": [0.1], "gains": Motor.loop}
-    found = foretell(motor, reference=np.full(60, 100.0), disturbances=loads, **given_)
+    found = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=loads, **given_)
     there = advance(motor, states, 6.0, 0.05, loads[0])
     run = simulate_closed_loop(
         motor, np.full(60, 100.0), states=there, gains=Motor.loop, disturbances=loads[1:]
     )
     np.testing.assert_array_equal(found.output, run.output)
-    held = foretell(motor, reference=np.full(60, 100.0), disturbances=[0.02], **given_)
-    rows = foretell(motor, reference=np.full(60, 100.0), disturbances=np.full((61, 1), 0.02), **given_)
+    held = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=[0.02], **given_)
+    rows = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=np.full((61, 1), 0.02), **given_)
     for one, other in zip(held, rows, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -194,7 +194,7 @@ def test_a_linear_loop_is_its_matrices() -> None:
     """A lag under PI control: the covariance of the whole loop by the textbook, sample by sample."""
     lag, gains = Lag.model().parameters(gain=1.0, lag=4.0), PidGains(0.5, 0.2, 0.0, 1.0, -10.0, 10.0)
     noise, drift, first = 0.05, 0.03, 0.4
-    found = foretell(
+    found = forecast_loop(
         lag, states=np.zeros(1), covariance=[[first**2]], input=0.0, drift=[drift], reference=np.ones(400),
         gains=gains, noise=noise,
     )  # fmt: skip
@@ -228,8 +228,8 @@ def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
     signal = {"reference": np.full(size, level)} if closed else {"inputs": np.full(size, level)}
     root = scale * np.random.default_rng(seed).standard_normal((4, 4))
 
-    def said(covariance: Array, drift: float, noise: float) -> Foretold:
-        return foretell(
+    def said(covariance: Array, drift: float, noise: float) -> LoopForecast:
+        return forecast_loop(
             rig, states=begin(rig, 30.0), covariance=covariance, input=10.0, drift=[drift, drift],
             unsure=unsure, noise=noise, **signal,
         )  # fmt: skip
@@ -253,12 +253,12 @@ def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
 def test_what_cannot_be_forecast_is_refused() -> None:
     rig = MASSIVE.parameters()
 
-    def said(**changes: Any) -> Foretold:
+    def said(**changes: Any) -> LoopForecast:
         arguments = {
             "states": begin(rig, 30.0), "covariance": np.eye(2), "input": 0.0, "drift": [0.1, 0.1],
             "reference": np.full(5, 40.0),
         }  # fmt: skip
-        return foretell(rig, **{**arguments, **changes})
+        return forecast_loop(rig, **{**arguments, **changes})
 
     for changes, message in (
         ({"reference": None}, "takes set-points ahead or inputs ahead; give one"),
@@ -273,7 +273,7 @@ def test_what_cannot_be_forecast_is_refused() -> None:
         with pytest.raises(PlantError, match=re.escape(message)):
             said(**changes)
     with pytest.raises(PlantError, match="plant lag: its controller is not known"):
-        foretell(
+        forecast_loop(
             Lag.model().parameters(), states=np.zeros(1), covariance=np.eye(1), input=0.0, drift=[0.1],
             reference=np.ones(3),
         )  # fmt: skip
@@ -282,7 +282,7 @@ def test_what_cannot_be_forecast_is_refused() -> None:
 def test_nothing_that_is_given_is_changed() -> None:
     rig = MASSIVE.parameters()
     states, covariance, reference = begin(rig, 30.0), np.eye(2), np.full(9, 40.0)
-    foretell(rig, states=states, covariance=covariance, input=9.0, drift=[0.1, 0.1], reference=reference)
+    forecast_loop(rig, states=states, covariance=covariance, input=9.0, drift=[0.1, 0.1], reference=reference)
     np.testing.assert_array_equal(states, begin(rig, 30.0))
     np.testing.assert_array_equal(covariance, np.eye(2))
     assert simulate_driven(rig, [9.0], states=states).states[0, 0] == states[0]

@@ -29,7 +29,7 @@ from twinmatch.dynamics import (
     simulate_driven,
     simulate_window,
 )
-from twinmatch.dynamics.dead_time import DelayLine
+from twinmatch.dynamics.terms import DelayLine
 from twinmatch.fitting import match
 from twinmatch.signals import Window
 

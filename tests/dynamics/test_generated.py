@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
-    FILED,
+    FROM_PLANT_FILE,
     Experiment,
     Parameters,
     PlantError,
@@ -20,9 +20,9 @@ from twinmatch.dynamics import (
     advance,
     begin,
     derived,
+    filters,
     kernels,
     noise_scores,
-    observer_step,
     read,
     simulate_closed_loop,
     simulate_driven,
@@ -51,7 +51,7 @@ def test_the_plant_written_by_hand_is_the_plant_made_from_equations() -> None:
     for by_hand, by_program in (
         (kernels.advance(p, x, 3.0, nothing, 0.7, 2), made.advance(p, x, 3.0, nothing, 0.7, 2)),
         (kernels.slopes_at(p, x, 3.0, nothing), made.slopes_at(p, x, 3.0, nothing)),
-        (sample_of_observer(observer_step), sample_of_observer(made)),
+        (sample_of_observer(filters), sample_of_observer(made)),
     ):
         for one, other in zip(by_hand, by_program, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-14)
@@ -91,7 +91,7 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
     free = [*base.model.structure.free, base.model.names[-1]]
-    experiment = Experiment(base, free, window, free_starts=starts, gains=FILED if closed else None)
+    experiment = Experiment(base, free, window, free_starts=starts, gains=FROM_PLANT_FILE if closed else None)
     values = experiment.values_of(base)
     exact = experiment.tangents(values)
     # The derivatives share subexpressions with the rates, which rounds them another way.

@@ -17,8 +17,8 @@ from twinmatch.dynamics import (
     Observer,
     Parameters,
     PlantError,
+    RandomWalk,
     Sensor,
-    Wander,
     advance,
     begin,
     read,
@@ -95,14 +95,14 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
     states = begin(base, first)
     start = np.array([0.013 * np.ptp(model.plant.states[name].span) for name in model.states])
     drift = 0.01 * start
-    wandering = {name: Wander(1e-3 * base[name], 0.03 * base[name]) for name in names}
-    observer = Observer(base, first, period=period, drift=drift, start=start, wandering=wandering)
-    slow = [w.drift for w in wandering.values()]
+    walks = {name: RandomWalk(1e-3 * base[name], 0.03 * base[name]) for name in names}
+    observer = Observer(base, first, period=period, drift=drift, start=start, random_walks=walks)
+    slow = [w.drift for w in walks.values()]
     textbook = Textbook(
         base,
         names,
         np.concatenate([states, [base[name] for name in names]]),
-        np.diag(np.square([*start, *(w.start for w in wandering.values())])),
+        np.diag(np.square([*start, *(w.start for w in walks.values())])),
         np.diag(np.square([*drift, *slow])) * period,
     )
     loads = np.zeros((80, model.disturbances.size)) + 0.01 * (np.arange(80) > 30)[:, None]
@@ -145,8 +145,8 @@ def test_a_parameter_that_changes_is_followed() -> None:
     rng = np.random.default_rng(8)
     output = np.concatenate([before.output, after.output]) + 0.1 * rng.standard_normal(u.size)
     drift, start = [1e-3, 1e-3], [0.2, 2.0]
-    wandering = {"sink_convection": Wander(0.02, 0.1)}
-    observer = Observer(rig, output[0], period=1.0, drift=drift, start=start, wandering=wandering)
+    walks = {"sink_convection": RandomWalk(0.02, 0.1)}
+    observer = Observer(rig, output[0], period=1.0, drift=drift, start=start, random_walks=walks)
     for k in range(u.size):
         observer.correct(output[k])
         if k == 1199:
@@ -161,7 +161,7 @@ def test_a_parameter_that_changes_is_followed() -> None:
 def test_a_wandering_parameter_stays_possible() -> None:
     rig = MOTOR.parameters(dry=0.0)
     observer = Observer(
-        rig, 100.0, period=0.05, drift=[0.1], start=[1.0], wandering={"dry": Wander(1.0, 1.0)}
+        rig, 100.0, period=0.05, drift=[0.1], start=[1.0], random_walks={"dry": RandomWalk(1.0, 1.0)}
     )
     for k in range(300):
         observer.correct(100.0 + 30.0 * (-1.0) ** k)
@@ -207,8 +207,8 @@ def test_a_surprise_within_the_limit_changes_nothing() -> None:
 def test_it_continues_in_the_middle_of_a_session() -> None:
     """A second observer that is given states and covariance continues to the last bit."""
     rig = MASSIVE.parameters()
-    wandering = {"conductance": Wander(1e-3, 0.05)}
-    settings_of = {"period": 1.0, "drift": [1e-2, 1e-2], "wandering": wandering}
+    walks = {"conductance": RandomWalk(1e-3, 0.05)}
+    settings_of = {"period": 1.0, "drift": [1e-2, 1e-2], "random_walks": walks}
     first = Observer(rig, 25.0, start=[0.2, 3.0], **settings_of)
     for k in range(100):
         first.correct(25.0 + 0.05 * k)
@@ -251,7 +251,7 @@ def test_the_covariance_stays_one(seed: int, drift: float, start: float, limit: 
     rig = MASSIVE.parameters()
     observer = Observer(
         rig, 40.0, period=1.0, drift=[drift, drift], start=[start, start], limit=limit,
-        wandering={"conductance": Wander(0.01, 0.1)},
+        random_walks={"conductance": RandomWalk(0.01, 0.1)},
     )  # fmt: skip
     for _ in range(60):
         observer.correct(40.0 + kick * rng.standard_normal())
@@ -286,7 +286,7 @@ def test_what_an_observer_cannot_use_is_refused() -> None:
         ({"start": None, "covariance": np.eye(3)}, "shape (3, 3) given; give finite values, (2, 2)"),
         ({"output": None}, "starts from an output or from states; give one"),
         ({"states": [300.0]}, "states [300.0] given; give finite values of plate, sink"),
-        ({"wandering": {"mass": Wander(1.0, 1.0)}}, "'mass' cannot wander; choose from"),
+        ({"random_walks": {"mass": RandomWalk(1.0, 1.0)}}, "'mass' cannot be estimated; choose from"),
         ({"limit": 0.0}, "the observer's limit is 0.0; it must be positive"),
         ({"period": -1.0}, "the period is -1.0 s"),
     ):

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag
 from twinmatch.dynamics import advance, begin
-from twinmatch.dynamics.tracker import Belief, Stretch, Tracker, no_traces
+from twinmatch.dynamics.tracker import Belief, Readings, Tracker, no_traces
 
 PERIOD, NOISE = 1.0, 0.01
 TRUTH = Lag.model().parameters(gain=2.4, lag=7.0)
 
 
-def stretch(seed: int, size: int, share: float = 1.0, rate: float = 0.0) -> Stretch:
+def stretch(seed: int, size: int, share: float = 1.0, rate: float = 0.0) -> Readings:
     """Readings of the true plant, whose drive does a share, and whose readings creep by a rate per second."""
     random = np.random.default_rng(seed)
     u = np.repeat(random.uniform(-5.0, 5.0, size // 20 + 1), 20)[:size]
@@ -24,7 +24,7 @@ def stretch(seed: int, size: int, share: float = 1.0, rate: float = 0.0) -> Stre
         y[k] = states[0] + random.normal(0.0, NOISE) + rate * k
         states = advance(TRUTH, states, share * u[k], PERIOD)
     before = np.full(2, np.nan)
-    return Stretch(np.concatenate([before, y]), u, np.zeros((size, 0)), np.full(size, NOISE))
+    return Readings(np.concatenate([before, y]), u, np.zeros((size, 0)), np.full(size, NOISE))
 
 
 def tracker() -> Tracker:
@@ -51,7 +51,7 @@ def test_in_pieces_is_the_same_as_in_one_piece_to_the_last_bit() -> None:
     at_once, cost = of.run(first(of), whole, 1)
     belief, total = first(of), 0.0
     for a in range(0, 100, 20):
-        part = Stretch(
+        part = Readings(
             whole.output[a : a + 22],
             whole.input[a : a + 20],
             whole.disturbances[a : a + 20],

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from tests.support.plants import Lag, Motor
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop, simulate_driven
-from twinmatch.fitting import MatchingError, Status, match
+from twinmatch.fitting import FittingError, Status, match
 from twinmatch.signals import Window
 
 MOTOR = Motor.model()
@@ -93,5 +93,5 @@ def test_an_input_that_stands_still_excites_nothing() -> None:
 
 
 def test_names_of_another_plant_are_refused() -> None:
-    with pytest.raises(MatchingError, match="'seebeck' cannot be free in Lag, lag"):
+    with pytest.raises(FittingError, match="'seebeck' cannot be free in Lag, lag"):
         match(driven(), start=LAG.parameters(), free=["seebeck"])

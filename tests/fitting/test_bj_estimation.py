@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from twinmatch.fitting import BoxJenkins, IdentificationError, estimate, estimate_ladder
+from twinmatch.fitting import BoxJenkins, FittingError, estimate, estimate_ladder
 from twinmatch.fitting.prediction import MEMORY
 from twinmatch.signals import FloatArray
 
@@ -195,7 +195,7 @@ def test_a_warm_start_is_never_worse_than_where_it_starts() -> None:
 
 def test_a_warm_start_of_a_higher_order() -> None:
     u, y = recorded(200, 11)
-    with pytest.raises(IdentificationError, match="33331 cannot start one of order 22221"):
+    with pytest.raises(FittingError, match="33331 cannot start one of order 22221"):
         estimate(u, y, "22221", start=estimate(u, y, "33331"))
 
 
@@ -257,13 +257,13 @@ def test_the_period_is_passed_on() -> None:
 
 def test_data_that_cannot_be_used() -> None:
     u, y = recorded(100, 19)
-    with pytest.raises(IdentificationError, match="input u is constant"):
+    with pytest.raises(FittingError, match="input u is constant"):
         estimate(np.full(100, 3.0), y)
-    with pytest.raises(IdentificationError, match="99 samples and output y 100"):
+    with pytest.raises(FittingError, match="99 samples and output y 100"):
         estimate(u[1:], y)
-    with pytest.raises(IdentificationError, match="inf at sample 2"):
+    with pytest.raises(FittingError, match="inf at sample 2"):
         estimate(u, np.where(np.arange(100) == 2, np.inf, y))
-    with pytest.raises(IdentificationError, match="30 samples are too few for order 55551; give at least 40"):
+    with pytest.raises(FittingError, match="30 samples are too few for order 55551; give at least 40"):
         estimate(u[:30], y[:30], "55551")
-    with pytest.raises(IdentificationError, match="'guess' is unknown"):
+    with pytest.raises(FittingError, match="'guess' is unknown"):
         estimate(u, y, initial="guess")

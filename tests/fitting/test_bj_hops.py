@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from twinmatch.fitting import IdentificationError, Order, estimate, parse_order
-from twinmatch.fitting.hops import Hops
+from twinmatch.fitting import FittingError, Order, estimate, parse_order
+from twinmatch.fitting.starts import Hops
 from twinmatch.signals import FloatArray
 
 DEGREES = st.integers(0, 5)
@@ -76,5 +76,5 @@ def test_more_hops_are_never_worse_and_find_lower_minima() -> None:
 
 
 def test_hops_cannot_be_negative() -> None:
-    with pytest.raises(IdentificationError, match="-1 starts requested; give 0 or more"):
+    with pytest.raises(FittingError, match="-1 starts requested; give 0 or more"):
         estimate(*two_tones(1), "22221", hops=-1)

@@ -8,12 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from twinmatch.fitting.data import Order
 from twinmatch.fitting.delayed import SLACK, cholesky, correlate, ridge_solve, triangularise
-from twinmatch.fitting.derivatives import curvature, linearise
-from twinmatch.fitting.filters import all_pole, fir
-from twinmatch.fitting.order import Order
-from twinmatch.fitting.prediction import ROWS, Place, Task, evaluate, linear_size, task_of
-from twinmatch.fitting.stability import LARGEST_ROOT, boundary_normals, is_stable, stabilise
+from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole, boundary_normals, fir, is_stable, stabilise
+from twinmatch.fitting.prediction import (
+    ROWS,
+    Place,
+    Task,
+    curvature,
+    evaluate,
+    linear_size,
+    linearise,
+    task_of,
+)
 from twinmatch.signals import FloatArray
 
 ROOTS = st.lists(st.floats(-0.9, 0.9), min_size=0, max_size=4)

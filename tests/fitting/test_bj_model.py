@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from twinmatch.fitting import BoxJenkins, IdentificationError, Order, estimate
+from twinmatch.fitting import BoxJenkins, FittingError, Order, estimate
 
 B = np.array([0.0, 1.0, 0.5])
 C = np.array([1.0, -0.5, 0.2])
@@ -59,7 +59,7 @@ def test_unstated_period_counts_as_one() -> None:
     ],
 )
 def test_systems_that_are_not_models(system: control.TransferFunction, message: str) -> None:
-    with pytest.raises(IdentificationError, match=message):
+    with pytest.raises(FittingError, match=message):
         BoxJenkins.from_transfer_function(system)
 
 
@@ -75,7 +75,7 @@ def test_simulation_continues_from_recorded_outputs(model: BoxJenkins, u: np.nda
 
 
 def test_more_recorded_outputs_than_inputs(model: BoxJenkins, u: np.ndarray) -> None:
-    with pytest.raises(IdentificationError, match="3 recorded outputs for 2"):
+    with pytest.raises(FittingError, match="3 recorded outputs for 2"):
         model.simulate(u[:2], outputs=[1.0, 2.0, 3.0])
 
 
@@ -107,14 +107,14 @@ def test_arrays_of_a_model_cannot_be_written(model: BoxJenkins) -> None:
 
 
 def test_unknown_initial(model: BoxJenkins, u: np.ndarray) -> None:
-    with pytest.raises(IdentificationError, match="'backwards' is unknown"):
+    with pytest.raises(FittingError, match="'backwards' is unknown"):
         model.prediction_errors(u, u, "backwards")
 
 
 def test_signals_that_cannot_be_used(model: BoxJenkins, u: np.ndarray) -> None:
-    with pytest.raises(IdentificationError, match="149 samples and output y 150"):
+    with pytest.raises(FittingError, match="149 samples and output y 150"):
         model.prediction_errors(u[1:], u)
-    with pytest.raises(IdentificationError, match="nan at sample 7"):
+    with pytest.raises(FittingError, match="nan at sample 7"):
         model.simulate(np.where(np.arange(20) == 7, np.nan, 0.0))
-    with pytest.raises(IdentificationError, match="give one value per sample"):
+    with pytest.raises(FittingError, match="give one value per sample"):
         model.simulate(np.zeros((2, 2)))

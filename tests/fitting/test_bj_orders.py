@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from twinmatch.fitting import ORDERS, IdentificationError, Order, parse_order
+from twinmatch.fitting import ORDERS, FittingError, Order, parse_order
 
 
 @pytest.mark.parametrize("written", ["22221", "2 2 2 2 1", "2,2,2,2,1", (2, 2, 2, 2, 1), [2, 2, 2, 2, 1]])
@@ -33,16 +33,16 @@ def test_covering_respects_the_span_of_b() -> None:
 
 @pytest.mark.parametrize("order", ["2222", "222211", "two", (2, 2, 2, 2), (1.5, 2, 2, 2, 1)])
 def test_what_is_not_an_order(order: str) -> None:
-    with pytest.raises(IdentificationError, match="five whole numbers"):
+    with pytest.raises(FittingError, match="five whole numbers"):
         parse_order(order)
 
 
 def test_b_needs_a_coefficient() -> None:
-    with pytest.raises(IdentificationError, match="nb must be at least 1"):
+    with pytest.raises(FittingError, match="nb must be at least 1"):
         parse_order("02221")
 
 
 @pytest.mark.parametrize("order", [(2, -1, 2, 2, 1), (2, 2, 2, 2, 51)])
 def test_orders_out_of_range(order: tuple[int, ...]) -> None:
-    with pytest.raises(IdentificationError, match="outside 0 to 50"):
+    with pytest.raises(FittingError, match="outside 0 to 50"):
         parse_order(order)

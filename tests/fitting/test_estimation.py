@@ -14,8 +14,7 @@ from scipy.optimize import least_squares
 from twinmatch.dynamics import Parameters
 from twinmatch.fitting import Match, match
 from twinmatch.fitting.estimation import Estimate, on_bounds, solve, starts_for, uncertainty
-from twinmatch.fitting.noise import Noise
-from twinmatch.fitting.problem import Problem
+from twinmatch.fitting.problem import Noise, Problem
 from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 

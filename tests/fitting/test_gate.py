@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.fitting import Limits, MatchingError, Status
-from twinmatch.fitting.bounds import Unknown, unknown_parameters
+from twinmatch.fitting import FittingError, GateLimits, Status
 from twinmatch.fitting.gate import Evidence, first_excited, judge
+from twinmatch.fitting.problem import Unknown, unknown_parameters
 from twinmatch.plants import Peltier
 
 
@@ -41,7 +41,7 @@ FLAWS = {
 
 
 def test_good_evidence_is_accepted() -> None:
-    status, reason = judge(GOOD, Limits())
+    status, reason = judge(GOOD, GateLimits())
     assert status is Status.ACCEPTED
     assert "1.2 times the noise variance" in reason
 
@@ -74,7 +74,7 @@ def test_good_evidence_is_accepted() -> None:
     ],
 )
 def test_each_flaw_has_its_status(flaw: dict[str, object], status: Status, reason: str) -> None:
-    found, sentence = judge(replace(GOOD, **flaw), Limits())
+    found, sentence = judge(replace(GOOD, **flaw), GateLimits())
     assert found is status
     assert reason in sentence
 
@@ -83,12 +83,12 @@ def test_the_first_flaw_in_order_names_the_status() -> None:
     order = list(FLAWS)
     for i, status in enumerate(order):
         flaws = {name: value for later in order[i:] for name, value in FLAWS[later].items()}
-        assert judge(replace(GOOD, **flaws), Limits())[0] is status
+        assert judge(replace(GOOD, **flaws), GateLimits())[0] is status
 
 
 def test_chance_may_make_the_held_back_part_a_little_worse() -> None:
-    assert judge(replace(GOOD, held_back_chi2=1.64), Limits())[0] is Status.ACCEPTED
-    assert judge(replace(GOOD, held_back_chi2=1.64), Limits(slack=1.0))[0] is Status.NOT_BETTER
+    assert judge(replace(GOOD, held_back_chi2=1.64), GateLimits())[0] is Status.ACCEPTED
+    assert judge(replace(GOOD, held_back_chi2=1.64), GateLimits(slack=1.0))[0] is Status.NOT_BETTER
 
 
 def test_a_temperature_is_not_measured_by_its_distance_from_absolute_zero() -> None:
@@ -97,9 +97,10 @@ def test_a_temperature_is_not_measured_by_its_distance_from_absolute_zero() -> N
     )
     loose = replace(ambient, standard_errors=np.array([0.005, 0.03, 6.0]))
     assert (
-        judge(replace(ambient, standard_errors=np.array([0.005, 0.03, 4.0])), Limits())[0] is Status.ACCEPTED
+        judge(replace(ambient, standard_errors=np.array([0.005, 0.03, 4.0])), GateLimits())[0]
+        is Status.ACCEPTED
     )
-    assert judge(loose, Limits())[0] is Status.NOT_IDENTIFIABLE
+    assert judge(loose, GateLimits())[0] is Status.NOT_IDENTIFIABLE
 
 
 def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
@@ -110,12 +111,12 @@ def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
         standard_errors=np.array([0.01, 3.0]),
         kept="conductance at 0.35 (possible: 0 to 0.4)",
     )
-    status, reason = judge(two, Limits())
+    status, reason = judge(two, GateLimits())
     assert status is Status.ACCEPTED
     assert reason.endswith("not determined and kept: conductance at 0.35 (possible: 0 to 0.4)")
-    assert judge(replace(two, bounds_hit=("seebeck",)), Limits())[0] is Status.BOUNDS_HIT
+    assert judge(replace(two, bounds_hit=("seebeck",)), GateLimits())[0] is Status.BOUNDS_HIT
     loose = replace(two, standard_errors=np.array([0.01, 40.0]))
-    assert judge(loose, Limits())[0] is Status.NOT_IDENTIFIABLE
+    assert judge(loose, GateLimits())[0] is Status.NOT_IDENTIFIABLE
 
 
 @given(
@@ -142,7 +143,7 @@ def test_only_what_passes_every_limit_is_accepted(
         and bool(np.all(np.array(errors) <= 0.5 * GOOD.values))
         and held <= 1.1 * stands
     )
-    assert (judge(evidence, Limits())[0] is Status.ACCEPTED) == passes
+    assert (judge(evidence, GateLimits())[0] is Status.ACCEPTED) == passes
 
 
 def excited(reference: list[float]) -> int | None:
@@ -159,10 +160,10 @@ def test_excitation_is_a_movement_of_the_set_point() -> None:
 
 
 def test_limits_have_a_meaning() -> None:
-    with pytest.raises(MatchingError, match="the limit condition is 0; it must be positive"):
-        Limits(condition=0)
-    with pytest.raises(MatchingError, match=r"held_back is 1\.0; give a share of the window"):
-        Limits(held_back=1.0)
+    with pytest.raises(FittingError, match="the limit condition is 0; it must be positive"):
+        GateLimits(condition=0)
+    with pytest.raises(FittingError, match=r"held_back is 1\.0; give a share of the window"):
+        GateLimits(held_back=1.0)
 
 
 def test_status_values_are_words() -> None:

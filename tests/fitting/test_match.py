@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from twinmatch.dynamics import Parameters, PlantError, begin, simulate_closed_loop
-from twinmatch.fitting import Limits, Match, MatchingError, Noise, Status, match
+from twinmatch.fitting import FittingError, GateLimits, Match, Noise, Status, match
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
@@ -119,7 +119,7 @@ def test_a_truth_outside_the_bounds_hits_them(record: Recorder) -> None:
 
 def test_a_small_step_does_not_determine_the_parameters(record: Recorder) -> None:
     window = record(TRUTH, levels=(30.0, 33.0), seed=4)
-    result = match(window, start=TRUTH, limits=Limits(relative_error=0.02))
+    result = match(window, start=TRUTH, limits=GateLimits(relative_error=0.02))
     assert result.status is Status.NOT_IDENTIFIABLE
     assert "this window does not determine it" in result.reason
 
@@ -155,7 +155,7 @@ def test_a_fit_that_may_not_finish_did_not_converge(
 
 def test_an_incumbent_that_is_the_truth_is_hard_to_beat(record: Recorder) -> None:
     window = record(TRUTH, seed=4)
-    limits = Limits(slack=0.9)  # better by a tenth is more than noise allows
+    limits = GateLimits(slack=0.9)  # better by a tenth is more than noise allows
     assert match(window, start=START, incumbent=TRUTH, limits=limits).status is Status.NOT_BETTER
     poor = TRUTH.replace(seebeck=0.05)
     assert match(window, start=START, incumbent=poor, limits=limits).status is Status.ACCEPTED
@@ -163,8 +163,8 @@ def test_an_incumbent_that_is_the_truth_is_hard_to_beat(record: Recorder) -> Non
 
 def test_an_incumbent_with_a_moving_sink_gets_its_sink_fitted(record: Recorder) -> None:
     window = record(WITH_SINK, seed=4)
-    truth = match(window, start=TRUTH, incumbent=WITH_SINK, limits=Limits(slack=0.9))
-    cold = match(window, start=TRUTH, incumbent=TRUTH.replace(ambient=270.0), limits=Limits(slack=0.9))
+    truth = match(window, start=TRUTH, incumbent=WITH_SINK, limits=GateLimits(slack=0.9))
+    cold = match(window, start=TRUTH, incumbent=TRUTH.replace(ambient=270.0), limits=GateLimits(slack=0.9))
     assert truth.status is Status.NOT_BETTER
     assert cold.status is Status.ACCEPTED
 
@@ -177,7 +177,7 @@ def test_other_periods_are_matched_as_well() -> None:
     result = match(window, start=START, gains=gains)
     assert result.parameters["heat_capacity"] == pytest.approx(30.0, rel=1e-6)
     with pytest.raises(
-        MatchingError, match=r"controller runs every 1\.0 s but the window's samples come every 0\.5"
+        FittingError, match=r"controller runs every 1\.0 s but the window's samples come every 0\.5"
     ):
         match(window, start=START, gains=Peltier.loop)
 
@@ -185,22 +185,22 @@ def test_other_periods_are_matched_as_well() -> None:
 def test_questions_without_meaning_are_refused(record: Recorder) -> None:
     window = record(TRUTH)
     with pytest.raises(
-        MatchingError, match="'alpha' cannot be free in Peltier rig, held sink; choose from seebeck"
+        FittingError, match="'alpha' cannot be free in Peltier rig, held sink; choose from seebeck"
     ):
         match(window, start=START, free=["alpha"])
-    with pytest.raises(MatchingError, match="give at least one parameter and none twice"):
+    with pytest.raises(FittingError, match="give at least one parameter and none twice"):
         match(window, start=START, free=[])
-    with pytest.raises(MatchingError, match="give at least one parameter and none twice"):
+    with pytest.raises(FittingError, match="give at least one parameter and none twice"):
         match(window, start=START, free=["seebeck", "seebeck"])
-    with pytest.raises(MatchingError, match="'sink_convection' cannot be free in Peltier rig, held sink"):
+    with pytest.raises(FittingError, match="'sink_convection' cannot be free in Peltier rig, held sink"):
         match(window, start=START, free=["sink_convection"])
-    with pytest.raises(MatchingError, match="bounds for 'alpha', which is unknown; choose from seebeck"):
+    with pytest.raises(FittingError, match="bounds for 'alpha', which is unknown; choose from seebeck"):
         match(window, start=START, bounds={"alpha": (0.0, 1.0)})
-    with pytest.raises(MatchingError, match=r"the bounds of conductance are 1\.0 and 0\.0; give two finite"):
+    with pytest.raises(FittingError, match=r"the bounds of conductance are 1\.0 and 0\.0; give two finite"):
         match(window, start=START, bounds={"conductance": (1.0, 0.0)})
     with pytest.raises(PlantError, match="conductance is -1 W/K; it must be finite and at least 0"):
         match(window, start=START, bounds={"conductance": (-1.0, 1.0)})
-    with pytest.raises(MatchingError, match=r"noise: input is 0\.0; it must be finite and positive"):
+    with pytest.raises(FittingError, match=r"noise: input is 0\.0; it must be finite and positive"):
         Noise(output=0.1, input=0.0)
 
 

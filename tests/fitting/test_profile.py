@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from twinmatch.fitting.estimation import Estimate, Uncertainty, solve, starts_for, uncertainty
-from twinmatch.fitting.noise import Noise
-from twinmatch.fitting.problem import Problem
-from twinmatch.fitting.profile import QUANTILE, profile_intervals
+from twinmatch.fitting.estimation import (
+    QUANTILE,
+    Estimate,
+    Uncertainty,
+    profile_intervals,
+    solve,
+    starts_for,
+    uncertainty,
+)
+from twinmatch.fitting.problem import Noise, Problem
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 

@@ -18,7 +18,7 @@ from twinmatch.dynamics import (
     simulate_driven,
     simulate_window,
 )
-from twinmatch.fitting import MatchingError
+from twinmatch.fitting import FittingError
 from twinmatch.fitting.structures import SETTLE, fit_structure
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
@@ -144,9 +144,9 @@ def test_a_plant_without_a_known_loop_is_fitted_by_its_output() -> None:
 
 def test_what_cannot_be_fitted_is_refused() -> None:
     window = recorded(TRUTH, levels=(40.0,))
-    with pytest.raises(MatchingError, match="there is no window"):
+    with pytest.raises(FittingError, match="there is no window"):
         fit_structure([], FULL)
-    with pytest.raises(MatchingError, match="has 62 samples; the first 62 are not compared"):
+    with pytest.raises(FittingError, match="has 62 samples; the first 62 are not compared"):
         fit_structure([window.part(0, 61)], FULL)
-    with pytest.raises(MatchingError, match=r"controller runs every 0\.5 s"):
+    with pytest.raises(FittingError, match=r"controller runs every 0\.5 s"):
         fit_structure([window], FULL, gains=replace(Peltier.loop, period=0.5))

@@ -50,7 +50,7 @@ def adopted(tmp_path: Path) -> Iterator[Callable[..., Model]]:
 
     yield adopt
     for name in [name for name in Peltier.structures if is_fmu(name)]:
-        source = Peltier.structures[name].elsewhere
+        source = Peltier.structures[name].external
         if hasattr(source, "runner"):
             source.runner.close()
         Peltier.disown(name)

@@ -16,7 +16,7 @@ from twinmatch.dynamics import (
     Model,
     Observer,
     begin,
-    foretell,
+    forecast_loop,
     linearised,
     rest_at,
     simulate_closed_loop,
@@ -100,7 +100,7 @@ def test_a_forecast_and_its_variance_are_the_same(model: Model) -> None:
     for one in (NATIVE, model):
         parameters = one.parameters(**TRUTH)
         found.append(
-            foretell(
+            forecast_loop(
                 parameters,
                 states=begin(parameters, 40.0),
                 covariance=np.diag([0.01, 1e-6]),

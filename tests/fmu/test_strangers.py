@@ -100,7 +100,7 @@ def test_its_process_sees_no_socket_and_no_secret(run_of, monkeypatch: pytest.Mo
 def test_its_process_ends_with_the_structure(run_of) -> None:
     run_of("")()
     process = _process()
-    source = next(s.elsewhere for s in Peltier.structures.values() if s.elsewhere is not None)
+    source = next(s.external for s in Peltier.structures.values() if s.external is not None)
     folder = source.runner._process.folder  # type: ignore[attr-defined]
     source.runner.close()  # type: ignore[attr-defined]
     assert not Path(f"/proc/{process}").exists()
@@ -120,7 +120,7 @@ def _sleeping() -> bool:
 def test_what_it_started_ends_with_it_in_whatever_session(run_of) -> None:
     run_of("leaves a program")()
     assert _sleeping()
-    source = next(s.elsewhere for s in Peltier.structures.values() if s.elsewhere is not None)
+    source = next(s.external for s in Peltier.structures.values() if s.external is not None)
     source.runner.close()  # type: ignore[attr-defined]
     assert not _sleeping()
 
@@ -148,7 +148,7 @@ def test_its_process_and_folder_go_when_its_parent_is_killed() -> None:
 
 
 def _process() -> int:
-    source = next(s.elsewhere for s in Peltier.structures.values() if s.elsewhere is not None)
+    source = next(s.external for s in Peltier.structures.values() if s.external is not None)
     return int(source.runner._process._process.pid)  # type: ignore[attr-defined]
 
 
@@ -295,7 +295,7 @@ def test_a_damaged_archive_and_a_pipe_are_refused(exchange_fmu: Path, tmp_path: 
 def test_a_file_that_changed_is_not_run(exchange_fmu: Path, tmp_path: Path, adopted) -> None:
     fmu = _changed(exchange_fmu, tmp_path)
     model = adopted(fmu)
-    source = model.structure.elsewhere
+    source = model.structure.external
     source.runner.close()
     with zipfile.ZipFile(fmu, "a") as opened:
         opened.writestr("resources/more", b"x")

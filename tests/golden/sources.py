@@ -44,7 +44,7 @@ def documents_of(name: str, folder: Path) -> Documents:
     finally:
         for plant, names in before.items():
             for adopted in set(PLANTS[plant].structures) - names:
-                source = PLANTS[plant].structures[adopted].elsewhere
+                source = PLANTS[plant].structures[adopted].external
                 PLANTS[plant].disown(adopted)
                 source.runner.close()  # type: ignore[union-attr]
 

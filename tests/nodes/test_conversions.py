@@ -37,7 +37,7 @@ from twinmatch.nodes.messages import (
 )
 from twinmatch.nodes.sample_messages import one_of, sample_from, sample_message
 from twinmatch.plants import Peltier
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.record import object_of, tree_of_message
 from twinmatch.signals import Sample, SignalError, Window
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState

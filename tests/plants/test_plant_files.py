@@ -13,9 +13,9 @@ import pytest
 
 from tests.support.plant_files import plant_file
 from twinmatch.dynamics import Plant, PlantError, equations
-from twinmatch.dynamics.patience import at_most
+from twinmatch.dynamics.equations import at_most
 from twinmatch.plants import Peltier, files, find_plant, plant_named, written_name
-from twinmatch.plants.installed import _declared
+from twinmatch.plants.files import _declared
 
 
 def test_a_plant_is_found_by_its_file_and_then_by_its_name(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from twinmatch.comparing import (
     Verdict,
 )
 from twinmatch.fitting import Status
-from twinmatch.fitting.result import without_fit
+from twinmatch.fitting.match import without_fit
 from twinmatch.plants import Peltier
 from twinmatch.record import (
     Form,

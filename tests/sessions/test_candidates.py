@@ -10,7 +10,7 @@ import pytest
 from tests.support.rig import rig
 from twinmatch.dynamics import PlantError
 from twinmatch.plants import Peltier
-from twinmatch.plants.written import parameters_from
+from twinmatch.plants.records import parameters_from
 from twinmatch.sessions.candidates import CandidateFileError, parse_candidates, read_candidates
 
 PAPER = Path(__file__).resolve().parents[2] / "config" / "paper_candidates.yaml"

@@ -60,7 +60,7 @@ def hour() -> Window:
 
 
 def test_the_plant_file_says_what_is_watched() -> None:
-    own = [model for model in watched(Peltier) if model.structure.elsewhere is None]
+    own = [model for model in watched(Peltier) if model.structure.external is None]
     assert [model.structure_name for model in own] == [
         "held sink",
         "sink with mass",

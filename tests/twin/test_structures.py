@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twinmatch.dynamics import Parameters, begin, simulate_closed_loop, simulate_window
-from twinmatch.fitting import MatchingError
+from twinmatch.fitting import FittingError
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 from twinmatch.twin import nrmse
@@ -109,7 +109,7 @@ def test_a_frozen_sensor_is_judged_without_a_warning() -> None:
 
 
 def test_nothing_to_choose_from_is_refused() -> None:
-    with pytest.raises(MatchingError, match="there is none to choose from"):
+    with pytest.raises(FittingError, match="there is none to choose from"):
         choose_structure(recorded(PLAIN, 1, 50), ())
     choice = choose_structure(recorded(PLAIN, 1, 50), SOME[:1], thorough=False)
     assert "its BIC" not in choice.sentence

@@ -21,7 +21,7 @@ from tests.words.conftest import Shown
 from twinmatch.cli import main
 from twinmatch.offline.judgement import judge
 from twinmatch.offline.terms import terms_from_files
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session
 from twinmatch.showing.foxglove.layout import layout
 from twinmatch.showing.page import DashboardState, TwinRow

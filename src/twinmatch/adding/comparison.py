@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from twinmatch.adding.findings import Finding
 from twinmatch.dynamics import Plant, PlantError
-from twinmatch.fitting import MatchingError
+from twinmatch.fitting import FittingError
 from twinmatch.showing.comparison import root_mean_square
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import StructureScore, TwinSettings, choose_structure
@@ -33,7 +33,7 @@ class Compared(NamedTuple):
 
 def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: TwinSettings) -> Compared:
     """Fit every structure of the plant file to a recording as a whole."""
-    names = [name for name, structure in plant.structures.items() if structure.elsewhere is None]
+    names = [name for name, structure in plant.structures.items() if structure.external is None]
     windows = _windows(samples, settings)
     if not windows:
         return Compared([], [], math.nan)
@@ -41,7 +41,7 @@ def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: 
         choice = choose_structure(
             windows, [plant.model(name) for name in names], noise=settings.noise, gains=settings.gains
         )
-    except (MatchingError, PlantError) as error:
+    except (FittingError, PlantError) as error:
         return Compared([], [f"the structures cannot be compared on this recording: {error}"], math.nan)
     used = sum(len(window) for window in windows)
     notes = [f"each structure fitted to {'all' if used == len(samples) else 'the first'} {used} samples:"]

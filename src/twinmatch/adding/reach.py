@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from twinmatch.adding.findings import Finding
-from twinmatch.dynamics import Plant
-from twinmatch.dynamics.equations import Equations, written_equations
+from twinmatch.dynamics import Equations, Plant
+from twinmatch.dynamics.equations import written_equations
 
 __all__ = ["idle_disturbances", "unreached"]
 
@@ -49,7 +49,7 @@ def idle_disturbances(plant: type[Plant]) -> list[str]:
 
 def _equations(plant: type[Plant]) -> dict[str, Equations]:
     """By structure; FMUs have none here."""
-    own = {name: held.parts for name, held in plant.structures.items() if held.elsewhere is None}
+    own = {name: held.parts for name, held in plant.structures.items() if held.external is None}
     return {name: written_equations(plant(), parts) for name, parts in own.items()}
 
 

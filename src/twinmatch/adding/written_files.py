@@ -15,7 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from twinmatch.adding.errors import AddingError
 from twinmatch.adding.proposal import Proposal
 from twinmatch.plants import PLANTS
-from twinmatch.plants.installed import installed_names
+from twinmatch.plants.files import installed_names
 from twinmatch.sessions.column_map import Source
 
 __all__ = ["files_of"]

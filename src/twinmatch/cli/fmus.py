@@ -22,9 +22,9 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: there is no such plant, or the file is not an FMU.
     """
-    from twinmatch.fmu.fitting import described_by  # noqa: PLC0415 — keeps --help fast
     from twinmatch.fmu.process import FmuProcess  # noqa: PLC0415
     from twinmatch.fmu.proposal import draft, overview  # noqa: PLC0415
+    from twinmatch.fmu.runner import described_by  # noqa: PLC0415 — keeps --help fast
     from twinmatch.plants import find_plant  # noqa: PLC0415
 
     plant, process = find_plant(options.plant), FmuProcess()

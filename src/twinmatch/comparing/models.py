@@ -120,7 +120,7 @@ def identify(
     (docs/decisions/0015). `identification.estimate` searches for the global minimum.
 
     Raises:
-        IdentificationError: set-point or input does not move, or there are too few samples.
+        FittingError: set-point or input does not move, or there are too few samples.
     """
     if scale is not None:
         _, y, u = deviations(window, operating_level(window, driven=True))

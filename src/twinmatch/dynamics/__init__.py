@@ -5,56 +5,63 @@ and which parameters are unknown. `Plant.model` gives a `Model`, whose compiled 
 equations once and kept on disk. `Parameters` are the values for a model, and all functions take them:
 `begin`, `advance` and `read` step a plant; `simulate_closed_loop`, `simulate_driven` and `simulate_window`
 run it; `Experiment` is a recorded window as a function of the unknowns, with exact tangents; `linearised`
-gives the response to small deviations; `Observer` estimates unmeasured states; `foretell` forecasts the loop
-from there, with variances. `Pid` is the controller, `Sensor` the model from output to reading.
+gives the response to small deviations; `Observer` estimates unmeasured states; `forecast_loop` forecasts
+the loop from there, with variances. `Pid` is the controller, `Sensor` the model from output to reading.
 """
 
-from twinmatch.dynamics.ahead import Foretold, foretell
-from twinmatch.dynamics.closing import FILED, Closing, Filed, gains_for, gains_of
-from twinmatch.dynamics.dead_time import DeadTime
-from twinmatch.dynamics.declarations import Disturbance, Drive, Output, Parameter, State, Structure
+from twinmatch.dynamics.declarations import (
+    Disturbance,
+    Drive,
+    ExternalEquations,
+    Output,
+    Parameter,
+    PlantError,
+    State,
+    Structure,
+    StructureLostError,
+)
+from twinmatch.dynamics.definition import Equations
 from twinmatch.dynamics.descent import Descended, box_step, descend
-from twinmatch.dynamics.elsewhere import Elsewhere
-from twinmatch.dynamics.equations import Equations
-from twinmatch.dynamics.errors import PlantError, StructureLostError
 from twinmatch.dynamics.experiment import Experiment, Known, Tangents
-from twinmatch.dynamics.functions import limited, magnitude, maximum, minimum
+from twinmatch.dynamics.forecasts import LoopForecast, forecast_loop, noise_scores
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
-from twinmatch.dynamics.model import Model
-from twinmatch.dynamics.noise import noise_scores
-from twinmatch.dynamics.observer import Observer, Wander
-from twinmatch.dynamics.parameters import Parameters
-from twinmatch.dynamics.pid import Pid, PidGains, PidState, controller_state
-from twinmatch.dynamics.plant import Plant
-from twinmatch.dynamics.sensor import Sensor, SensorRealisation
+from twinmatch.dynamics.loop import Pid, PidGains, PidState, Sensor, SensorRealisation, controller_state
+from twinmatch.dynamics.observer import Observer, RandomWalk
+from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.simulation import (
+    FROM_PLANT_FILE,
     SKIPPED,
+    FromPlantFile,
+    LoopGains,
     Response,
     advance,
     begin,
     begin_window,
+    gains_for,
+    gains_of,
     quantities,
     read,
     simulate_closed_loop,
     simulate_driven,
     simulate_window,
 )
+from twinmatch.dynamics.terms import DeadTime, limited, magnitude, maximum, minimum
 
 __all__ = [
-    "FILED",
+    "FROM_PLANT_FILE",
     "SKIPPED",
-    "Closing",
     "DeadTime",
     "Descended",
     "Disturbance",
     "Drive",
-    "Elsewhere",
     "Equations",
     "Experiment",
-    "Filed",
-    "Foretold",
+    "ExternalEquations",
+    "FromPlantFile",
     "Known",
     "Linear",
+    "LoopForecast",
+    "LoopGains",
     "Model",
     "Observer",
     "Output",
@@ -65,6 +72,7 @@ __all__ = [
     "PidState",
     "Plant",
     "PlantError",
+    "RandomWalk",
     "Response",
     "Rest",
     "Sensor",
@@ -73,14 +81,13 @@ __all__ = [
     "Structure",
     "StructureLostError",
     "Tangents",
-    "Wander",
     "advance",
     "begin",
     "begin_window",
     "box_step",
     "controller_state",
     "descend",
-    "foretell",
+    "forecast_loop",
     "gains_for",
     "gains_of",
     "limited",

@@ -212,8 +212,8 @@ class _Writer:
 
 
 def _tuple(entries: Iterable[str]) -> str:
-    held = list(entries)
-    return f"({', '.join(held)}{',' if len(held) == 1 else ''})"
+    listed = list(entries)
+    return f"({', '.join(listed)}{',' if len(listed) == 1 else ''})"
 
 
 def _tuple_functions(n: int, switches: int, parameters: int) -> str:
@@ -226,7 +226,7 @@ def _tuple_functions(n: int, switches: int, parameters: int) -> str:
     values = _tuple(f"vector[{i}]" for i in range(parameters))
     unpacked = "\n".join(f"    array[{i}] = x[{i}]" for i in range(n))
     lines = [
-        "@compiled(innermost=True)\ndef held(vector):\n    return " + values,
+        "@compiled(innermost=True)\ndef parameters(vector):\n    return " + values,
         "@compiled(innermost=True)\ndef branch(code):\n    return " + sides,
         "@compiled(innermost=True)\ndef packed(array):\n    return " + packed,
         "@compiled(innermost=True)\ndef shifted(x, k, h):\n    return " + shifted,

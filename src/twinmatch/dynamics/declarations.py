@@ -10,15 +10,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import Any, Protocol, TypeVar, overload
 
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.numbers import require_number, require_range, require_text
+from twinmatch.errors import TwinmatchError
 
-if TYPE_CHECKING:
-    from twinmatch.dynamics.elsewhere import Elsewhere
-
-__all__ = ["Declaration", "Disturbance", "Drive", "Output", "Parameter", "State", "Structure"]
+__all__ = [
+    "Declaration",
+    "Disturbance",
+    "Drive",
+    "ExternalEquations",
+    "Output",
+    "Parameter",
+    "PlantError",
+    "State",
+    "Structure",
+    "StructureLostError",
+    "require_number",
+    "require_range",
+    "require_text",
+]
 
 _Self = TypeVar("_Self", bound="Declaration")
 
@@ -27,6 +37,14 @@ _STEP = 20.0
 
 ROLES = ("", "losses", "room")
 """Roles that a parameter can have for the health of a plant."""
+
+
+class PlantError(TwinmatchError):
+    """Equations that cannot be used, impossible values, or signals on which the plant cannot be run."""
+
+
+class StructureLostError(PlantError):
+    """An external structure was lost: it ran before, but can never be run again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,6 +246,33 @@ class Parameter(Declaration):
         return " and ".join(words)
 
 
+class ExternalEquations(Protocol):
+    """Source of a structure whose equations are external, possibly in another language.
+
+    Output, drive and disturbances are those of the plant's file. States and parameters may be the plant's,
+    too, or be declared here.
+    """
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Parameters that only this structure has, by name."""
+
+    @property
+    def states(self) -> Mapping[str, State]:
+        """States that only this structure has, by name."""
+
+    @property
+    def kernels(self) -> Any:
+        """The functions and names of a module of compiled kernels, except those that track changes.
+
+        They raise `StructureLostError` once the external equations are gone.
+        """
+
+    @property
+    def lost(self) -> str:
+        """Why it can no longer be run, in a sentence; empty while it can."""
+
+
 @dataclass(frozen=True)
 class Structure:
     """Which parts of a plant are modelled, and which parameters are unknown."""
@@ -245,14 +290,14 @@ class Structure:
     watched: bool = True
     """Whether it is fitted beside the running plant; otherwise only when all structures are requested."""
     text: str = ""
-    elsewhere: Elsewhere | None = None
+    external: ExternalEquations | None = None
     """Source of its equations, if they are not in the plant's file."""
 
     def __post_init__(self) -> None:
         for name in ("free", "parts", "free_starts"):
-            held = getattr(self, name)
-            if isinstance(held, str):
-                msg = f"plant: {name} of a structure is the text {held!r}; write ({held!r},)"
+            names = getattr(self, name)
+            if isinstance(names, str):
+                msg = f"plant: {name} of a structure is the text {names!r}; write ({names!r},)"
                 raise PlantError(msg)
 
     def __hash__(self) -> int:
@@ -261,3 +306,44 @@ class Structure:
     def n_parameters(self, windows: int = 1) -> int:
         """Number of values that a fit to so many windows estimates."""
         return len(self.free) + windows * len(self.free_starts)
+
+
+def require_number(what: str, value: Any, *, above: float = -math.inf) -> None:
+    """Check that a value is a finite number above `above`.
+
+    Raises:
+        PlantError: it is none.
+    """
+    if not _is_number(value) or not above < value < math.inf:
+        least = f" above {above:g}" if above > -math.inf else ""
+        msg = f"plant: {what} is {value!r}; give a finite number{least}"
+        raise PlantError(msg)
+
+
+def require_range(what: str, ends: Any, *, finite: bool = True) -> None:
+    """Check that a value is a pair of numbers, the smaller one first; without `finite`, ±inf are allowed.
+
+    Raises:
+        PlantError: it is none.
+    """
+    if isinstance(ends, tuple | list) and len(ends) == 2 and all(map(_is_number, ends)):
+        low, high = ends
+        if low < high and (not finite or (math.isfinite(low) and math.isfinite(high))):
+            return
+    kind = "two finite numbers" if finite else "two numbers"
+    msg = f"plant: {what} is {ends!r}; give {kind}, the smaller first, such as (0.0, 100.0)"
+    raise PlantError(msg)
+
+
+def require_text(what: str, value: Any) -> None:
+    """Check that a value is one line of text.
+
+    Raises:
+        PlantError: it is none.
+    """
+    if not isinstance(value, str) or "\n" in value:
+        raise PlantError(f"plant: {what} is {value!r}; give a short text in quotes")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

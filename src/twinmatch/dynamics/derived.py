@@ -29,7 +29,7 @@ def row(disturbances: Any, k: Any) -> Any:
 
 
 @compiled(innermost=True)
-def held(vector: Any) -> Any:
+def parameters(vector: Any) -> Any:
     return (vector[0], vector[1])
 
 

@@ -220,10 +220,10 @@ def box_step(
 
     Returns the step, shape (n,), and the predicted decrease −(2gᵀd + dᵀHd) of the sum.
     """
-    step, settled = _held_step(hessian, gradient, values, lower, upper, damping)
+    step, settled = _step_of_free(hessian, gradient, values, lower, upper, damping)
     while not settled and damping < _MOST_DAMPING:
         damping = max(100.0 * damping, _SETTLING)
-        step, settled = _held_step(hessian, gradient, values, lower, upper, damping)
+        step, settled = _step_of_free(hessian, gradient, values, lower, upper, damping)
     promised = 0.0
     for i in range(values.size):
         promised -= 2.0 * gradient[i] * step[i]
@@ -233,7 +233,7 @@ def box_step(
 
 
 @compiled
-def _held_step(
+def _step_of_free(
     hessian: FloatArray,
     gradient: FloatArray,
     values: FloatArray,
@@ -246,13 +246,13 @@ def _held_step(
     n = values.size
     step = np.zeros(n)
     settled = False
-    held = np.zeros(n, dtype=np.bool_)
+    fixed = np.zeros(n, dtype=np.bool_)
     for i in range(n):
         outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
-        held[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
+        fixed[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
     for _ in range(4 * n):
         # Cholesky on the free parameters, in units in which the diagonal is one.
-        free = np.flatnonzero(~held)
+        free = np.flatnonzero(~fixed)
         m = free.size
         factor, right = np.zeros((m, m)), np.zeros(m)
         for i in range(m):
@@ -260,7 +260,7 @@ def _held_step(
             size = np.sqrt(hessian[p, p])
             right[i] = -gradient[p]
             for q in range(n):
-                if held[q]:
+                if fixed[q]:
                     right[i] -= hessian[p, q] * step[q]
             right[i] /= size
             for j in range(i + 1):
@@ -290,7 +290,7 @@ def _held_step(
             # Parameters whose gradient points inwards are released, one at a time.
             pull = 0.0
             for i in range(n):
-                if held[i] and lower[i] < upper[i] and hessian[i, i] > 0.0:
+                if fixed[i] and lower[i] < upper[i] and hessian[i, i] > 0.0:
                     slope = gradient[i] + damping * hessian[i, i] * step[i]
                     for j in range(n):
                         slope += hessian[i, j] * step[j]
@@ -301,8 +301,8 @@ def _held_step(
             if first < 0:
                 settled = True
                 break
-            held[first] = False
+            fixed[first] = False
             continue
         step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
-        held[first] = True
+        fixed[first] = True
     return step, settled

@@ -1,47 +1,59 @@
-"""Derivation of a plant's equations in SymPy: kinks resolved, symbols ordered, mistakes reported.
-
-Kinks (`Min`, `Max`, `Abs`, `Piecewise` with inequalities) are resolved first. Each becomes a *switch*, a
-symbol that is 1 or 0, and a *condition*, the expression whose sign it follows; both branches then appear in
-the equations, weighted by the switch and one minus it. With constant switches a plant is smooth: its
-derivatives are those of the active branch, and an integrator can step exactly to the moment a condition
-changes sign. The equations must be continuous there, like those of a limiter.
-"""
+"""Derivation of a plant's equations in SymPy: checked, kinks and roots resolved, symbols ordered."""
 
 from __future__ import annotations
 
+import ctypes
 import difflib
 import re
+import threading
 import traceback
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
 
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.patience import PATIENCE, TooLongError, at_most
-from twinmatch.dynamics.returned import require_usable
-from twinmatch.dynamics.roots import Roots
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.definition import Equations, Expression, PlantDefinition
+from twinmatch.dynamics.terms import Kinks, Roots
 
-if TYPE_CHECKING:
-    from twinmatch.dynamics.plant import Plant
+__all__ = ["PATIENCE", "Derived", "TooLongError", "at_most", "derive", "error_words", "written_equations"]
 
-__all__ = ["Derived", "Equations", "derive", "error_words", "written_equations"]
+PATIENCE: Final = 60.0
+"""Time for loading a plant's file, and for one call of its equations, s. Both take well below a second, or
+some seconds if the file reads a table or imports a large library."""
+_FUNCTIONS: Final = (
+    "Abs", "Max", "Min", "Piecewise", "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos",
+    "cosh", "erf", "erfc", "exp", "log", "sin", "sinh", "tan", "tanh",
+)  # fmt: skip
+"""Functions that can be compiled together with all their derivatives."""
 
-Expression = Any
-"""A SymPy expression; SymPy has no types of its own for mypy."""
+
+class TooLongError(Exception):
+    """The code took longer than its limit."""
 
 
-@dataclass(frozen=True)
-class Equations:
-    """The return value of a plant's `equations`."""
+@contextmanager
+def at_most(seconds: float = PATIENCE) -> Iterator[None]:
+    """Raise `TooLongError` in this thread if the block takes longer.
 
-    rates: Mapping[Expression, Expression]
-    """Time derivative of each state that the structure has, in its unit per second."""
-    output: Expression
-    """The quantity that the sensor measures; a smooth function of states and parameters."""
-    start: Mapping[Expression, Expression]
-    """Initial value of each state, from the output, the drive until then, disturbances and parameters."""
-    quantities: Mapping[str, Expression] = field(default_factory=dict)
-    """Other quantities of interest, by name: currents, heat flows."""
+    It interrupts Python code between two instructions, but no call that waits in C, such as `time.sleep`.
+    """
+    thread, lock, done = ctypes.c_ulong(threading.get_ident()), threading.Lock(), False
+
+    def stop() -> None:
+        with lock:
+            if not done:
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(TooLongError))
+
+    timer = threading.Timer(seconds, stop)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        with lock:
+            done = True
+        timer.cancel()
 
 
 @dataclass(frozen=True)
@@ -71,7 +83,7 @@ class Derived:
         return len(self.states)
 
 
-def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Derived:
+def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str]) -> Derived:
     """Derive the equations of a plant with some of its parts, ready to be written as code.
 
     Tangents are computed for the parameters `unknown`, if the equations depend on them.
@@ -88,7 +100,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     drive, measured = declared[plant.drive.name], declared[plant.output.name]
     disturbances = tuple(declared[name] for name in plant.disturbances)
 
-    kinks, roots = _Kinks(), Roots(plant)
+    kinks, roots = Kinks(), Roots(plant)
     rates = tuple(kinks.resolved(roots.smooth(sympy.sympify(written.rates[s]))) for s in states)
     quantities = {
         name: kinks.resolved(roots.smooth(sympy.sympify(e))) for name, e in written.quantities.items()
@@ -96,7 +108,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     output = roots.smooth(sympy.sympify(written.output))
     start = tuple(roots.smooth(sympy.sympify(written.start[s])) for s in states)
     for what, expressions in (("output", [output]), ("start", start)):
-        if any(_Kinks().resolved(expression) != expression for expression in expressions):
+        if any(Kinks().resolved(expression) != expression for expression in expressions):
             raise PlantError(f"{title}: the {what} has a kink; put it into the sensor or into a rate")
 
     used = set().union(*(e.free_symbols for e in (*rates, output, *start, *kinks.conditions)))
@@ -107,7 +119,7 @@ def derive(plant: Plant, parts: frozenset[str], unknown: frozenset[str]) -> Deri
     )  # fmt: skip
 
 
-def written_equations(plant: Plant, parts: frozenset[str]) -> Equations:
+def written_equations(plant: PlantDefinition, parts: frozenset[str]) -> Equations:
     """Call the plant's `equations`.
 
     Raises:
@@ -127,11 +139,11 @@ def written_equations(plant: Plant, parts: frozenset[str]) -> Equations:
         kind = type(written).__name__
         msg = f"plant {plant.name}: its method `equations` returns {kind}; return Equations(rates=…, …)"
         raise PlantError(msg)
-    require_usable(plant, written)
+    _require_usable(plant, written)
     return written
 
 
-def _mistake(plant: Plant, error: BaseException) -> str:
+def _mistake(plant: PlantDefinition, error: BaseException) -> str:
     if isinstance(error, AttributeError) and error.obj is plant:
         near = difflib.get_close_matches(error.name or "", plant.declarations, n=1)
         hint = f"did you mean {near[0]}?" if near else "declare it as a State, Parameter or Disturbance"
@@ -151,58 +163,96 @@ def error_words(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-class _Kinks:
-    """Replaces kinks by switches, innermost first, and collects their conditions."""
+def _require_usable(plant: PlantDefinition, written: Equations) -> None:
+    """Check that the equations are finite expressions of quantities that may occur in them.
 
-    def __init__(self) -> None:
-        self.switches: list[Expression] = []
-        self.conditions: list[Expression] = []
+    Raises:
+        PlantError: a state without rate or start, something that is not an expression, an undeclared quantity
+            or one in the wrong place, a function that cannot be compiled.
+    """
+    title = f"plant {plant.name}"
+    for name in ("rates", "start", "quantities"):
+        if not isinstance(getattr(written, name), Mapping):
+            kind = type(getattr(written, name)).__name__
+            raise PlantError(f"{title}: `{name}` is of type {kind}; write a dictionary, {{…: …}}")
+    declared = {name: getattr(plant, name) for name in plant.declarations}
+    every = [declared[name] for name in plant.states]
+    states = _require_states(title, every, written)
+    inputs = {declared[name] for name in (*plant.disturbances, *plant.parameters)}
+    drive, measured = declared[plant.drive.name], declared[plant.output.name]
+    known = {*states, *inputs}
+    for state in states:
+        _require(f"{title}: the rate of {state}", written.rates[state], {*known, drive}, declared)
+        _require(f"{title}: the start of {state}", written.start[state], {*inputs, drive, measured}, declared)
+    if _symbols(written.output) & {drive}:
+        msg = (
+            f"{title}: the output depends on the drive at the same instant; add a state between, or declare "
+            "a disturbance, map the drive's column to it too, and use it in the output"
+        )
+        raise PlantError(msg)
+    _require(f"{title}: the output", written.output, known, declared)
+    if not _symbols(written.output) & set(states):
+        raise PlantError(f"{title}: the output depends on no state; write it in terms of the states")
+    for name, expression in written.quantities.items():
+        _require(f"{title}: the quantity {name}", expression, {*known, drive}, declared)
 
-    def resolved(self, expression: Expression) -> Expression:
-        """The expression with kinks replaced by switches."""
-        import sympy  # noqa: PLC0415
 
-        if not expression.args:
-            return expression
-        if isinstance(expression, sympy.Piecewise):
-            return self._pieces(expression)
-        args = [self.resolved(a) for a in expression.args]
-        if isinstance(expression, sympy.Abs):
-            switch = self._switch(args[0])
-            return args[0] * (2 * switch - 1)
-        if isinstance(expression, sympy.Max | sympy.Min):
-            result = args[0]
-            for other in args[1:]:
-                sign = 1 if isinstance(expression, sympy.Max) else -1
-                switch = self._switch(sign * (result - other))
-                result = switch * result + (1 - switch) * other
-            return result
-        return expression.func(*args)
+def _require_states(title: str, declared: list[Any], written: Equations) -> list[Any]:
+    """The states that have a rate; each needs a start."""
+    for name in ("rates", "start"):
+        for symbol in getattr(written, name):
+            if symbol not in declared:
+                shown = repr(symbol) if isinstance(symbol, str) else str(symbol)
+                todo = f"write self.{symbol}" if symbol in map(str, declared) else "declare it"
+                msg = f"{title}: `{name}` has {shown}, which is not declared as a state; {todo}"
+                raise PlantError(msg)
+    states = [state for state in declared if state in written.rates]
+    if not states:
+        raise PlantError(f"{title}: no state has a rate; a plant without memory needs no twin")
+    for state in states:
+        if state not in written.start:
+            raise PlantError(f"{title}: state {state} has no start value; give one in `start`")
+    return states
 
-    def _pieces(self, expression: Expression) -> Expression:
-        import sympy  # noqa: PLC0415
 
-        pieces = list(expression.args)
-        if pieces[-1][1] is not sympy.true:
-            msg = f"plant: {expression} has no value elsewhere; give its last piece the condition True"
-            raise PlantError(msg)
-        result = self.resolved(pieces[-1][0])
-        for value, condition in reversed(pieces[:-1]):
-            if not isinstance(condition, sympy.StrictGreaterThan | sympy.GreaterThan):
-                if not isinstance(condition, sympy.StrictLessThan | sympy.LessThan):
-                    msg = f"plant: the condition {condition} of a Piecewise is not a single inequality"
-                    raise PlantError(msg)
-                condition = condition.reversed  # noqa: PLW2901
-            switch = self._switch(self.resolved(condition.lhs - condition.rhs))
-            result = switch * self.resolved(value) + (1 - switch) * result
-        return result
+def _require(place: str, expression: Any, allowed: Iterable[Any], declared: Mapping[str, Any]) -> None:
+    import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
 
-    def _switch(self, condition: Expression) -> Expression:
-        import sympy  # noqa: PLC0415
+    if not isinstance(expression, sympy.Expr | int | float) or isinstance(expression, bool):
+        kind = "a condition" if isinstance(expression, sympy.logic.boolalg.Boolean) else _kind(expression)
+        raise PlantError(f"{place} is {kind}; write an expression of the plant's quantities")
+    found = sympy.sympify(expression)
+    if found.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
+        raise PlantError(f"{place} is not finite ({_short(found)}): it divides by zero, or contains NaN")
+    if found.has(sympy.I):
+        raise PlantError(f"{place} is complex ({_short(found)}); write it with real quantities")
+    for part in sympy.preorder_traversal(found):
+        if isinstance(part, sympy.Function | sympy.Derivative | sympy.Integral):
+            name = type(part).__name__
+            if name not in _FUNCTIONS:
+                msg = f"{place} uses {name}, which cannot be compiled; use only {', '.join(_FUNCTIONS)}"
+                raise PlantError(msg)
+    for symbol in sorted(found.free_symbols - set(allowed), key=str):
+        if symbol not in declared.values():
+            raise PlantError(f"{place} uses {str(symbol)!r}, which is not declared; declare it")
+        raise PlantError(f"{place} uses {symbol}, which {_reason(place)}")
 
-        if condition in self.conditions:
-            return self.switches[self.conditions.index(condition)]
-        switch = sympy.Symbol(f"switch {len(self.switches)}", real=True)  # not the name of a quantity
-        self.switches.append(switch)
-        self.conditions.append(condition)
-        return switch
+
+def _reason(place: str) -> str:
+    """Why a declared quantity cannot be used there."""
+    if ": the start of" in place:
+        return "is not known before the first sample; use the output, the drive, disturbances and parameters"
+    return "is the output or a state without a rate; use a state, or give it a rate"
+
+
+def _symbols(expression: Any) -> set[Any]:
+    return set(getattr(expression, "free_symbols", ()))
+
+
+def _kind(value: Any) -> str:
+    return "missing (None)" if value is None else f"{value!r}, of type {type(value).__name__}"
+
+
+def _short(expression: Any) -> str:
+    text = str(expression)
+    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -9,20 +9,59 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.dynamics.closing import FILED, Closing, gains_for
+from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.descent import Descended, new_search, search_result
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.parameters import Parameters
-from twinmatch.dynamics.pid import PidState, controller_state
-from twinmatch.dynamics.posed import Posed
-from twinmatch.dynamics.simulation import NO_GAINS, SKIPPED, Response
+from twinmatch.dynamics.loop import Gains, PidState, controller_state
+from twinmatch.dynamics.plant import Parameters
+from twinmatch.dynamics.simulation import FROM_PLANT_FILE, NO_GAINS, SKIPPED, LoopGains, Response, gains_for
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Experiment", "Known", "Tangents"]
-
+__all__ = ["Experiment", "Known", "LeastSquares", "Tangents"]
 
 _COARSE = 0.5
 """Longest step of a coarse run, in units of the fastest time constant."""
+
+
+class LeastSquares(NamedTuple):
+    """A window's least-squares problem for compiled code: all but the values of the unknowns."""
+
+    base: FloatArray
+    """Values of all parameters, shape (n,); those of the unknown ones are ignored."""
+    which: NDArray[np.int64]
+    """Indices of the unknown parameters among those with tangents, shape (m,)."""
+    places: NDArray[np.int64]
+    """Their indices among all parameters."""
+    started: NDArray[np.int64]
+    """Indices of the states with unknown initial value."""
+    first: float
+    """Output measured at the start."""
+    input_before: float
+    """Input until the start."""
+    closed: bool
+    gains: Gains
+    reference: FloatArray
+    measured: FloatArray
+    """Output and input, shape (2, N)."""
+    weights: FloatArray
+    """Weights of their residuals, shape (2, N)."""
+    robust: bool
+    disturbances: FloatArray
+    """Shape (N, number of disturbances)."""
+    default_disturbances: FloatArray
+    """Defaults of the disturbances."""
+    corners: FloatArray
+    """States at which the fastest rate is searched, shape (k, number of states); `drives` likewise."""
+    drives: FloatArray
+    integral: float
+    previous: float
+    """The controller's state, with `integral`."""
+    period: float
+    rate_limit: float
+    """Longest Runge–Kutta step in units of the fastest time constant."""
+    expected: FloatArray
+    """Prior values of the unknowns, shape (m + starts,)."""
+    pull: FloatArray
+    """Weight of their squared distance from it in the cost; zero without prior."""
 
 
 class Known(NamedTuple):
@@ -68,7 +107,7 @@ class Experiment:
         window: Window,
         *,
         free_starts: Sequence[str] = (),
-        gains: Closing = FILED,
+        gains: LoopGains = FROM_PLANT_FILE,
         weights: tuple[float, float] = (1.0, 1.0),
         robust: bool = False,
         settle: int = 0,
@@ -105,8 +144,8 @@ class Experiment:
                 raise PlantError(msg)
         self.model, self.base, self.window = model, base, window
         self.free, self.free_starts = tuple(free), tuple(free_starts)
-        held = gains_for(model.plant, window.period, gains)
-        self.closed, self.gains = held is not None, held or NO_GAINS
+        loop = gains_for(model.plant, window.period, gains)
+        self.closed, self.gains = loop is not None, loop or NO_GAINS
         if self.closed and self.gains.period != window.period:
             msg = (
                 f"{model.title}: the controller runs every {self.gains.period} s but the window's samples "
@@ -122,13 +161,13 @@ class Experiment:
         for name, value in (beforehand or {}).items():
             place = self.free.index(name)
             expected[place], pull[place] = value.expected, value.pull
-        self._posed = Posed(
+        self._problem = LeastSquares(
             base=base.vector,
             which=_indices(self._kernels.UNKNOWN, self.free),
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
             first=float(window.output[SKIPPED]),
-            driven=float(window.input[SKIPPED - 1]),
+            input_before=float(window.input[SKIPPED - 1]),
             closed=self.closed,
             gains=self.gains.constants,
             reference=np.array(window.reference[SKIPPED:]),
@@ -136,7 +175,7 @@ class Experiment:
             weights=weighed,
             robust=bool(robust),
             disturbances=model.disturbance_rows(window.disturbances, len(window))[SKIPPED:],
-            usual=model.disturbances,
+            default_disturbances=model.disturbances,
             corners=model.corners,
             drives=model.drives,
             integral=float(self.controller.integral),
@@ -146,11 +185,15 @@ class Experiment:
             expected=expected,
             pull=pull,
         )
+        problem = self._problem
+        self._signals = (
+            problem.closed, problem.gains, problem.reference, self.measured[1], problem.disturbances,
+        )  # fmt: skip
 
     @property
     def pull(self) -> FloatArray:
         """Weight of the prior of each free parameter in the cost, shape (n,)."""
-        return self._posed.pull[: len(self.free)].copy()
+        return self._problem.pull[: len(self.free)].copy()
 
     @property
     def size(self) -> int:
@@ -169,29 +212,17 @@ class Experiment:
         """The unknowns for given parameters; initial states are the plant file's, shape (n,)."""
         initial, _, _ = self._initial(parameters.vector)
         named = [parameters[name] for name in self.free]
-        return np.array([*named, *initial[self._posed.started]], dtype=np.float64)
+        return np.array([*named, *initial[self._problem.started]], dtype=np.float64)
 
     def simulate(self, values: FloatArray) -> Response:
         """Run without derivatives; output and input have shape (N − 2,)."""
         vector, states, _, steps = self._start(values)
-        posed, size = self._posed, self.measured.shape[1]
-        output, input_, held = self._kernels.run(
-            vector,
-            states,
-            posed.closed,
-            posed.gains,
-            posed.reference,
-            self.measured[1],
-            posed.disturbances,
-            np.zeros(size),
-            np.zeros(size, dtype=np.bool_),
-            0.0,
-            posed.integral,
-            posed.previous,
-            posed.period,
-            steps,
+        problem, size = self._problem, self.measured.shape[1]
+        still = np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0
+        output, input_, passed = self._kernels.run(
+            vector, states, *self._signals, *still, problem.integral, problem.previous, problem.period, steps
         )
-        return Response(output, input_, held, steps)
+        return Response(output, input_, passed, steps)
 
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
@@ -199,7 +230,7 @@ class Experiment:
         The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, with rows weighted by 1/√(1 + r²);
         infinite where the plant is too fast for the period.
         """
-        found: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(self._posed, values, np.inf)
+        found: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(self._problem, values, np.inf)
         return found
 
     def descend(  # noqa: PLR0917 (as the search itself)
@@ -213,51 +244,35 @@ class Experiment:
     ) -> Descended:
         """Minimise the cost from one start inside the bounds, like `twinmatch.dynamics.descend`."""
         search = new_search(start, lower, upper, scales, most_evaluations, found)
-        self._kernels.search(self._posed, search)
+        self._kernels.search(self._problem, search)
         return search_result(search, found)
 
     def tangents(self, values: FloatArray) -> Tangents:
         """Run with all derivatives."""
         vector, states, columns, steps = self._start(values)
-        posed = self._posed
+        problem = self._problem
         found: tuple[FloatArray, ...] = self._kernels.run_with_tangents(
-            vector,
-            posed.which,
-            states,
-            columns,
-            posed.closed,
-            posed.gains,
-            posed.reference,
-            self.measured[1],
-            posed.disturbances,
-            posed.integral,
-            posed.previous,
-            posed.period,
-            steps,
-            posed.measured,
-            posed.weights,
-            posed.robust,
-            True,
-            np.inf,
-        )
+            vector, problem.which, states, columns, *self._signals, problem.integral, problem.previous,
+            problem.period, steps, problem.measured, problem.weights, problem.robust, True, np.inf,
+        )  # fmt: skip
         return Tangents(*found[:7])
 
     @cached_property
     def start_slope(self) -> FloatArray:
         """Derivatives of the initial states by the first output, shape (nx,); zero for unknown ones."""
         slope = self._initial(self.base.vector)[1]
-        slope[self._posed.started] = 0.0
+        slope[self._problem.started] = 0.0
         return np.asarray(slope, dtype=np.float64)
 
     def _initial(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         initial: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
-            vector, self._posed.first, self._posed.driven, self._posed.disturbances[0]
+            vector, self._problem.first, self._problem.input_before, self._problem.disturbances[0]
         )
         return initial
 
     def _start(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
         """Parameters, states, their derivatives by the unknowns, and steps per sample."""
-        vector, states, columns, steps = self._kernels.start_at(self._posed, values)
+        vector, states, columns, steps = self._kernels.start_at(self._problem, values)
         if steps > self._kernels.MOST_STEPS:
             self.model.steps(vector, self.window.period)  # raises the error
         return vector, states, columns, steps

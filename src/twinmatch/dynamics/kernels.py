@@ -25,10 +25,10 @@ from twinmatch.dynamics.derived import (
     N_UNKNOWN,
     branch,
     combined,
-    held,
     output,
     output_slopes,
     packed,
+    parameters,
     prepare,
     quantities,
     rates,
@@ -48,7 +48,7 @@ __all__ = [
     "RATE_LIMIT",
     "advance",
     "begin",
-    "look",
+    "outputs_at",
     "parts",
     "slopes_at",
     "step_count",
@@ -168,7 +168,7 @@ def advance(
 ) -> FloatArray:
     """The states one period later under constant drive and disturbances, shape (N_STATES,)."""
     after = np.zeros(N_STATES)
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     unpack(tick(packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps), after)
     return after
@@ -179,7 +179,7 @@ def begin(vector: FloatArray, y: float, u: float, d: FloatArray) -> tuple[FloatA
     """Initial states after a drive u, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
     x = np.zeros(N_STATES)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
     start(y, u, given, p, c, x)
@@ -188,10 +188,10 @@ def begin(vector: FloatArray, y: float, u: float, d: FloatArray) -> tuple[FloatA
 
 
 @compiled
-def look(vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
+def outputs_at(vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
     """The output, and the plant's other quantities, shape (N_QUANTITIES,)."""
     q = np.zeros(N_QUANTITIES)
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
     quantities(at, u, given, p, c, switches(at, u, given, p, c), q)
@@ -218,7 +218,7 @@ def parts(
     x, after = np.zeros(N_STATES), np.zeros(N_STATES)
     shown, shown_by = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
     xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     given = row(d.reshape((1, d.size)), 0)
     start(y, u, given, p, c, x)
@@ -243,7 +243,7 @@ def slopes_at(
     """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters."""
     fp = np.zeros((1, N_STATES, N_UNKNOWN))
     hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     at, given = packed(x), row(d.reshape((1, d.size)), 0)
     f, fx, fu = rates_and_slopes(at, u, given, p, c, switches(at, u, given, p, c), fp, 0)
@@ -263,7 +263,7 @@ def step_count(
     bounds the eigenvalues.
     """
     fp = np.zeros((1, N_STATES, N_UNKNOWN))
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     given, fastest = row(d.reshape((1, d.size)), 0), 0.0
     for k in range(corners.shape[0]):

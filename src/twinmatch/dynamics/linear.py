@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.parameters import Parameters
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.plant import Parameters
 from twinmatch.signals import FloatArray
 
 __all__ = ["Linear", "Rest", "linearised", "linearised_at", "rest_at"]
@@ -55,7 +55,7 @@ def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | Non
     u = drive.rest
     for _ in range(MOST_STEPS):
         f, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, u, row)
-        off = model.kernels.look(parameters.vector, states, u, row)[0] - output
+        off = model.kernels.outputs_at(parameters.vector, states, u, row)[0] - output
         slopes = np.block([[fx, fu[:, None]], [hx[None, :], np.zeros((1, 1))]]) * scales
         size = np.max(np.abs(slopes), axis=1)
         if not (np.isfinite(slopes).all() and (size > 0).all()):

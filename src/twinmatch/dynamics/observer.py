@@ -10,18 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.parameters import Parameters
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
 
-__all__ = ["Observer", "Wander"]
+__all__ = ["Observer", "RandomWalk"]
 
 _STEPS_EVERY = 60
-"""Samples after which the Runge–Kutta steps are computed again for the wandering parameters."""
+"""Samples after which the Runge–Kutta steps are computed again for the estimated parameters."""
 
 
-class Wander(NamedTuple):
+class RandomWalk(NamedTuple):
     """Random walk of a parameter that is estimated with the states."""
 
     drift: float
@@ -45,7 +45,7 @@ class Observer:
         disturbances: ArrayLike | None = None,
         states: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
-        wandering: Mapping[str, Wander] | None = None,
+        random_walks: Mapping[str, RandomWalk] | None = None,
         limit: float = math.inf,
     ) -> None:
         """Start from the plant file's initial states at this output, or anywhere from given states.
@@ -59,9 +59,9 @@ class Observer:
             input: drive until the first sample; default: at rest.
             disturbances: those at the first sample.
             states: initial states, shape (n,), instead of those computed from the output.
-            covariance: that of the states, shape (n, n), or of states and wandering parameters,
+            covariance: that of the states, shape (n, n), or of states and estimated parameters,
                 (n + m, n + m).
-            wandering: m parameters that change slowly and are estimated like states, inside their bounds.
+            random_walks: m parameters that change slowly and are estimated like states, inside their bounds.
             limit: innovation, in standard deviations, to which larger ones are clipped: for sensors with
                 single wrong readings, such as a camera that corrects its flat field.
 
@@ -71,22 +71,22 @@ class Observer:
         """
         model = parameters.model
         self._title, self._model = model.title, model
-        wandering = wandering or {}
-        self.wandering = tuple(wandering)
+        random_walks = random_walks or {}
+        self.estimated = tuple(random_walks)
         """Names of the estimated parameters, in the order of the joint covariance."""
-        unknown = [name for name in wandering if name not in model.names]
+        unknown = [name for name in random_walks if name not in model.names]
         if unknown:
-            msg = f"{model.title}: {unknown[0]!r} cannot wander; choose from {', '.join(model.names)}"
+            msg = f"{model.title}: {unknown[0]!r} cannot be estimated; choose from {', '.join(model.names)}"
             raise PlantError(msg)
-        self._kernels = model.kernels_by(self.wandering)
-        n, m = len(model.states), len(wandering)
+        self._kernels = model.kernels_by(self.estimated)
+        n, m = len(model.states), len(random_walks)
         among = (self._kernels.UNKNOWN, model.names)
         self._which = np.array(
-            [[names.index(name) for name in wandering] for names in among], dtype=np.int64
+            [[names.index(name) for name in random_walks] for names in among], dtype=np.int64
         ).reshape(2, m)
         self._period = float(period)
-        rates = [*self._deviations("drift", drift, n), *(w.drift for w in wandering.values())]
-        self._strayed = np.square(self._deviations("drift", rates, n + m)) * self._period
+        rates = [*self._deviations("drift", drift, n), *(w.drift for w in random_walks.values())]
+        self._process_noise = np.square(self._deviations("drift", rates, n + m)) * self._period
         if not limit > 0:
             raise PlantError(f"{model.title}: the observer's limit is {limit}; it must be positive")
         self._limit, self._noise = float(limit), float(model.plant.output.noise)
@@ -96,22 +96,22 @@ class Observer:
                 raise PlantError(f"{model.title}: an observer starts from an output or from states; give one")
             states = begin(parameters, output, input=input, disturbances=self._row)
         self.states = states
-        self._joint = self._first_covariance(start, covariance, [w.start for w in wandering.values()])
+        self._joint = self._first_covariance(start, covariance, [w.start for w in random_walks.values()])
         self._columns = np.zeros((n, m + n + 1))
         self.parameters = parameters
 
     @property
     def parameters(self) -> Parameters:
-        """Parameters of the plant, with the current estimates of those that wander.
+        """Parameters of the plant, with the current estimates of those that are estimated.
 
         Others of the same model may be set at any sample: states and covariance are kept.
 
         Raises:
             PlantError: they belong to another model, whose states differ.
         """
-        if not self.wandering:
+        if not self.estimated:
             return self._parameters
-        found = zip(self.wandering, self._vector[self._which[1]].tolist(), strict=True)
+        found = zip(self.estimated, self._vector[self._which[1]].tolist(), strict=True)
         return self._parameters.replace(**dict(found))
 
     @parameters.setter
@@ -121,7 +121,7 @@ class Observer:
             raise PlantError(msg)
         self._parameters, self._vector = parameters, parameters.vector.copy()
         self._steps, self._ticks = parameters.steps(self._period), 0
-        spans = [self._model.declared[name].bounds for name in self.wandering]
+        spans = [self._model.declared[name].bounds for name in self.estimated]
         values = self._vector[self._which[1]]
         low, high = np.array(spans, dtype=np.float64).reshape(-1, 2).T
         self._bounds = np.stack([np.minimum(low, values), np.maximum(high, values)])
@@ -133,14 +133,14 @@ class Observer:
 
     @states.setter
     def states(self, states: ArrayLike) -> None:
-        held = np.array(states, dtype=np.float64)
-        if held.shape != (len(self._model.states),) or not np.isfinite(held).all():
+        given = np.array(states, dtype=np.float64)
+        if given.shape != (len(self._model.states),) or not np.isfinite(given).all():
             msg = (
-                f"{self._title}: states {held.tolist()} given; give finite values of "
+                f"{self._title}: states {given.tolist()} given; give finite values of "
                 f"{', '.join(self._model.states)}"
             )
             raise PlantError(msg)
-        self._states: FloatArray = held
+        self._states: FloatArray = given
 
     @property
     def covariance(self) -> FloatArray:
@@ -150,7 +150,7 @@ class Observer:
 
     @property
     def joint(self) -> FloatArray:
-        """Covariance of the states and, after them, of the parameters that wander, shape (n + m, n + m)."""
+        """Covariance of the states and, after them, of the estimated parameters, shape (n + m, n + m)."""
         return self._joint.copy()
 
     def correct(self, output: float, disturbances: ArrayLike | None = None) -> tuple[float, float]:
@@ -166,16 +166,9 @@ class Observer:
             self._model.disturbances if disturbances is None else self._model.disturbance_row(disturbances)
         )
         found: tuple[float, float] = self._kernels.correct(
-            self._vector,
-            self._states,
-            self._joint,
-            float(output),
-            self._row,
-            self._noise,
-            self._limit,
-            self._which,
-            self._bounds,
-        )
+            self._vector, self._states, self._joint, float(output), self._row, self._noise, self._limit,
+            self._which, self._bounds,
+        )  # fmt: skip
         if not math.isfinite(found[0] + found[1]):
             msg = f"{self._title}: its equations have no finite value at the observer's states"
             raise PlantError(f"{msg}; start a new observer")
@@ -189,31 +182,23 @@ class Observer:
         """
         if not math.isfinite(input):
             raise PlantError(f"{self._title}: the input is {input}; the plant takes only finite values")
-        if self.wandering:
+        if self.estimated:
             self._ticks += 1
             if self._ticks % _STEPS_EVERY == 0:
                 self._steps = self._model.steps(self._vector, self._period)
         self._kernels.predict(
-            self._vector,
-            self._states,
-            self._joint,
-            self._strayed,
-            float(input),
-            self._row,
-            self._period,
-            self._steps,
-            self._which,
-            self._columns,
-        )
+            self._vector, self._states, self._joint, self._process_noise, float(input), self._row,
+            self._period, self._steps, self._which, self._columns,
+        )  # fmt: skip
 
     def _first_covariance(
-        self, start: ArrayLike | None, covariance: ArrayLike | None, wandering: list[float]
+        self, start: ArrayLike | None, covariance: ArrayLike | None, estimated: list[float]
     ) -> FloatArray:
-        n, m = self._states.size, len(wandering)
+        n, m = self._states.size, len(estimated)
         if (start is None) == (covariance is None):
             msg = f"{self._title}: give an observer's start (standard deviations) or its covariance, not both"
             raise PlantError(msg)
-        joint = np.diag(np.square(self._deviations("start", [0.0] * n + wandering, n + m)))
+        joint = np.diag(np.square(self._deviations("start", [0.0] * n + estimated, n + m)))
         if covariance is None:
             joint[:n, :n] = np.diag(np.square(self._deviations("start", start, n)))
             return joint
@@ -226,11 +211,11 @@ class Observer:
         return joint
 
     def _deviations(self, name: str, values: ArrayLike | None, size: int) -> FloatArray:
-        held = np.array(values, dtype=np.float64)
-        if held.shape != (size,) or not (np.isfinite(held) & (held >= 0)).all():
+        given = np.array(values, dtype=np.float64)
+        if given.shape != (size,) or not (np.isfinite(given) & (given >= 0)).all():
             msg = (
-                f"{self._title}: {name} {held.tolist()} given; give {size} finite standard deviations, "
-                f"none negative ({', '.join((*self._model.states, *self.wandering)[:size])})"
+                f"{self._title}: {name} {given.tolist()} given; give {size} finite standard deviations, "
+                f"none negative ({', '.join((*self._model.states, *self.estimated)[:size])})"
             )
             raise PlantError(msg)
-        return held
+        return given

@@ -1,40 +1,34 @@
-"""The base class of every plant file: a plant is defined by its equations."""
+"""A plant, its structures as models that can be run, and the values of their parameters."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
 
-from twinmatch.dynamics.consistent import require_consistent, require_structure
+import numpy as np
+from numpy.typing import ArrayLike
+
 from twinmatch.dynamics.declarations import (
     Declaration,
     Disturbance,
     Drive,
     Output,
     Parameter,
+    PlantError,
     State,
     Structure,
 )
-from twinmatch.dynamics.errors import PlantError
+from twinmatch.dynamics.definition import PlantDefinition, require_consistent, require_structure
+from twinmatch.dynamics.store import kernels_of
+from twinmatch.signals import FloatArray
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from twinmatch.dynamics.equations import Equations
-    from twinmatch.dynamics.model import Model
-    from twinmatch.dynamics.pid import PidGains
-    from twinmatch.dynamics.sensor import Sensor
-
-__all__ = ["Plant", "PlantType"]
-
-_Declared = TypeVar("_Declared", bound=Declaration)
+__all__ = ["Model", "Parameters", "Plant"]
 
 
-class PlantType(type):
-    """Metaclass of plants: a separate type, so that a plant can define how it is pickled for another
-    process."""
-
-
-class Plant(metaclass=PlantType):
+class Plant(PlantDefinition):
     """One kind of plant. A subclass declares its quantities, its structures and its `equations`.
 
     Write the class in its own module. The compiled code of a plant (step, tangents, linearisation) is
@@ -43,32 +37,6 @@ class Plant(metaclass=PlantType):
     Raises:
         PlantError: the declarations contradict each other.
     """
-
-    title: ClassVar[str] = ""
-    """Displayed name."""
-    parts: ClassVar[tuple[str, ...]] = ()
-    """Names of optional parts; `equations` gets those that are included."""
-    structures: ClassVar[Mapping[str, Structure]] = {}
-    """Structures by name, simple ones first. The first is the one matched to single windows."""
-    loop: ClassVar[PidGains | None] = None
-    """The controller that runs the plant, if known; without one the twin is driven by u."""
-    sensor: ClassVar[Sensor | None] = None
-    """Sensor model for simulated plants; without one, readings are exact."""
-
-    typical: ClassVar[Mapping[str, float]] = {}
-    """Typical parameters of plants of this kind, if not the defaults; used before the first match."""
-    followed: ClassVar[str] = ""
-    """Structure in which a running plant is tracked to detect changes; the first if empty."""
-    surroundings: ClassVar[str] = "what surrounds the plant"
-    """What to check if something changes slowly."""
-
-    name: ClassVar[str]
-    declarations: ClassVar[Mapping[str, Declaration]]
-    states: ClassVar[Mapping[str, State]]
-    parameters: ClassVar[Mapping[str, Parameter]]
-    disturbances: ClassVar[Mapping[str, Disturbance]]
-    drive: ClassVar[Drive]
-    output: ClassVar[Output]
 
     def __init_subclass__(cls, *, name: str | None = None, **rest: Any) -> None:
         super().__init_subclass__(**rest)
@@ -85,11 +53,6 @@ class Plant(metaclass=PlantType):
         cls.output = cls._one(Output)
         require_consistent(cls, Plant)
 
-    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
-        """Rates, output and start, in terms of the plant's own symbols (`self.name_of_a_quantity`)."""
-        msg = f"plant {self.name}: it has no equations; write the method `equations`"
-        raise PlantError(msg)
-
     @classmethod
     def model(cls, structure: str | None = None) -> Model:
         """The plant in one of its structures (default: the first), ready to run.
@@ -101,7 +64,9 @@ class Plant(metaclass=PlantType):
         if name not in cls.structures:
             msg = f"plant {cls.name}: no structure {name!r}; it has {', '.join(cls.structures)}"
             raise PlantError(msg)
-        return _model(cls, name)
+        if (cls, name) not in _MODELS:
+            _MODELS[cls, name] = Model(cls, name)
+        return _MODELS[cls, name]
 
     @classmethod
     def adopt(cls, name: str, structure: Structure) -> Model:
@@ -111,7 +76,7 @@ class Plant(metaclass=PlantType):
             PlantError: a structure of the plant's file has that name, or it uses undeclared names.
         """
         before = cls.structures.get(name)
-        if structure.elsewhere is None or (before is not None and before.elsewhere is None):
+        if structure.external is None or (before is not None and before.external is None):
             msg = f"plant {cls.name}: its file declares a structure {name!r}; give the new one another name"
             raise PlantError(msg)
         require_structure(cls, name, structure)
@@ -122,29 +87,248 @@ class Plant(metaclass=PlantType):
     @classmethod
     def disown(cls, name: str) -> None:
         """Remove an adopted structure; an unknown name is ignored."""
-        if name in cls.structures and cls.structures[name].elsewhere is not None:
+        if name in cls.structures and cls.structures[name].external is not None:
             cls.structures = {n: s for n, s in cls.structures.items() if n != name}
             _MODELS.pop((cls, name), None)
-
-    @classmethod
-    def _of(cls, kind: type[_Declared]) -> dict[str, _Declared]:
-        return {n: v for n, v in cls.declarations.items() if isinstance(v, kind)}
-
-    @classmethod
-    def _one(cls, kind: type[_Declared]) -> _Declared:
-        held = list(cls._of(kind).values())
-        if len(held) != 1:
-            msg = f"plant {cls.name}: declares {len(held)} of {kind.__name__}; declare exactly one"
-            raise PlantError(msg)
-        return held[0]
 
 
 _MODELS: dict[tuple[type[Plant], str], Model] = {}
 
 
-def _model(plant: type[Plant], structure: str) -> Model:
-    from twinmatch.dynamics.model import Model  # noqa: PLC0415 (a plant file needs no compiled code)
+class Model:
+    """Access to a plant's equations in one structure; there is one object per plant and structure."""
 
-    if (plant, structure) not in _MODELS:
-        _MODELS[plant, structure] = Model(plant, structure)
-    return _MODELS[plant, structure]
+    def __init__(self, plant: type[Plant], structure_name: str) -> None:
+        """Use `Plant.model`, which caches the objects."""
+        self.plant = plant
+        self.structure_name = structure_name
+        self.structure: Structure = plant.structures[structure_name]
+        self.key = (plant.name, structure_name)
+        self.title = f"{plant.title}, {structure_name}"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self.plant.model, (self.structure_name,)
+
+    def __repr__(self) -> str:
+        return f"<{self.title}>"
+
+    @cached_property
+    def kernels(self) -> Any:
+        """Its functions; compiled ones have tangents for all parameters free in structures with its parts."""
+        if self.structure.external is not None:
+            return self.structure.external.kernels
+        parts = self.structure.parts
+        every = self.plant.structures.values()
+        free = (s.free for s in every if s.parts == parts and s.external is None)
+        return kernels_of(self.plant, parts, frozenset().union(*free))
+
+    def kernels_by(self, names: Iterable[str]) -> Any:
+        """Functions with tangents for these parameters."""
+        if self.structure.external is not None or set(names) <= set(self.kernels.UNKNOWN):
+            return self.kernels
+        return kernels_of(self.plant, self.structure.parts, frozenset(self.names))
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of this structure's states, in the order of every array of states."""
+        return tuple(self.kernels.STATES)
+
+    @cached_property
+    def declared(self) -> Mapping[str, Parameter]:
+        """The parameters that the equations of this structure depend on, in the order of every array."""
+        own = self.structure.external.parameters if self.structure.external is not None else {}
+        known = {**self.plant.parameters, **own}
+        return {name: known[name] for name in self.kernels.PARAMETERS}
+
+    @cached_property
+    def declared_states(self) -> tuple[State, ...]:
+        """The states, in the order of every array of states."""
+        own = self.structure.external.states if self.structure.external is not None else {}
+        known = {**self.plant.states, **own}
+        return tuple(known[name] for name in self.states)
+
+    @property
+    def is_external(self) -> bool:
+        """Whether its equations are not in the plant's file, so that they may fail in other ways."""
+        return self.structure.external is not None
+
+    @property
+    def lost(self) -> str:
+        """Why an external structure can no longer be run, in a sentence; empty while it can."""
+        return "" if self.structure.external is None else self.structure.external.lost
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(self.declared)
+
+    @cached_property
+    def defaults(self) -> Mapping[str, float]:
+        """Default values of the parameters."""
+        fixed = self.structure.fixed
+        return {name: fixed.get(name, declared.default) for name, declared in self.declared.items()}
+
+    def parameters(self, **values: float) -> Parameters:
+        """Parameters with these values; those not named have the structure's defaults.
+
+        Raises:
+            PlantError: as `Parameters`.
+        """
+        return Parameters(self, values)
+
+    def typical(self) -> Parameters:
+        """The typical values of the plant file, for the parameters of this structure."""
+        known = {n: v for n, v in self.plant.typical.items() if n in self.declared}
+        return Parameters(self, known)
+
+    @cached_property
+    def disturbances(self) -> FloatArray:
+        """Defaults of the disturbances, shape (m,)."""
+        return np.array([d.default for d in self.plant.disturbances.values()], dtype=np.float64)
+
+    def disturbance_row(self, values: ArrayLike | None) -> FloatArray:
+        """One value per disturbance, shape (m,): the given ones, or the defaults.
+
+        Raises:
+            PlantError: the plant has another number of them, or one is not finite.
+        """
+        if values is None or (self.disturbances.size and np.size(values) == 0):
+            return self.disturbances
+        row = np.array(values, dtype=np.float64)
+        if row.shape != self.disturbances.shape or not np.isfinite(row).all():
+            msg = (
+                f"{self.title}: disturbances {row.tolist()} given; give {self.disturbances.size} finite "
+                f"values ({', '.join(self.plant.disturbances) or 'none'})"
+            )
+            raise PlantError(msg)
+        return row
+
+    def disturbance_rows(self, values: ArrayLike | None, size: int) -> FloatArray:
+        """One row per sample, shape (size, m): the given ones, or the defaults.
+
+        Raises:
+            PlantError: as `disturbance_row`.
+        """
+        if values is None or (self.disturbances.size and np.size(values) == 0):
+            return np.tile(self.disturbances, (size, 1))
+        rows = np.array(values, dtype=np.float64)
+        if rows.shape != (size, self.disturbances.size) or not np.isfinite(rows).all():
+            msg = (
+                f"{self.title}: disturbances of shape {rows.shape} given; give {self.disturbances.size} "
+                f"finite values ({', '.join(self.plant.disturbances) or 'none'}) at each of {size} samples"
+            )
+            raise PlantError(msg)
+        return rows
+
+    def steps(self, vector: FloatArray, period: float) -> int:
+        """Runge–Kutta steps per sample for these parameters: the fastest rate in the plant's range decides.
+
+        Raises:
+            PlantError: the plant is too fast for samples of this period.
+        """
+        if not (math.isfinite(period) and period > 0):
+            raise PlantError(f"{self.title}: the period is {period} s; it must be finite and positive")
+        kernels = self.kernels
+        count = kernels.step_count(
+            vector, self.corners, self.drives, self.disturbances, float(period), kernels.RATE_LIMIT
+        )
+        if not count <= self.kernels.MOST_STEPS:
+            msg = (
+                f"{self.title}: its shortest time constant is too short for a period of {period:g} s; "
+                f"a sample would take more than {self.kernels.MOST_STEPS} steps"
+            )
+            raise PlantError(msg)
+        return int(count)
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """Corners and centre of the range of the states, shape (m, n)."""
+        spans = [state.span for state in self.declared_states]
+        corners = np.array(list(itertools.product(*spans)), dtype=np.float64)
+        return np.vstack([corners, corners.mean(axis=0)])
+
+    @cached_property
+    def drives(self) -> FloatArray:
+        """Limits and rest value of the drive, shape (3,)."""
+        drive = self.plant.drive
+        return np.array([*drive.limits, drive.rest], dtype=np.float64)
+
+
+class Parameters(Mapping[str, float]):
+    """An immutable mapping from parameter name to value, with the model to which the parameters belong.
+
+    Raises:
+        PlantError: a name that the structure does not have, or a value that is not possible.
+    """
+
+    __slots__ = ("_hash", "_steps", "_values", "model", "vector")
+
+    def __init__(self, model: Model, values: Mapping[str, float]) -> None:
+        """Give the values of some parameters; the others have the structure's defaults."""
+        unknown = [name for name in values if name not in model.declared]
+        if unknown:
+            msg = (
+                f"{model.title}: no parameter {unknown[0]!r} in this structure; it has "
+                f"{', '.join(model.names)}"
+            )
+            raise PlantError(msg)
+        found = {}
+        for name, declared in model.declared.items():
+            value = float(values.get(name, model.defaults[name]))
+            if not declared.possible(value):
+                msg = f"{model.title}: {name} is {value:g} {declared.unit}; it must be {declared.requirement}"
+                raise PlantError(msg)
+            found[name] = value
+        self.model = model
+        self._values = found
+        self._hash = hash((model.key, tuple(found.values())))
+        self._steps: dict[float, int] = {}
+        self.vector: FloatArray = np.array(list(found.values()), dtype=np.float64)
+        """The values in the model's order, shape (n,); not to be changed."""
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Parameters):
+            return NotImplemented
+        return self.model.key == other.model.key and self._values == other._values
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name}={value!r}" for name, value in self._values.items())
+        return f"<{self.model.title}: {values}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Parameters, (self.model, self._values)
+
+    def steps(self, period: float) -> int:
+        """Runge–Kutta steps per sample of this period, s; the same live and in replay.
+
+        Raises:
+            PlantError: the period is not positive, or the plant too fast for it.
+        """
+        if period not in self._steps:
+            self._steps[period] = self.model.steps(self.vector, period)
+        return self._steps[period]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the values, in the model's order."""
+        return tuple(declared.unit for declared in self.model.declared.values())
+
+    def replace(self, **changes: float) -> Parameters:
+        """A copy with some values changed.
+
+        Raises:
+            PlantError: as the constructor.
+        """
+        return Parameters(self.model, {**self._values, **changes})

@@ -6,14 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinmatch.dynamics.ahead import foretell
 from twinmatch.dynamics.experiment import Experiment
-from twinmatch.dynamics.model import Model
-from twinmatch.dynamics.noise import noise_scores
+from twinmatch.dynamics.forecasts import forecast_loop, noise_scores
+from twinmatch.dynamics.loop import PidState
 from twinmatch.dynamics.observer import Observer
-from twinmatch.dynamics.parameters import Parameters
-from twinmatch.dynamics.pid import PidState
-from twinmatch.dynamics.plant import Plant
+from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.simulation import (
     advance,
     begin,
@@ -38,7 +35,7 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
     for name, structure in plant.structures.items():
-        if structure.elsewhere is not None:
+        if structure.external is not None:
             continue
         model = plant.model(name)
         _use(model.parameters())
@@ -59,15 +56,9 @@ def _use(parameters: Parameters) -> None:
     model.kernels.slopes_at(parameters.vector, states, float(rest), model.disturbances)
     # The kernel of the energy balance.
     model.kernels.parts(
-        parameters.vector,
-        output,
-        states,
-        float(rest),
-        float(rest),
-        model.disturbances,
-        period,
+        parameters.vector, output, states, float(rest), float(rest), model.disturbances, period,
         parameters.steps(period),
-    )
+    )  # fmt: skip
     observer = Observer(
         parameters, output, period=period, drift=np.ones(states.size), start=np.ones(states.size)
     )
@@ -75,7 +66,7 @@ def _use(parameters: Parameters) -> None:
     observer.predict(rest)
     levels = np.full(_SAMPLES, output)
     closed = gains is not None
-    foretell(
+    forecast_loop(
         parameters,
         states=states,
         covariance=observer.joint,

@@ -7,7 +7,7 @@ The store puts this file behind `kernels`, so that all is written against one pl
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,27 +15,44 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.derived import (
     N_STATES,
     N_UNKNOWN,
-    held,
     output,
     output_slopes,
     packed,
+    parameters,
     prepare,
     row,
 )
 from twinmatch.dynamics.descent import Search, update_search
-from twinmatch.dynamics.kernels import (
-    MOST_STEPS,
-    begin,
-    step_count,
-    tick,
-    tick_with_tangents,
-)
-from twinmatch.dynamics.pid_step import Gains, loop_step, pid_step
-from twinmatch.dynamics.posed import Posed, add_row
-from twinmatch.dynamics.sensor_step import reading
+from twinmatch.dynamics.kernels import MOST_STEPS, begin, step_count, tick, tick_with_tangents
+from twinmatch.dynamics.loop import Gains, loop_step, pid_step, reading
 from twinmatch.signals import FloatArray
 
+if TYPE_CHECKING:
+    from twinmatch.dynamics.experiment import LeastSquares
+
 __all__ = ["normal_at", "run", "run_with_tangents", "search", "start_at"]
+
+
+@compiled(innermost=True)
+def add_row(normal: FloatArray, of: FloatArray, weight: float, robust: bool) -> None:
+    """Add one residual, the last entry of `of`, and its derivatives to the lower half of the equations."""
+    if weight == 0.0:
+        return
+    n = of.size - 1
+    square = weight * weight
+    left = square * of[n] * of[n]
+    lost = left
+    if robust:
+        root = np.sqrt(1.0 + left)
+        square, lost = square / root, 2.0 * (root - 1.0)
+    for i in range(n):
+        scaled = square * of[i]
+        for j in range(i + 1):
+            normal[i, j] += scaled * of[j]
+    scaled = square * of[n]
+    for j in range(n):
+        normal[n, j] += scaled * of[j]
+    normal[n, n] += lost
 
 
 @compiled
@@ -50,7 +67,7 @@ def run(
     """
     size = disturbances.shape[0]
     y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, N_STATES))
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     at = packed(x)
     last = 0.0
@@ -103,7 +120,7 @@ def run_with_tangents(
     all_columns, du, of_u = np.zeros((N_STATES, m)), np.zeros(m), np.zeros(n + 1)
     all_columns[:, :n] = columns
     d_integral, d_error = np.zeros(n), np.zeros(n)
-    p = held(vector)
+    p = parameters(vector)
     c = prepare(p)
     at = packed(x)
     for k in range(size):
@@ -154,20 +171,20 @@ def run_with_tangents(
 
 
 @compiled
-def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+def start_at(problem: LeastSquares, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
     """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
-    n = posed.which.size
-    p = posed.base.copy()
+    n = problem.which.size
+    p = problem.base.copy()
     for j in range(n):
-        p[posed.places[j]] = values[j]
-    given = posed.disturbances[0]
-    x, _, by_parameters = begin(p, posed.first, posed.driven, given)
+        p[problem.places[j]] = values[j]
+    given = problem.disturbances[0]
+    x, _, by_parameters = begin(p, problem.first, problem.input_before, given)
     columns = np.zeros((N_STATES, values.size))
     for i in range(N_STATES):
         for j in range(n):
-            columns[i, j] = by_parameters[i, posed.which[j]]
-    for k in range(posed.started.size):
-        i = posed.started[k]
+            columns[i, j] = by_parameters[i, problem.which[j]]
+    for k in range(problem.started.size):
+        i = problem.started[k]
         x[i] = values[n + k]
         columns[i, :n] = 0.0
         columns[i, n + k] = 1.0
@@ -175,37 +192,46 @@ def start_at(posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, 
         p,
         x,
         columns,
-        step_count(p, posed.corners, posed.drives, posed.usual, posed.period, posed.rate_limit),
+        step_count(
+            p,
+            problem.corners,
+            problem.drives,
+            problem.default_disturbances,
+            problem.period,
+            problem.rate_limit,
+        ),
     )
 
 
 @compiled
-def normal_at(posed: Posed, values: FloatArray, limit: float) -> tuple[float, FloatArray, FloatArray]:
+def normal_at(
+    problem: LeastSquares, values: FloatArray, limit: float
+) -> tuple[float, FloatArray, FloatArray]:
     """Sum, gradient Jᵀr and JᵀJ of the weighed residuals, as far as the sum does not come above `limit`; it
     is infinite where the plant is too fast. What is known beforehand counts like so many residuals more."""
     n = values.size
-    p, x, columns, steps = start_at(posed, values)
+    p, x, columns, steps = start_at(problem, values)
     if steps > MOST_STEPS:
         return np.inf, np.zeros(n), np.zeros((n, n))
     normal = run_with_tangents(
-        p, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
-        posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
-        posed.weights, posed.robust, False, limit,
+        p, problem.which, x, columns, problem.closed, problem.gains, problem.reference, problem.measured[1],
+        problem.disturbances, problem.integral, problem.previous, problem.period, steps, problem.measured,
+        problem.weights, problem.robust, False, limit,
     )[7]  # fmt: skip
     cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
     for j in range(n):
-        if posed.pull[j] > 0.0:
-            off = values[j] - posed.expected[j]
-            cost += posed.pull[j] * off * off
-            gradient[j] += posed.pull[j] * off
-            hessian[j, j] += posed.pull[j]
+        if problem.pull[j] > 0.0:
+            off = values[j] - problem.expected[j]
+            cost += problem.pull[j] * off * off
+            gradient[j] += problem.pull[j] * off
+            hessian[j, j] += problem.pull[j]
     return cost, gradient, hessian
 
 
 @compiled
-def search(posed: Posed, state: Search) -> None:
+def search(problem: LeastSquares, state: Search) -> None:
     """Run a search to its end."""
-    cost, gradient, hessian = normal_at(posed, state.point, np.inf)
+    cost, gradient, hessian = normal_at(problem, state.point, np.inf)
     while update_search(state, cost, gradient, hessian):
         # A run whose cost exceeds the best one's can stop early.
-        cost, gradient, hessian = normal_at(posed, state.point, state.best[0])
+        cost, gradient, hessian = normal_at(problem, state.point, state.best[0])

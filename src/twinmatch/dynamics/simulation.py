@@ -6,26 +6,33 @@ to the last bit.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics.closing import FILED, Closing, gains_for, gains_of
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.parameters import Parameters
-from twinmatch.dynamics.pid import PidGains, PidState, controller_state
-from twinmatch.dynamics.sensor import Sensor, SensorRealisation
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.loop import PidGains, PidState, Sensor, SensorRealisation, controller_state
+from twinmatch.dynamics.plant import Parameters, Plant
 from twinmatch.signals import FloatArray, Window
 
 __all__ = [
+    "FROM_PLANT_FILE",
+    "NO_GAINS",
     "SKIPPED",
+    "FromPlantFile",
+    "LoopGains",
     "Response",
     "advance",
     "begin",
     "begin_window",
+    "gains_for",
+    "gains_of",
     "quantities",
     "read",
     "simulate_closed_loop",
@@ -35,6 +42,41 @@ __all__ = [
 
 SKIPPED = 2
 """A closed-loop twin starts at a window's third sample, where the controller's state is known."""
+NO_GAINS = PidGains(0.0, 0.0, 0.0, 0.0, -1.0, 1.0)
+"""Placeholder where a compiled run takes gains that it will not use."""
+
+
+class FromPlantFile(Enum):
+    """Placeholder for the plant file's controller, which may be unknown."""
+
+    LOOP = "plant file"
+
+
+FROM_PLANT_FILE: Final = FromPlantFile.LOOP
+
+LoopGains = PidGains | FromPlantFile | None
+"""A controller; `FROM_PLANT_FILE`; or None if the loop is not known: the recorded input drives the twin."""
+
+
+def gains_for(plant: type[Plant], period: float, gains: LoopGains = FROM_PLANT_FILE) -> PidGains | None:
+    """The controller of a closed-loop twin at a sample time, s; None for a driven twin."""
+    if not isinstance(gains, FromPlantFile):
+        return gains
+    loop = plant.loop
+    return loop if loop is None or loop.period == period else dataclasses.replace(loop, period=period)
+
+
+def gains_of(plant: type[Plant], period: float) -> PidGains:
+    """The plant's controller at a sample time, s.
+
+    Raises:
+        PlantError: the plant's controller is not known.
+    """
+    gains = gains_for(plant, period)
+    if gains is None:
+        msg = f"plant {plant.name}: its controller is not known; use the driven twin"
+        raise PlantError(msg)
+    return gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,19 +166,16 @@ def read(parameters: Parameters, states: FloatArray, disturbances: FloatArray | 
     """The output y at some states, shape (n,)."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    return float(model.kernels.look(parameters.vector, states, model.plant.drive.rest, row)[0])
+    return float(model.kernels.outputs_at(parameters.vector, states, model.plant.drive.rest, row)[0])
 
 
 def quantities(
-    parameters: Parameters,
-    states: FloatArray,
-    input: float,
-    disturbances: FloatArray | None = None,
+    parameters: Parameters, states: FloatArray, input: float, disturbances: FloatArray | None = None
 ) -> dict[str, float]:
     """The plant's other quantities (currents, heat flows) at some states and input, by name."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    values = model.kernels.look(parameters.vector, states, float(input), row)[1]
+    values = model.kernels.outputs_at(parameters.vector, states, float(input), row)[1]
     return dict(zip(model.kernels.QUANTITIES, values.tolist(), strict=True))
 
 
@@ -194,7 +233,7 @@ def simulate_window(
     parameters: Parameters,
     window: Window,
     *,
-    gains: Closing = FILED,
+    gains: LoopGains = FROM_PLANT_FILE,
     sensor: Sensor | None = None,
     seed: int = 0,
     starts: Mapping[str, float] | None = None,
@@ -212,10 +251,10 @@ def simulate_window(
         msg = f"window: it has {len(window)} samples; the twin starts at the third, give at least three"
         raise PlantError(msg)
     reference, disturbances = window.reference[SKIPPED:], window.disturbances[SKIPPED:]
-    held = gains_for(parameters.model.plant, window.period, gains)
+    loop = gains_for(parameters.model.plant, window.period, gains)
     states = begin_window(parameters, window, starts)
     seen = None if sensor is None else sensor.realise(reference.size, window.period, seed)
-    if held is None:
+    if loop is None:
         return simulate_driven(
             parameters,
             window.input[SKIPPED:],
@@ -228,15 +267,11 @@ def simulate_window(
         parameters,
         reference,
         states=states,
-        controller=controller_state(window, held),
-        gains=held,
+        controller=controller_state(window, loop),
+        gains=loop,
         disturbances=disturbances,
         sensor=seen,
     )
-
-
-NO_GAINS = PidGains(0.0, 0.0, 0.0, 0.0, -1.0, 1.0)
-"""Placeholder where a compiled run takes gains that it will not use."""
 
 
 def _run(
@@ -262,23 +297,13 @@ def _run(
         msg = f"{model.title}: the sensor is realised for {len(sensor)} samples; realise it for {size}"
         raise PlantError(msg)
     steps = parameters.steps(period)
-    output, input_, held = model.kernels.run(
-        parameters.vector,
-        np.array(states, dtype=np.float64),
-        closed,
-        gains.constants,
-        signal,
-        signal,
-        model.disturbance_rows(disturbances, size),
-        np.array(sensor.noise),
-        np.array(sensor.frozen),
-        float(sensor.resolution),
-        float(controller.integral),
-        float(controller.previous),
-        float(period),
+    output, input_, passed = model.kernels.run(
+        parameters.vector, np.array(states, dtype=np.float64), closed, gains.constants, signal, signal,
+        model.disturbance_rows(disturbances, size), np.array(sensor.noise), np.array(sensor.frozen),
+        float(sensor.resolution), float(controller.integral), float(controller.previous), float(period),
         steps,
-    )
-    return Response(output, input_, held, steps)
+    )  # fmt: skip
+    return Response(output, input_, passed, steps)
 
 
 def _signal(title: str, name: str, values: ArrayLike) -> FloatArray:

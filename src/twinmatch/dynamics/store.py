@@ -20,25 +20,24 @@ import sys
 import tempfile
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from twinmatch.dynamics.errors import PlantError
-
-if TYPE_CHECKING:
-    from twinmatch.dynamics.plant import Plant
+from twinmatch.dynamics.code import derived_source
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.definition import PlantDefinition
+from twinmatch.dynamics.equations import derive
 
 __all__ = ["cache_folder", "kernels_of", "source_hash"]
 
 _HERE = Path(__file__).parent
-_TEMPLATES = ("kernels.py", "runs.py", "observer_step.py", "tracking.py")
+_TEMPLATES = ("kernels.py", "runs.py", "filters.py")
 _GENERATOR = (
     "code.py",
-    "dead_time.py",
     "declarations.py",
+    "definition.py",
     "equations.py",
-    "plant.py",
-    "roots.py",
     "store.py",
+    "terms.py",
     *_TEMPLATES,
 )
 _JOINED = ("__future__", "twinmatch.dynamics.derived", "twinmatch.dynamics.kernels")
@@ -54,7 +53,7 @@ def cache_folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
 
 
-def kernels_of(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> Any:
+def kernels_of(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> Any:
     """The compiled kernels of a plant with some of its parts, with tangents for the parameters `unknown`.
 
     They are generated if they are not there yet.
@@ -68,10 +67,10 @@ def kernels_of(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str
     return _LOADED[key]
 
 
-_LOADED: dict[tuple[type[Plant], frozenset[str], frozenset[str]], ModuleType] = {}
+_LOADED: dict[tuple[type[PlantDefinition], frozenset[str], frozenset[str]], ModuleType] = {}
 
 
-def _module_for(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> ModuleType:
+def _module_for(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> ModuleType:
     name = f"{plant.name}_{_fingerprint(plant, parts, unknown)}"
     path = cache_folder() / f"{name}.py"
     if not path.exists():
@@ -81,18 +80,15 @@ def _module_for(plant: type[Plant], parts: frozenset[str], unknown: frozenset[st
     return _load(f"twinmatch_plants_{name}", path)
 
 
-def _module_text(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> str:
-    from twinmatch.dynamics.code import derived_source  # noqa: PLC0415 (imports SymPy)
-    from twinmatch.dynamics.equations import derive  # noqa: PLC0415
-
+def _module_text(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> str:
     derived = derive(plant(), parts, unknown)
-    held = {
+    known = {
         "STATES": derived.states,
         "PARAMETERS": derived.parameters,
         "UNKNOWN": derived.unknown,
         "QUANTITIES": derived.quantities,
     }
-    names = "".join(f"{name} = {tuple(map(str, what))}\n" for name, what in held.items())
+    names = "".join(f"{name} = {tuple(map(str, what))}\n" for name, what in known.items())
     head = (
         f'"""Generated from the equations of {plant.name}; generated again when they change."""\n\n'
         "import math\n\nfrom twinmatch.compiled import compiled\n\n"
@@ -142,7 +138,7 @@ def _load(name: str, path: Path) -> ModuleType:
     return module
 
 
-def _fingerprint(plant: type[Plant], parts: frozenset[str], unknown: frozenset[str]) -> str:
+def _fingerprint(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> str:
     what = (sys.version_info[:2], plant.__qualname__, sorted(parts), sorted(unknown))
     digest = hashlib.sha256(repr(what).encode())
     for file in (_HERE / name for name in _GENERATOR):
@@ -154,7 +150,7 @@ def _fingerprint(plant: type[Plant], parts: frozenset[str], unknown: frozenset[s
     return digest.hexdigest()[:16]
 
 
-def source_hash(plant: type[Plant]) -> str:
+def source_hash(plant: type[PlantDefinition]) -> str:
     """A hash of the files that define the plant."""
     digest = hashlib.sha256()
     for file in sorted(_sources(plant)):
@@ -162,7 +158,7 @@ def source_hash(plant: type[Plant]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _sources(plant: type[Plant]) -> set[Path]:
+def _sources(plant: type[PlantDefinition]) -> set[Path]:
     """The files of the class and its bases, and the files beside them that their modules import from."""
     waiting = [sys.modules.get(base.__module__) for base in plant.__mro__ if base is not object]
     found: set[Path] = set()

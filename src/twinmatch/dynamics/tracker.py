@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics.parameters import Parameters
+from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
-from twinmatch.dynamics.tracked import Tracked
 from twinmatch.signals import FloatArray
 
-__all__ = ["Belief", "Stretch", "Traces", "Tracker", "no_traces"]
+__all__ = ["Belief", "Readings", "Traces", "Tracker", "TrackerConstants", "no_traces"]
 
 _PUSH_TIME: Final = 100.0
 """Time constant of the fading push, s."""
@@ -36,7 +35,32 @@ of another, in scales, per root of a sample; drift of a parameter, in scales, pe
 push, in noises per sample; and the error of a movement, as a share of it."""
 
 
-class Stretch(NamedTuple):
+class TrackerConstants(NamedTuple):
+    """Constants for m tracked parameters and a belief of n numbers."""
+
+    vector: FloatArray
+    """Initial values of all parameters of the plant."""
+    places: Any
+    """Indices of the m parameters among them, integers, shape (m,)."""
+    which: Any
+    """Indices of their tangents, integers, shape (m,)."""
+    logged: Any
+    """Whether a parameter is tracked as the logarithm of its ratio to the initial value, shape (m,)."""
+    least: FloatArray
+    """Lower limit of each parameter, in that form, shape (m,)."""
+    most: FloatArray
+    """Upper limit, shape (m,)."""
+    keeps: FloatArray
+    """Factor per period on each number: below 1 for those that fade, 1 for the others, shape (n,)."""
+    rest: float
+    """Rest value of the drive."""
+    period: float
+    """Sample time, s."""
+    steps: int
+    """Runge–Kutta steps per sample."""
+
+
+class Readings(NamedTuple):
     """Consecutive samples."""
 
     output: FloatArray
@@ -117,7 +141,7 @@ class Tracker:
         keeps = np.ones(self.size)
         keeps[self.fading] = math.exp(-period / _PUSH_TIME)
         keeps[self.passing] = math.exp(-period / _OFFSET_TIME)
-        self._fixed = Tracked(
+        self._fixed = TrackerConstants(
             vector=parameters.vector.copy(),
             places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
             which=np.array([kernels.UNKNOWN.index(k) for k in free], dtype=np.int64),
@@ -181,7 +205,7 @@ class Tracker:
     def run(
         self,
         belief: Belief,
-        stretch: Stretch,
+        readings: Readings,
         level: int,
         *,
         traces: Traces | None = None,
@@ -193,7 +217,7 @@ class Tracker:
 
         Args:
             belief: the belief before them.
-            stretch: the samples.
+            readings: the samples.
             level: index of the level.
             traces: updated in place.
             opened: additional drift, per √s, in the first `lasting` samples, shape (n,).
@@ -203,7 +227,7 @@ class Tracker:
         values, covariance = belief.values.copy(), belief.covariance.copy()
         cost = self._track(
             self._fixed, values, covariance, self._drifts[level], self._swift[level],
-            *stretch, self._closed if opened is None else opened, lasting, rising, *(traces or self._none),
+            *readings, self._closed if opened is None else opened, lasting, rising, *(traces or self._none),
         )  # fmt: skip
         return Belief(values, covariance), float(cost)
 

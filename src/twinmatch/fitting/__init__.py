@@ -7,8 +7,8 @@ initial states. Parameters trade off against each other, so a `Match` always car
 Fisher information and the bounds that were hit; the covariance includes the sensor's noise circulating in the
 loop. A match also lists the parameters that are determined, their intervals, the best known combination, and
 the set-point step that would determine the rest. Its `Status` is the decision of the gate: only an accepted
-match may join the family of candidates. `Limits` are the limits of the gate; its module explains the order of
-the checks. `fit_structure` fits any structure of a plant to one or several windows, without a gate.
+match may join the family of candidates. `GateLimits` are its limits; its module explains the order of the
+checks. `fit_structure` fits any structure of a plant to one or several windows, without a gate.
 
 `estimate` fits one Box–Jenkins model y = B/F u + C/D e, `estimate_ladder` the paper's ladder of nested orders
 22221 to 55551. Short windows of a running loop need correct initial conditions: those of B/F and of the noise
@@ -16,15 +16,11 @@ filter are estimated exactly, together with the coefficients. A `BoxJenkins` mod
 prediction errors on any data and converts to a transfer function.
 """
 
-from twinmatch.fitting.bounds import Bounds, MatchingError
-from twinmatch.fitting.errors import IdentificationError
-from twinmatch.fitting.gate import Limits, Status
-from twinmatch.fitting.match import match
-from twinmatch.fitting.model import BoxJenkins
-from twinmatch.fitting.noise import Noise
-from twinmatch.fitting.order import ORDERS, Order, parse_order
-from twinmatch.fitting.prediction_error import estimate, estimate_ladder
-from twinmatch.fitting.result import Fit, Match
+from twinmatch.fitting.box_jenkins import BoxJenkins, estimate, estimate_ladder
+from twinmatch.fitting.data import ORDERS, FittingError, Order, parse_order
+from twinmatch.fitting.gate import GateLimits, Status
+from twinmatch.fitting.match import Fit, Match, match
+from twinmatch.fitting.problem import Bounds, Noise
 from twinmatch.fitting.structures import StructureFit, fit_structure
 
 __all__ = [
@@ -32,10 +28,9 @@ __all__ = [
     "Bounds",
     "BoxJenkins",
     "Fit",
-    "IdentificationError",
-    "Limits",
+    "FittingError",
+    "GateLimits",
     "Match",
-    "MatchingError",
     "Noise",
     "Order",
     "Status",

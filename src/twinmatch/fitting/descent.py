@@ -16,10 +16,8 @@ import numpy as np
 
 from twinmatch.compiled import compiled
 from twinmatch.fitting.delayed import column_norms
-from twinmatch.fitting.derivatives import curvature, linearise
-from twinmatch.fitting.filters import copy_into, dot
-from twinmatch.fitting.prediction import ROWS, Place, Task, evaluate
-from twinmatch.fitting.stability import boundary_normals
+from twinmatch.fitting.polynomials import boundary_normals, copy_into, dot
+from twinmatch.fitting.prediction import ROWS, Place, Task, curvature, evaluate, linearise
 from twinmatch.signals import FloatArray
 
 __all__ = ["Rules", "descend"]

@@ -1,18 +1,33 @@
-"""Nonlinear least squares on output and input, and the uncertainty of the estimate."""
+"""Nonlinear least squares on output and input, covariance of the estimate, profile-likelihood intervals."""
+
+# ruff: noqa: PLR0917 (kernels take arrays in a row)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics import Descended, Parameters
-from twinmatch.fitting.problem import Problem
+from twinmatch.compiled import compiled
+from twinmatch.dynamics import Descended, Parameters, box_step
+from twinmatch.fitting.problem import Evaluation, Problem
 from twinmatch.signals import FloatArray
 
-__all__ = ["Estimate", "Uncertainty", "on_bounds", "solve", "starts_for", "uncertainty"]
+__all__ = [
+    "QUANTILE",
+    "Estimate",
+    "Uncertainty",
+    "on_bounds",
+    "profile_end",
+    "profile_intervals",
+    "solve",
+    "starts_for",
+    "uncertainty",
+]
 
 _MOST_EVALUATIONS = 100
 _ON_BOUND = 1e-4
@@ -20,6 +35,14 @@ _ON_BOUND = 1e-4
 _ROUNDING = 1e-13
 """Share of the largest eigenvalue below which another is rounding: each entry of the information is a sum
 over hundreds of samples, accurate to a relative 1e-14. The condition number is then 3e6."""
+QUANTILE: Final = 3.841458820694124
+"""95 % quantile of χ² with one degree of freedom."""
+
+_MOST_STEPS, _MOST_CUTS = 8, 3
+_MOST_FITS, _MOST_EVALUATIONS, _FIRST_SPAN = 16, 30, 0.1
+_FAR, _CUT = 2.0, 0.4
+_CLOSE = 0.02
+"""Tolerance of an end, as a share of the allowed rise of the sum of squares: 1 % of the half interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,3 +155,160 @@ def _known(fisher: FloatArray, scores: FloatArray, scales: FloatArray) -> Uncert
     else:
         condition, covariance = float("inf"), np.full_like(fisher, np.inf)
     return Uncertainty(fisher, scores, scales, eigenvalues, directions, condition, covariance)
+
+
+def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArray) -> FloatArray:
+    """95 % interval of each parameter around the estimate `values`, shape (n, 2).
+
+    The residuals are not white, so the sum of squares may rise by the quantile times the ratio of the
+    parameter's variance to the one that white noise would give: the curvature of the profile at its
+    minimum then matches the variance, and its shape farther out is that of the twin. An end that a bound
+    cuts off is infinite; if that bound is zero, the end is zero, because zero is a physical limit.
+    """
+    here = problem.evaluate(values)
+    rises = QUANTILE * np.diag(covariance) / _white_variance(problem, here)
+    intervals = np.empty((values.size, 2))
+    for i, rise in enumerate(rises.tolist()):
+        for side, sign in enumerate((-1, 1)):
+            known = math.isfinite(rise) and rise > 0.0
+            end = profile_end(problem, here, i, sign, rise) if known else None
+            if end is not None:
+                intervals[i, side] = end[i]
+            else:
+                intervals[i, side] = 0.0 if sign < 0 and problem.lower[i] == 0.0 else sign * math.inf
+    return intervals
+
+
+def _white_variance(problem: Problem, here: Evaluation) -> FloatArray:
+    """Variance of each parameter for residuals of white noise of variance 1, shape (n,)."""
+    _, _, hessian = here.normal
+    scales = problem.scales
+    try:
+        inverse = np.linalg.inv(hessian * np.outer(scales, scales))
+    except np.linalg.LinAlgError:
+        return np.full(scales.size, np.nan)
+    return np.asarray(np.diag(inverse) * np.square(scales), dtype=np.float64)
+
+
+def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: float) -> FloatArray | None:
+    """The parameters at which the sum of squares has risen by `rise` above its minimum at `start` along
+    parameter `i`, with the others refitted; None if it does not rise so far inside the bounds.
+
+    Newton's iteration for both conditions at once, the others at their minimum and the sum at its limit
+    (Venzon and Moolgavkar 1988). A step after which the sum is far above its limit is shortened. Where
+    the valley folds back, so that no small step makes progress, the end is bracketed instead.
+    """
+    point = start
+    limit = start.cost + rise
+    bound = float(problem.upper[i] if sign > 0 else problem.lower[i])
+    inside = start
+    for _ in range(_MOST_STEPS):
+        values = point.values
+        cost, gradient, hessian = point.normal
+        box = hessian, gradient, values, problem.lower, problem.upper, i
+        gain = cost - model_profile(*box, 0.0, cost)[1]
+        excess = cost - gain - limit
+        if cost <= limit:
+            inside = point
+            if values[i] == bound:
+                return None
+        if abs(excess) <= _CLOSE * rise and gain <= _CLOSE * rise:
+            return values
+        way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
+        for _ in range(_MOST_CUTS):
+            there = _moved(problem, values + model_profile(*box, way, cost)[0])
+            if there.cost <= max(limit + _FAR * rise, cost):
+                break
+            way *= _CUT
+        else:
+            break
+        point = there
+    return _bracketed(problem, inside, i, bound, limit, rise)
+
+
+def _bracketed(
+    problem: Problem, inside: Evaluation, i: int, bound: float, limit: float, rise: float
+) -> FloatArray | None:
+    """Find the end between a value inside and one outside, refitting the others at each."""
+    near, far, beyond, ahead = inside, bound, math.inf, 1.0
+    below = inside.cost - limit
+    span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(inside.values[i]))
+    for _ in range(_MOST_FITS):
+        here = float(near.values[i])
+        if math.isfinite(beyond):
+            # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
+            target = here + (far - here) * min(max(below / (below - beyond), 0.1), 0.9)
+        else:
+            target, span = here + span, 3.0 * span
+            target = min(target, bound) if bound > here else max(target, bound)
+        lower, upper, start = problem.lower.copy(), problem.upper.copy(), near.values.copy()
+        lower[i] = upper[i] = start[i] = target
+        found = problem.experiment.descend(start, lower, upper, problem.scales, _MOST_EVALUATIONS)
+        excess = found.cost - limit
+        if abs(excess) <= _CLOSE * rise:
+            return found.values
+        if excess > 0.0:
+            far, beyond = target, excess
+            below, ahead = (0.5 * below, ahead) if ahead < 0.0 else (below, -1.0)
+        else:
+            if target == bound:
+                return None
+            near, below = problem.evaluate(found.values), excess
+            beyond, ahead = (0.5 * beyond, ahead) if ahead > 0.0 else (beyond, 1.0)
+    return near.values
+
+
+def _moved(problem: Problem, values: FloatArray) -> Evaluation:
+    return problem.evaluate(np.minimum(np.maximum(values, problem.lower), problem.upper))
+
+
+@compiled
+def model_profile(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    values: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    i: int,
+    way: float,
+    cost: float,
+) -> tuple[FloatArray, float]:
+    """The step with component `i` of `way` whose others minimise the quadratic model, and the sum there."""
+    low, high = lower.copy(), upper.copy()
+    low[i] = high[i] = values[i]
+    step, gain = box_step(hessian, gradient + hessian[:, i] * way, values, low, high, 1e-12)
+    step[i] = way
+    return step, cost + (2.0 * gradient[i] + hessian[i, i] * way) * way - gain
+
+
+@compiled
+def model_reach(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    values: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    i: int,
+    inside: float,
+    bound: float,
+    cost: float,
+    limit: float,
+) -> float:
+    """Change of component `i` at which the quadratic model's convex profile reaches the limit."""
+    near, far = inside - values[i], bound - values[i]
+    above = model_profile(hessian, gradient, values, lower, upper, i, far, cost)[1] - limit
+    if above <= 0.0:
+        return float(far)
+    below = model_profile(hessian, gradient, values, lower, upper, i, near, cost)[1] - limit
+    if below >= 0.0:
+        return float(0.5 * near)
+    for _ in range(60):
+        middle = 0.5 * (near + far)
+        value = model_profile(hessian, gradient, values, lower, upper, i, middle, cost)[1] - limit
+        if value > 0.0:
+            far = middle
+        else:
+            near = middle
+        if abs(far - near) <= 1e-3 * abs(inside - values[i] - far):
+            break
+    return float(0.5 * (near + far))

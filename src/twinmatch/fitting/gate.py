@@ -22,10 +22,11 @@ from enum import Enum
 
 import numpy as np
 
-from twinmatch.fitting.bounds import MatchingError, Unknown
+from twinmatch.fitting.data import FittingError
+from twinmatch.fitting.problem import Unknown
 from twinmatch.signals import FloatArray
 
-__all__ = ["Evidence", "Limits", "Status", "first_excited", "judge", "undetermined"]
+__all__ = ["Evidence", "GateLimits", "Status", "first_excited", "judge", "undetermined"]
 
 
 class Status(Enum):
@@ -41,14 +42,14 @@ class Status(Enum):
 
 
 @dataclass(frozen=True)
-class Limits:
+class GateLimits:
     """Limits of the gate.
 
     The limit on the residuals is based on hours of one rig: two-regime windows of a healthy plant give 0.5 to
     8, the cold start of a session 12; a window with a lost drive gives 130 and more.
 
     Raises:
-        MatchingError: a limit is out of range.
+        FittingError: a limit is out of range.
     """
 
     chi2: float = 40.0
@@ -68,10 +69,10 @@ class Limits:
         for name in ("chi2", "relative_error", "condition", "slack", "least_samples"):
             if not getattr(self, name) > 0:
                 msg = f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
-                raise MatchingError(msg)
+                raise FittingError(msg)
         if not 0 < self.held_back < 1:
             msg = f"gate: held_back is {self.held_back}; give a share of the window between 0 and 1"
-            raise MatchingError(msg)
+            raise FittingError(msg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ def first_excited(moved: FloatArray, least: float) -> int | None:
     return int(far[0]) + 1 if far.size else None
 
 
-def judge(evidence: Evidence, limits: Limits) -> tuple[Status, str]:
+def judge(evidence: Evidence, limits: GateLimits) -> tuple[Status, str]:
     """The status of a fit, and a sentence with the reason."""
     # Negated comparisons, so that residuals that are not numbers count as not explained.
     if not evidence.chi2 <= limits.chi2:
@@ -142,7 +143,7 @@ def undetermined(
     values: FloatArray,
     standard_errors: FloatArray,
     condition: float,
-    limits: Limits,
+    limits: GateLimits,
 ) -> str | None:
     """A sentence on a parameter or combination that is not determined; None if all are."""
     if not condition <= limits.condition:

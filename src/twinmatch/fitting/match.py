@@ -3,29 +3,133 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import FILED, Closing, Parameters
-from twinmatch.fitting.bounds import Bounds, checked_free, unknown_parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, LoopGains, Parameters
 from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
-from twinmatch.fitting.gate import (
-    Evidence,
-    Limits,
-    Status,
-    first_excited,
-    judge,
-    undetermined,
-)
+from twinmatch.fitting.gate import Evidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
-from twinmatch.fitting.noise import Noise
-from twinmatch.fitting.problem import Problem, checked_gains
-from twinmatch.fitting.result import Fit, Match, without_fit
+from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_gains, unknown_parameters
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["match"]
+__all__ = ["Fit", "Match", "match", "without_fit"]
+
+
+class Fit(NamedTuple):
+    """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean."""
+
+    y: float
+    """Fit of the output."""
+    u: float
+    """Fit of the input; NaN for a driven twin."""
+
+
+_NO_FIT = Fit(float("nan"), float("nan"))
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Parameters of a plant matched to a window, how well they are known, and whether they may be used.
+
+    If no fit was made (see the status) the parameters are the start values and all figures of the fit
+    are NaN.
+    """
+
+    DERIVED: ClassVar = ("standard_errors",)
+    """Recorded beside the fields."""
+
+    parameters: Parameters
+    free: tuple[str, ...]
+    """Names of the unknowns, in the order of the arrays below: parameters in the model's order, then the
+    states with unknown value at the window's third sample."""
+    starts: Mapping[str, float]
+    """Values of those states, by name; empty if the structure has none."""
+    covariance: FloatArray = field(metadata={"columns": -1})
+    """Covariance of the fitted parameters, shape (n, n), in their own units."""
+    fisher: FloatArray = field(metadata={"columns": -1})
+    """Information JᵀJ of the weighted residuals, shape (n, n)."""
+    eigenvalues: FloatArray
+    """Eigenvalues of the information in units of the parameters' scales, ascending, shape (n,)."""
+    condition: float
+    """Condition number of the scaled Jacobian."""
+    bounds_hit: tuple[str, ...]
+    fit: Fit
+    """Fit on the window."""
+    held_back: Fit
+    """Fit on the window's last part, for parameters fitted without it."""
+    chi2: float
+    """Mean squared residual of the compared signals, in units of the noise variance."""
+    samples: tuple[int, int]
+    """Session indices of the window's first and last sample."""
+    status: Status
+    reason: str
+    """One sentence on the status."""
+    directions: FloatArray = field(default_factory=lambda: np.empty((0, 0)), metadata={"columns": -1})
+    """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
+    to `eigenvalues[j]`, so column 0 is the combination of parameters that the window determines least."""
+    intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2})
+    """Profile-likelihood interval (95 %) of each parameter, in its own unit, shape (n, 2); an end is
+    infinite where a bound of the search cuts the interval off, zero where zero is a physical limit, and NaN
+    if no fit was made or it does not explain the window."""
+    believed: tuple[str, ...] = ()
+    """Names of the parameters that this window determines."""
+    determined: str = ""
+    """A sentence on which combination of the parameters the window determines."""
+    suggestion: str = ""
+    """A sentence on which set-point step would determine what this window leaves open; or empty."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the parameters may be used."""
+        return self.status is Status.ACCEPTED
+
+    @property
+    def standard_errors(self) -> FloatArray:
+        """Standard errors of the fitted parameters, shape (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def of_parameters(self) -> tuple[tuple[str, ...], FloatArray]:
+        """Names of the fitted parameters, without fitted states, and their covariance."""
+        names = tuple(name for name in self.free if name in self.parameters)
+        places = [self.free.index(name) for name in names]
+        return names, self.covariance[np.ix_(places, places)]
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlation of the fitted parameters, shape (n, n)."""
+        errors = self.standard_errors
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.covariance / np.outer(errors, errors), dtype=np.float64)
+
+
+def without_fit(
+    window: Window, free: tuple[str, ...], start: Parameters, status: Status, reason: str
+) -> Match:
+    """A match without fit, with the status that says why; its unknown initial states are NaN."""
+    n = len(free)
+    unknown = np.full((n, n), np.nan)
+    return Match(
+        parameters=start,
+        free=free,
+        starts={name: float("nan") for name in free if name not in start},
+        covariance=unknown,
+        fisher=unknown,
+        eigenvalues=np.full(n, np.nan),
+        condition=float("nan"),
+        bounds_hit=(),
+        fit=_NO_FIT,
+        held_back=_NO_FIT,
+        chi2=float("nan"),
+        samples=(window.first, window.last),
+        status=status,
+        reason=reason,
+        directions=unknown,
+        intervals=np.full((n, 2), np.nan),
+    )
 
 
 def match(
@@ -36,9 +140,9 @@ def match(
     incumbent: Parameters | None = None,
     bounds: Bounds | None = None,
     noise: Noise | None = None,
-    gains: Closing = FILED,
+    gains: LoopGains = FROM_PLANT_FILE,
     min_step: float | None = None,
-    limits: Limits | None = None,
+    limits: GateLimits | None = None,
 ) -> Match:
     """Fit the twin to a window by nonlinear least squares.
 
@@ -63,10 +167,10 @@ def match(
         limits: limits of the gate.
 
     Raises:
-        MatchingError: names or bounds are invalid, or the controller has another period.
+        FittingError: names or bounds are invalid, or the controller has another period.
         PlantError: a bound is not a possible value of the parameter.
     """
-    model, limits = start.model, limits or Limits()
+    model, limits = start.model, limits or GateLimits()
     gains = checked_gains(model, window, gains)
     names = checked_free(model, free)
     unknown_parameters(model, names, bounds)
@@ -77,7 +181,7 @@ def match(
     return _with_fit(problem, split, incumbent or start, limits)
 
 
-def _split(problem: Problem, min_step: float | None, limits: Limits) -> tuple[int, str]:
+def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:
     """Number of samples for the test fit, or the reason why none can be made."""
     window, plant = problem.window, problem.base.model.plant
     what, signal, unit, usual = "set-point", window.reference, plant.output.unit, plant.output.least_step
@@ -96,7 +200,7 @@ def _split(problem: Problem, min_step: float | None, limits: Limits) -> tuple[in
     return split, ""
 
 
-def _with_fit(problem: Problem, split: int, rival: Parameters, limits: Limits) -> Match:
+def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimits) -> Match:
     window = problem.window
     seen = replace(problem, window=window.part(window.first, window.first + split - 1))
     starts = starts_for(problem, problem.base)

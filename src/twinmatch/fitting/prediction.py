@@ -1,4 +1,4 @@
-"""One-step prediction errors of a Box–Jenkins model and their exact derivatives.
+"""One-step prediction errors of a Box–Jenkins model and their exact first and second derivatives.
 
 Multiplied out, the predictor of y = B/F u + C/D e is one difference equation,
 
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
+from twinmatch.fitting.data import FittingError, Order
 from twinmatch.fitting.delayed import (
     COUNT,
     DELAY,
@@ -28,19 +29,30 @@ from twinmatch.fitting.delayed import (
     SLACK,
     Spans,
     cholesky,
+    corners_of,
     correlate,
     solve_triangle,
     substitute_back,
     triangularise,
 )
-from twinmatch.fitting.errors import IdentificationError
-from twinmatch.fitting.filters import all_pole_into, copy_into, dot, fir_into
-from twinmatch.fitting.order import Order
-from twinmatch.fitting.predictor import Polynomials
-from twinmatch.fitting.stability import LARGEST_ROOT, stabilise
+from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, copy_into, dot, fir_into, stabilise
 from twinmatch.signals import FloatArray
 
-__all__ = ["INITIALS", "MEMORY", "Place", "Task", "evaluate", "linear_size", "task_of", "unknowns"]
+__all__ = [
+    "INITIALS",
+    "MEMORY",
+    "Place",
+    "Polynomials",
+    "Task",
+    "curvature",
+    "errors_of",
+    "evaluate",
+    "linear_size",
+    "linearise",
+    "smallest_errors",
+    "task_of",
+    "unknowns",
+]
 
 INITIALS = ("estimate", "zero")
 MEMORY = 6.0
@@ -54,6 +66,46 @@ BY_B, BY_M, BY_C, BY_D, BY_F, ERROR, OF_INPUT, OF_PROCESS, AT_ZERO = range(9)
 """The signals of a place: derivatives by the first coefficient of each group, e, u/(CF), B u/(CF), and the
 error for x = 0. The first six are also the groups of columns of the derivatives, in order."""
 ROWS = 9
+UNFILTERED, THROUGH_C, THROUGH_F = range(3)
+"""Filters applied to e, backwards in time."""
+
+
+class Polynomials(NamedTuple):
+    """A model as coefficients of q⁻¹; C, D and F monic, B with its leading zeros."""
+
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    F: FloatArray
+
+
+@compiled
+def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -> FloatArray:
+    """Prediction errors for the given initial conditions m of the predictor; shape (N,)."""
+    rest, driven, e = np.empty(y.size), np.empty(y.size), np.empty(y.size)
+    fir_into(model.F, y, rest)
+    fir_into(model.B, u, driven)
+    for t in range(y.size):
+        rest[t] -= driven[t]
+    fir_into(model.D, rest, e)
+    for t in range(min(m.size, e.size)):
+        e[t] += m[t]
+    all_pole_into(model.C, e, e)
+    all_pole_into(model.F, e, e)
+    return e
+
+
+@compiled
+def smallest_errors(u: FloatArray, y: FloatArray, model: Polynomials, count: int) -> FloatArray:
+    """Prediction errors for the best `count` initial conditions of the predictor; shape (N,)."""
+    signals = np.zeros((2, count + u.size))
+    impulse = signals[0, count:]
+    impulse[0] = 1.0
+    all_pole_into(model.C, impulse, impulse)
+    all_pole_into(model.F, impulse, impulse)
+    copy_into(errors_of(u, y, model, np.zeros(0)), signals[1, count:])
+    spans = np.array(((0, 0, count), (1, 0, 1)))
+    return errors_of(u, y, model, solve_triangle(triangularise(signals, count, spans)))
 
 
 class Task(NamedTuple):
@@ -92,11 +144,11 @@ def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate
     """The sum of squared prediction errors of one window as a function of θ = (c, d, f).
 
     Raises:
-        IdentificationError: an unknown `initial`.
+        FittingError: an unknown `initial`.
     """
     if initial not in INITIALS:
         msg = f'initial: {initial!r} is unknown; use "estimate" or "zero"'
-        raise IdentificationError(msg)
+        raise FittingError(msg)
     nb, nc, nd, nf, nk = order
     states = 0 if initial == "zero" else order.predictor_state
     spans = np.zeros((BY_F + 2, 3), dtype=np.int64)
@@ -187,3 +239,122 @@ def project(
                 e[t] += factor * delayed[t]
             column += 1
     return x, e
+
+
+class SecondDerivative(NamedTuple):
+    """∂²e by the coefficients of two groups: one signal of a place, delayed by both delays."""
+
+    one: int
+    other: int
+    error: int
+    """`UNFILTERED`, `THROUGH_C` or `THROUGH_F`: the filter that is moved from the signal onto e."""
+    signal: int
+    factor: int
+
+
+SECOND_DERIVATIVES = (
+    SecondDerivative(BY_B, BY_C, THROUGH_C, BY_B, -1),
+    SecondDerivative(BY_B, BY_D, UNFILTERED, OF_INPUT, -1),
+    SecondDerivative(BY_B, BY_F, THROUGH_F, BY_B, -1),
+    SecondDerivative(BY_M, BY_C, THROUGH_C, BY_M, -1),
+    SecondDerivative(BY_M, BY_F, THROUGH_F, BY_M, -1),
+    SecondDerivative(BY_C, BY_C, THROUGH_C, BY_C, -2),
+    SecondDerivative(BY_C, BY_D, THROUGH_C, BY_D, -1),
+    SecondDerivative(BY_C, BY_F, THROUGH_C, BY_F, -1),
+    SecondDerivative(BY_D, BY_F, THROUGH_F, OF_PROCESS, 1),
+    SecondDerivative(BY_F, BY_F, THROUGH_F, BY_F, -2),
+)
+"""All second derivatives that are not zero."""
+
+
+@compiled
+def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
+    """QR triangle of the derivatives of e by (b, m, c, d, f), with the rotated e as last column.
+
+    Fills the signals from `BY_C` to `ERROR`; the others are those set by `evaluate`.
+    """
+    model, e, signals, pad = place.model, place.errors, place.signals, task.pad
+    by_c, by_d, by_f = signals[BY_C, pad:], signals[BY_D, pad:], signals[BY_F, pad:]
+    at_zero = signals[AT_ZERO, pad:]
+    driven = np.empty(e.size)
+    fir_into(model.B, task.u, driven)
+    fir_into(model.F, task.y, by_d)
+    for t in range(e.size):
+        by_f[t] = at_zero[t] - e[t]  # (D y − C e)/C
+        by_c[t] = -e[t]
+        by_d[t] -= driven[t]
+    all_pole_into(model.F, by_f, by_f)
+    all_pole_into(model.C, by_c, by_c)
+    all_pole_into(model.C, by_d, by_d)
+    all_pole_into(model.F, by_d, by_d)
+    copy_into(e, signals[ERROR, pad:])
+    if exact:
+        return triangularise(signals, pad, task.spans)
+    return cholesky(correlate(signals, pad, task.spans))
+
+
+@compiled
+def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
+    """Half the second derivative of Σ e² by θ = (c, d, f), with x = (b, m) following as its minimiser.
+
+    Signals are those set by `linearise`, R is the triangle. Every ∂²e is one signal filtered once more by 1/C
+    or 1/F and delayed by both delays; in the sum over e that filter is moved onto e, backwards in time.
+    """
+    model, signals, pad, spans = place.model, place.signals, task.pad, task.spans
+    driven = signals[OF_INPUT, pad:]
+    all_pole_into(model.C, task.u, driven)
+    all_pole_into(model.F, driven, driven)
+    fir_into(model.B, driven, signals[OF_PROCESS, pad:])
+    errors = np.empty((3, place.errors.size))
+    copy_into(place.errors, errors[UNFILTERED])
+    backwards_into(model.C, place.errors, errors[THROUGH_C])
+    backwards_into(model.F, place.errors, errors[THROUGH_F])
+    corners = corners_of(spans)
+    S = np.zeros((corners[ERROR], corners[ERROR]))
+    for second in SECOND_DERIVATIVES:
+        one, other, filtered = second.one, second.other, errors[second.error]
+        for i in range(spans[one, COUNT]):
+            for j in range(spans[other, COUNT]):
+                row, column = corners[one] + i, corners[other] + j
+                if i == 0 or j == spans[other, COUNT] - 1:
+                    delayed = pad - spans[one, DELAY] - spans[other, DELAY] - i - j
+                    S[row, column] = second.factor * dot(filtered, signals[second.signal, delayed:])
+                else:
+                    S[row, column] = S[row - 1, column + 1]
+    return eliminate_linear(S, R, corners[BY_C])
+
+
+@compiled(inside=True)
+def backwards_into(denominator: FloatArray, e: FloatArray, out: FloatArray) -> None:
+    """Filter e by 1/denominator from its end to its beginning."""
+    for t in range(e.size):
+        out[t] = e[e.size - 1 - t]
+    all_pole_into(denominator, out, out)
+    for t in range(e.size // 2):
+        out[t], out[e.size - 1 - t] = out[e.size - 1 - t], out[t]
+
+
+@compiled(inlined=True)
+def eliminate_linear(S: FloatArray, R: FloatArray, linear: int) -> FloatArray:
+    """Schur complement over the first `linear` unknowns of RᵀR + S, S upper and zero among those."""
+    size = S.shape[0] - linear
+    K = np.zeros((linear, size))  # R_xx⁻ᵀ S_xθ
+    for i in range(linear):
+        if R[i, i] == 0.0:
+            continue
+        for j in range(size):
+            total = S[i, linear + j]
+            for k in range(i):
+                total -= R[k, i] * K[k, j]
+            K[i, j] = total / R[i, i]
+    H = np.zeros((size, size))
+    for a in range(size):
+        for b in range(a, size):
+            total = S[linear + a, linear + b]
+            for k in range(linear):
+                total -= K[k, a] * K[k, b] + R[k, linear + a] * K[k, b] + K[k, a] * R[k, linear + b]
+            for k in range(a + 1):
+                total += R[linear + k, linear + a] * R[linear + k, linear + b]
+            H[a, b] = total
+            H[b, a] = total
+    return H

@@ -1,38 +1,151 @@
-"""The least-squares problem of a window: its unknowns and its residuals."""
+"""The least-squares problem of a window: its unknowns with their bounds, the noise, and its residuals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from twinmatch.dynamics import (
-    FILED,
-    Closing,
+    FROM_PLANT_FILE,
     Descended,
     Experiment,
+    LoopGains,
     Model,
     Parameters,
     PidGains,
+    Plant,
+    PlantError,
     Response,
     Tangents,
     gains_for,
     noise_scores,
 )
-from twinmatch.fitting.bounds import Bounds, MatchingError, Unknown, unknown_parameters, unknown_starts
-from twinmatch.fitting.noise import Noise
+from twinmatch.fitting.data import FittingError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Evaluation", "Problem", "checked_gains"]
+__all__ = [
+    "Bounds",
+    "Evaluation",
+    "Noise",
+    "Problem",
+    "Unknown",
+    "checked_free",
+    "checked_gains",
+    "unknown_parameters",
+    "unknown_starts",
+]
 
 
-def checked_gains(model: Model, window: Window, gains: Closing = FILED) -> PidGains | None:
+Bounds = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A parameter or initial state that a match estimates, as the plant file declares it."""
+
+    name: str
+    unit: str
+    bounds: tuple[float, float]
+    scale: float
+    """Typical size (of a difference where zero is arbitrary)."""
+    relative: bool
+    """Whether its error is relative to its value; otherwise to its scale."""
+
+
+def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
+    """The free parameters, in the model's order; default: the structure's.
+
+    Raises:
+        FittingError: no name, an unknown or repeated one, or one that this structure does not have.
+    """
+    names = tuple(model.structure.free if free is None else free)
+    unknown = [name for name in names if name not in model.names]
+    if unknown:
+        msg = (
+            f"matching: {unknown[0]!r} cannot be free in {model.title}; choose from {', '.join(model.names)}"
+        )
+        raise FittingError(msg)
+    if not names or len(set(names)) != len(names):
+        msg = f"matching: free is {names}; give at least one parameter and none twice"
+        raise FittingError(msg)
+    return tuple(name for name in model.names if name in names)
+
+
+def unknown_parameters(
+    model: Model, names: Iterable[str], bounds: Bounds | None = None
+) -> tuple[Unknown, ...]:
+    """The named parameters as the plant declares them, with some bounds replaced.
+
+    Raises:
+        FittingError: bounds of an unknown name, or a pair that is not finite and in order.
+        PlantError: a bound is not a possible value of the parameter.
+    """
+    given = dict(bounds or {})
+    known = (*model.names, *model.states)
+    for name, (low, high) in given.items():
+        if name not in known:
+            msg = f"matching: bounds for {name!r}, which is unknown; choose from {', '.join(known)}"
+            raise FittingError(msg)
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            msg = f"matching: the bounds of {name} are {low} and {high}; give two finite numbers, lower first"
+            raise FittingError(msg)
+        declared = model.declared.get(name)
+        for end in (low, high):
+            if declared is not None and not declared.possible(end):
+                msg = f"{model.title}: {name} is {end:g} {declared.unit}; it must be {declared.requirement}"
+                raise PlantError(msg)
+    found = []
+    for name in names:
+        parameter = model.declared[name]
+        limits = given.get(name, parameter.bounds)
+        found.append(Unknown(name, parameter.unit, limits, parameter.scale, parameter.relative))
+    return tuple(found)
+
+
+def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown, ...]:
+    """The states whose initial value is unknown in this structure."""
+    found = []
+    for name in model.structure.free_starts:
+        state = model.declared_states[model.states.index(name)]
+        limits = (bounds or {}).get(name) or state.start_bounds or state.span
+        found.append(Unknown(name, state.unit, limits, state.scale, relative=False))
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations that weight the residuals.
+
+    Raises:
+        FittingError: one is not finite and positive.
+    """
+
+    output: float
+    """Standard deviation of the output, in its unit."""
+    input: float
+    """Standard deviation of the input in steady closed loop, in its unit."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("output", self.output), ("input", self.input)):
+            if not (math.isfinite(value) and value > 0):
+                msg = f"noise: {name} is {value}; it must be finite and positive"
+                raise FittingError(msg)
+
+    @classmethod
+    def of(cls, plant: type[Plant]) -> Noise:
+        """The noise that the plant file declares."""
+        return cls(plant.output.noise, plant.drive.noise)
+
+
+def checked_gains(model: Model, window: Window, gains: LoopGains = FROM_PLANT_FILE) -> PidGains | None:
     """The controller of the closed-loop twin; None if the loop is not known.
 
     Raises:
-        MatchingError: the controller has another period than the window.
+        FittingError: the controller has another period than the window.
     """
     held = gains_for(model.plant, window.period, gains)
     if held is not None and held.period != window.period:
@@ -40,7 +153,7 @@ def checked_gains(model: Model, window: Window, gains: Closing = FILED) -> PidGa
             f"matching: the controller runs every {held.period} s but the window's samples come every "
             f"{window.period} s; give both the same period"
         )
-        raise MatchingError(msg)
+        raise FittingError(msg)
     return held
 
 

@@ -16,10 +16,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.dynamics import FILED, Closing, Descended, Experiment, Known, Model, Parameters, descend
-from twinmatch.fitting.bounds import MatchingError, unknown_parameters, unknown_starts
-from twinmatch.fitting.noise import Noise
-from twinmatch.fitting.problem import checked_gains
+from twinmatch.dynamics import (
+    FROM_PLANT_FILE,
+    Descended,
+    Experiment,
+    Known,
+    LoopGains,
+    Model,
+    Parameters,
+    descend,
+)
+from twinmatch.fitting.data import FittingError
+from twinmatch.fitting.problem import Noise, checked_gains, unknown_parameters, unknown_starts
 from twinmatch.signals import FloatArray, Window
 
 __all__ = ["SETTLE", "StructureFit", "fit_structure"]
@@ -90,7 +98,7 @@ def fit_structure(
     *,
     start: StructureFit | None = None,
     noise: Noise | None = None,
-    gains: Closing = FILED,
+    gains: LoopGains = FROM_PLANT_FILE,
     thorough: bool = True,
     informed: bool = False,
 ) -> StructureFit:
@@ -110,7 +118,7 @@ def fit_structure(
             badly; an hour outweighs the prior.
 
     Raises:
-        MatchingError: no window, one that is too short, or windows of different periods.
+        FittingError: no window, one that is too short, or windows of different periods.
     """
     known = _known(model, len(windows)) if informed else {}
     problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), gains, known))
@@ -137,14 +145,10 @@ def _known(model: Model, windows: int) -> dict[str, Known]:
 
 
 def _runs(
-    windows: Sequence[Window],
-    model: Model,
-    noise: Noise,
-    gains: Closing,
-    known: Mapping[str, Known],
+    windows: Sequence[Window], model: Model, noise: Noise, gains: LoopGains, known: Mapping[str, Known]
 ) -> list[Experiment]:
     if not windows:
-        raise MatchingError("structures: there is no window; give at least one")
+        raise FittingError("structures: there is no window; give at least one")
     runs = []
     for window in windows:
         if len(window) <= SETTLE + _SKIPPED:
@@ -152,7 +156,7 @@ def _runs(
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
                 f"the first {SETTLE + _SKIPPED} are not compared, give more"
             )
-            raise MatchingError(msg)
+            raise FittingError(msg)
         own = checked_gains(model, window, gains)
         runs.append(
             Experiment(
@@ -225,7 +229,7 @@ class _Problem:
             states.append(response.states[SETTLE:-1])
         if not all(np.isfinite(rows).all() for rows in simulated):
             msg = f"structures: {self._runs[0].model.title} has no finite response at the best parameters"
-            raise MatchingError(msg)
+            raise FittingError(msg)
         measured = tuple(run.measured[:outputs, SETTLE:] for run in self._runs)
         return StructureFit(
             parameters=self._runs[0].parameters_at(parts[0]),

@@ -6,7 +6,7 @@ of a map file to their plant; they are then matched, used for forecasts and scor
 structures. `described_by` reads an FMU's description without executing its code.
 """
 
-from twinmatch.fmu.errors import FmuError
+from twinmatch.fmu.archive import FmuError
 from twinmatch.fmu.mapping import FmuMap, read_maps
 from twinmatch.fmu.structure import adopt_fmus, is_fmu, unmarked
 

@@ -1,23 +1,50 @@
-"""Safe unpacking of an FMU, which is a ZIP file."""
+"""The file of an FMU: unpacked safely, and its description, as exchanged between the two processes."""
 
 from __future__ import annotations
 
 import hashlib
+import re
 import stat
 import zipfile
 import zlib
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Any, Final
+from xml.etree import ElementTree
 
-__all__ = ["MOST_BYTES", "ArchiveError", "digest_of", "unpack"]
+from twinmatch.dynamics import PlantError
+
+__all__ = [
+    "CO_SIMULATION",
+    "MODEL_EXCHANGE",
+    "MOST_BYTES",
+    "Described",
+    "FmuArchiveError",
+    "FmuError",
+    "Variable",
+    "described_from",
+    "digest_of",
+    "read_description",
+    "unpack",
+]
 
 MOST_BYTES: Final = 512 * 1024 * 1024
 """Largest file, and largest total size of its content, bytes."""
 MOST_FILES: Final = 20_000
 _BLOCK: Final = 1 << 20
+CO_SIMULATION: Final = "co-simulation"
+MODEL_EXCHANGE: Final = "model exchange"
+MOST_VARIABLES: Final = 100_000
+
+_REAL: Final = ("Real", "Float64")
 
 
-class ArchiveError(Exception):
+class FmuError(PlantError):
+    """An FMU cannot be used, or its map does not fit."""
+
+
+class FmuArchiveError(Exception):
     """The file is not an FMU, or exceeds a limit."""
 
 
@@ -34,7 +61,7 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
     """Unpack an FMU into a folder, or `only` one of its files; returns the names of all files in it.
 
     Raises:
-        ArchiveError: it is not a ZIP file, or has suspicious content.
+        FmuArchiveError: it is not a ZIP file, or has suspicious content.
     """
     try:
         with zipfile.ZipFile(file) as archive:
@@ -42,28 +69,28 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
                 if not only or info.filename == only:
                     _write(archive, info, folder / info.filename)
             if only and only not in archive.namelist():
-                raise ArchiveError(f"is not an FMU: it has no {only}")
+                raise FmuArchiveError(f"is not an FMU: it has no {only}")
             return archive.namelist()
     except (
         zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError,
     ) as error:  # fmt: skip
-        raise ArchiveError(f"is not an FMU, or is damaged: {error}") from error
+        raise FmuArchiveError(f"is not an FMU, or is damaged: {error}") from error
 
 
 def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
     infos = archive.infolist()
     if len(infos) > MOST_FILES:
-        raise ArchiveError(f"has {len(infos)} files; the limit is {MOST_FILES}")
+        raise FmuArchiveError(f"has {len(infos)} files; the limit is {MOST_FILES}")
     for info in infos:
         name = PurePosixPath(info.filename)
         if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
-            raise ArchiveError(f"has {info.filename!r}, a path outside its folder; it is not unpacked")
+            raise FmuArchiveError(f"has {info.filename!r}, a path outside its folder; it is not unpacked")
         if stat.S_ISLNK(info.external_attr >> 16):
-            raise ArchiveError(f"has the link {info.filename!r}; it is not unpacked")
+            raise FmuArchiveError(f"has the link {info.filename!r}; it is not unpacked")
     total = sum(info.file_size for info in infos)
     if total > MOST_BYTES:
         size, most = total / 2**20, MOST_BYTES // 2**20
-        raise ArchiveError(f"has {size:.0f} MiB; the limit is {most} MiB")
+        raise FmuArchiveError(f"has {size:.0f} MiB; the limit is {most} MiB")
     return infos
 
 
@@ -78,6 +105,166 @@ def _write(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> None:
         while block := packed.read(_BLOCK):
             left -= len(block)
             if left < 0:
-                raise ArchiveError(f"has {info.filename!r}, which is longer than its stated size")
+                raise FmuArchiveError(f"has {info.filename!r}, which is longer than its stated size")
             file.write(block)
     path.chmod(0o700)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A real variable of an FMU."""
+
+    name: str
+    reference: int
+    causality: str
+    variability: str
+    initial: str
+    unit: str
+    start: float | None
+    text: str
+    state: int
+    """Index among the continuous states; -1 if it is not a state."""
+
+    @property
+    def settable(self) -> bool:
+        """Whether it can be set before a run."""
+        return self.variability != "constant" and (
+            self.causality in {"input", "parameter"} or self.initial in {"exact", "approx"}
+        )
+
+
+@dataclass(frozen=True)
+class Described:
+    """The description of an FMU."""
+
+    version: str
+    """Version of FMI."""
+    name: str
+    tool: str
+    guid: str
+    kinds: tuple[str, ...]
+    """Supported interface types: model exchange, co-simulation."""
+    identifiers: tuple[str, ...]
+    """Name of its library, for each of the kinds."""
+    directional: bool
+    """Whether a model-exchange FMU provides directional derivatives."""
+    after_steps: bool
+    """Whether it must be notified of every completed integrator step."""
+    indicators: int
+    """Event indicators of FMI 2."""
+    states: int
+    step: float | None
+    """Suggested step size, s."""
+    platforms: tuple[str, ...]
+    variables: tuple[Variable, ...]
+
+    def called(self, name: str) -> Variable | None:
+        """The real variable of this name; None without one."""
+        return next((variable for variable in self.variables if variable.name == name), None)
+
+    def of(self, *causalities: str) -> list[Variable]:
+        """The variables of these causalities."""
+        return [variable for variable in self.variables if variable.causality in causalities]
+
+    @property
+    def tree(self) -> dict[str, Any]:
+        """The description as a dictionary for JSON."""
+        return asdict(self)
+
+
+def described_from(tree: dict[str, Any]) -> Described:
+    """The description from such a dictionary.
+
+    Raises:
+        ValueError, TypeError, KeyError: it is not such a dictionary.
+    """
+    variables = tuple(Variable(**variable) for variable in tree.pop("variables"))
+    pairs: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in tree.items()
+    }
+    return Described(**pairs, variables=variables)
+
+
+def read_description(folder: Path, names: Iterable[str]) -> Described:
+    """Read `modelDescription.xml` in a folder; `names` are those of all files of the FMU.
+
+    Raises:
+        ValueError: the file does not follow FMI 2 or 3.
+    """
+    from fmpy import read_model_description  # noqa: PLC0415 (an extra, and slow to import)
+
+    version = _version(folder / "modelDescription.xml")
+    if not version.startswith(("2.", "3.")):
+        raise ValueError(f"it is of FMI {version or 'without version'}; FMI 2 and 3 are supported")
+    try:
+        found = read_model_description(str(folder), validate=False)
+    except Exception as error:  # FMPy raises many kinds
+        raise ValueError(f"its modelDescription.xml does not follow FMI {version}: {error}") from error
+    if len(found.modelVariables) > MOST_VARIABLES:
+        raise ValueError(f"it has {len(found.modelVariables)} variables; the limit is {MOST_VARIABLES}")
+    ways = ((MODEL_EXCHANGE, found.modelExchange), (CO_SIMULATION, found.coSimulation))
+    supported = [(kind, way) for kind, way in ways if way is not None]
+    for _, way in supported:
+        if not re.fullmatch(r"[A-Za-z_]\w*", str(way.modelIdentifier), re.ASCII):
+            raise ValueError(f"its modelIdentifier is {way.modelIdentifier!r}; FMI demands a name of C")
+    order = [unknown.variable.derivative.name for unknown in found.derivatives if unknown.variable.derivative]
+    exchange, usual = found.modelExchange, found.defaultExperiment
+    return Described(
+        version=found.fmiVersion,
+        name=found.modelName or "",
+        tool=found.generationTool or "",
+        guid=found.guid or "",
+        kinds=tuple(kind for kind, _ in supported),
+        identifiers=tuple(str(way.modelIdentifier) for _, way in supported),
+        directional=bool(exchange is not None and exchange.providesDirectionalDerivative),
+        after_steps=exchange is not None and _needs_completed_steps(found.fmiVersion, exchange),
+        indicators=int(found.numberOfEventIndicators),
+        states=len(found.derivatives),
+        step=float(usual.stepSize) if usual is not None and usual.stepSize else None,
+        platforms=_platforms(names),
+        variables=tuple(
+            _variable(v, order) for v in found.modelVariables if v.type in _REAL and not v.dimensions
+        ),
+    )
+
+
+def _version(file: Path) -> str:
+    """The version of FMI that a description states; empty without one."""
+    try:  # only the first element; expat limits how far entities expand
+        _, root = next(ElementTree.iterparse(file, events=("start",)))  # noqa: S314
+    except (ElementTree.ParseError, ValueError, LookupError, StopIteration) as error:
+        raise ValueError(f"its modelDescription.xml is not valid XML: {error}") from error
+    return str(root.get("fmiVersion", ""))
+
+
+def _variable(found: Any, order: list[str]) -> Variable:
+    unit = found.unit or (found.declaredType.unit if found.declaredType is not None else "")
+    return Variable(
+        name=found.name,
+        reference=int(found.valueReference),
+        causality=found.causality or "local",
+        variability=found.variability or "",
+        initial=found.initial or "",
+        unit=unit or "",
+        start=_number(found.start),
+        text=found.description or "",
+        state=order.index(found.name) if found.name in order else -1,
+    )
+
+
+def _needs_completed_steps(version: str, exchange: Any) -> bool:
+    if version.startswith("2."):
+        return not exchange.completedIntegratorStepNotNeeded
+    return bool(exchange.needsCompletedIntegratorStep)
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
+
+
+def _platforms(names: Iterable[str]) -> tuple[str, ...]:
+    folders = {name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
+    return tuple(sorted(folders))

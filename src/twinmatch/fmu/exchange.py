@@ -1,18 +1,17 @@
-"""A model-exchange FMU: it provides derivatives, and is integrated here."""
+"""A model-exchange FMU, which provides derivatives and is integrated here; and the loading of any FMU."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
-from twinmatch.fmu.calls import Calls
-from twinmatch.fmu.described import Described
-from twinmatch.fmu.machine import Machine, MachineError, Wires
-from twinmatch.fmu.straight import Addresses, Rooms
+from twinmatch.fmu.archive import CO_SIMULATION, Described
+from twinmatch.fmu.machine import Addresses, Buffers, Calls, CoSimulation, FmuRunError, References
 
-__all__ = ["Exchange"]
+__all__ = ["ModelExchange", "machine_of"]
 
 MOST_ROUNDS: Final = 100
 """Most event iterations at one time."""
@@ -21,15 +20,17 @@ MOST_EVENTS: Final = 24
 """Most events located in one step; later ones are not located."""
 
 
-class Exchange(Machine):
+class ModelExchange(CoSimulation):
     """A model-exchange FMU, integrated by Runge–Kutta steps of order 4.
 
     If an event indicator changes sign within a step, its time is found by bisection and the step ends just
     after it, as for kinks of the native equations.
     """
 
-    def __init__(self, fmu: Any, major: int, wires: Wires, described: Described, places: list[int]) -> None:
-        super().__init__(fmu, major, wires)
+    def __init__(
+        self, fmu: Any, major: int, references: References, described: Described, places: list[int]
+    ) -> None:
+        super().__init__(fmu, major, references)
         self._n = self._size = described.states
         self._places = places
         vector = ctypes.c_double * self._n
@@ -47,9 +48,9 @@ class Exchange(Machine):
         self._initialised_with: list[float] | None = None
         """Parameters of the last initialisation; None: it must be repeated."""
 
-    def straight(self) -> tuple[Addresses, Rooms] | None:
+    def run_arguments(self) -> tuple[Addresses, Buffers] | None:
         """The arguments of a compiled run from the current state; None if it may have events."""
-        return None if self._indicators else super().straight()
+        return None if self._indicators else super().run_arguments()
 
     def _functions(self) -> dict[str, str]:
         rates = "GetDerivatives" if self.major == 2 else "GetContinuousStateDerivatives"
@@ -173,7 +174,7 @@ class Exchange(Machine):
         if self._completes_steps:
             wants_event, ended = self.fmu.completedIntegratorStep()
             if ended:
-                raise MachineError("it terminated the simulation")
+                raise FmuRunError("it terminated the simulation")
         if wants_event or self._indicators:
             self._after_jump()
 
@@ -196,8 +197,49 @@ class Exchange(Machine):
             update = self.fmu.newDiscreteStates if self.major == 2 else self.fmu.updateDiscreteStates
             again, ended = update()[:2]
             if ended:
-                raise MachineError("it terminated the simulation")
+                raise FmuRunError("it terminated the simulation")
             if not again:
                 self.fmu.enterContinuousTimeMode()
                 return
-        raise MachineError(f"its discrete states do not converge in {MOST_ROUNDS} event iterations")
+        raise FmuRunError(f"its discrete states do not converge in {MOST_ROUNDS} event iterations")
+
+
+def machine_of(
+    folder: Path, described: Described, kind: str, references: References, places: list[int]
+) -> CoSimulation:
+    """Load the FMU's library and create an instance.
+
+    Raises:
+        FmuRunError: it has none for this machine, or that refuses.
+    """
+    from fmpy import fmi2, fmi3, platform, platform_tuple  # noqa: PLC0415 (an extra)
+
+    major = int(described.version[0])
+    here = platform if major == 2 else platform_tuple
+    if here not in described.platforms:
+        available = ", ".join(described.platforms) or "no platform"
+        raise FmuRunError(f"it has binaries for {available}; this machine is {here}")
+    classes = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[major]
+    identifier = described.identifiers[described.kinds.index(kind)]
+    library = folder / "binaries" / here / f"{identifier}.so"
+    name = library.relative_to(folder)
+    if not library.is_file():
+        raise FmuRunError(f"it has no {name}, the program for this machine; export it again")
+    try:
+        fmu = classes[kind == CO_SIMULATION](
+            guid=described.guid,
+            modelIdentifier=identifier,
+            unzipDirectory=str(folder),
+            instanceName="twinmatch",
+            libraryPath=str(library),
+        )
+    except Exception as error:  # FMPy raises many kinds
+        why = str(error).rpartition(f"{library}: ")[2]
+        raise FmuRunError(f"its {name} is not a library for this machine: {why}") from error
+    try:
+        fmu.instantiate()
+    except Exception as error:
+        raise FmuRunError(f"it cannot be instantiated ({error}): is it complete, and its licence?") from error
+    if kind == CO_SIMULATION:
+        return CoSimulation(fmu, major, references)
+    return ModelExchange(fmu, major, references, described, places)

@@ -1,7 +1,7 @@
 """Simulation and derivatives of an FMU, with the interface of the compiled kernels of native equations.
 
 The functions have the names and arguments of those in `twinmatch.dynamics.kernels`, `runs` and
-`observer_step`. Most FMUs provide no derivatives by parameters, so every derivative is a central difference:
+`filters`. Most FMUs provide no derivatives by parameters, so every derivative is a central difference:
 of whole runs for the sensitivities of a match, and of single samples for the linearisations of an observer or
 a forecast. One request to the FMU's process contains all of these runs.
 """
@@ -15,16 +15,44 @@ from typing import Any, Final
 import numpy as np
 
 from twinmatch.dynamics.descent import Search, update_search
-from twinmatch.dynamics.pid_step import Gains
-from twinmatch.dynamics.posed import Posed
-from twinmatch.fmu.described import MODEL_EXCHANGE
-from twinmatch.fmu.errors import FmuError
-from twinmatch.fmu.places import Places
-from twinmatch.fmu.residuals import cost_of, normal_of
+from twinmatch.dynamics.experiment import LeastSquares
+from twinmatch.dynamics.loop import Gains
+from twinmatch.fmu.archive import MODEL_EXCHANGE, FmuError
+from twinmatch.fmu.differences import Differences
 from twinmatch.fmu.runner import Runner, Signals
 from twinmatch.signals import FloatArray
 
-__all__ = ["FmuKernels"]
+__all__ = ["FmuKernels", "cost_of", "normal_of"]
+
+
+def _weighted(
+    simulated: FloatArray, measured: FloatArray, weights: FloatArray, robust: bool
+) -> tuple[FloatArray, FloatArray, float]:
+    """Residuals, squared weights, and total cost, as in `add_row`."""
+    count = len(simulated)
+    left = simulated - measured[:count]
+    square = np.square(weights[:count])
+    lost = square * left * left
+    if robust:
+        root = np.sqrt(1.0 + lost)
+        return left, square / root, float(np.sum(2.0 * (root - 1.0)))
+    return left, square, float(np.sum(lost))
+
+
+def cost_of(simulated: FloatArray, measured: FloatArray, weights: FloatArray, robust: bool) -> float:
+    """Sum of the squared weighted residuals, or of their robust cost if `robust`."""
+    return _weighted(simulated, measured, weights, robust)[2]
+
+
+def normal_of(
+    simulated: FloatArray, by: FloatArray, measured: FloatArray, weights: FloatArray, robust: bool
+) -> FloatArray:
+    """[J r]ᵀ[J r] with the sum of the costs in its last entry, shape (n + 1, n + 1)."""
+    left, square, cost = _weighted(simulated, measured, weights, robust)
+    rows = np.concatenate([by, left[:, :, None]], axis=2).reshape(-1, by.shape[2] + 1)
+    normal = np.asarray(np.einsum("ki,k,kj->ij", rows, square.ravel(), rows))
+    normal[-1, -1] = cost
+    return normal
 
 
 class FmuKernels:
@@ -35,8 +63,8 @@ class FmuKernels:
     """Integrator step in units of the fastest time constant, as for the native equations."""
     MOST_STEPS: Final = 2000
 
-    def __init__(self, runner: Runner, places: Places) -> None:
-        self._runner, self._places = runner, places
+    def __init__(self, runner: Runner, differences: Differences) -> None:
+        self._runner, self._differences = runner, differences
         self.STATES, self.PARAMETERS = runner.map.known_states, runner.map.known_parameters
         self.UNKNOWN = self.PARAMETERS
         self._counts: dict[tuple[bytes, float, float], int] = {}
@@ -45,7 +73,7 @@ class FmuKernels:
         self, vector: FloatArray, y: float, u: float, d: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Initial states at an output y after a drive u, and their derivatives by y and by the parameters."""
-        return self._places.begin(vector, y, u, d)
+        return self._differences.begin(vector, y, u, d)
 
     def advance(
         self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
@@ -53,9 +81,11 @@ class FmuKernels:
         """The states one period later."""
         return self._numbers(self._ticks(vector, x, u, d, period, steps)[1][0])
 
-    def look(self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
+    def outputs_at(
+        self, vector: FloatArray, x: FloatArray, u: float, d: FloatArray
+    ) -> tuple[float, FloatArray]:
         """The output; an FMU has no other quantities."""
-        found = self._runner.look(np.append(vector, x)[None], np.array([u]), d[None])
+        found = self._runner.outputs(np.append(vector, x)[None], np.array([u]), d[None])
         return float(found[0]), np.zeros(0)
 
     def parts(
@@ -69,7 +99,7 @@ class FmuKernels:
         at, after = self._runner.ticks(both, np.array([u, rest]), np.tile(d, (2, 1)), period, steps)
         n = vector.size
         both[:, n:] = after
-        driven, idle = self._runner.look(both, np.array([u, rest]), np.tile(d, (2, 1)))
+        driven, idle = self._runner.outputs(both, np.array([u, rest]), np.tile(d, (2, 1)))
         return float(driven - idle), float(idle - at[0]), after[0]
 
     def slopes_at(
@@ -80,12 +110,12 @@ class FmuKernels:
         For co-simulation, the rates are differences over one sample, which have the same equilibria.
         """
         n, m = x.size, vector.size
-        moved = self._places.around(np.append(vector, x), u, range(n + m), drive_too=True)
+        moved = self._differences.around(np.append(vector, x), u, range(n + m), drive_too=True)
         given = np.tile(d, (len(moved.drive), 1))
         if self._started() == MODEL_EXCHANGE:
             y, rates = self._runner.rates(moved.fixed, moved.drive, given)
         else:
-            period = self._places.period
+            period = self._differences.period
             y, after = self._runner.ticks(moved.fixed, moved.drive, given, period, 1)
             rates = (after - moved.fixed[:, m:]) / period
         of_rates, of_y = moved.slopes(rates), moved.slopes(y[:, None])[0]
@@ -145,7 +175,7 @@ class FmuKernels:
             directions = np.zeros((n, m + x.size))
             directions[np.arange(len(which)), which] = 1.0
             directions[:, m:] = columns.T
-            moved = self._places.along(np.append(vector, x), directions)
+            moved = self._differences.along(np.append(vector, x), directions)
             of_y, of_u, _ = self._runner.runs(moved.fixed, signals)
             by[:outputs] = np.stack([moved.slopes(of_y), moved.slopes(of_u)])[:outputs]
         if not stored:
@@ -156,47 +186,54 @@ class FmuKernels:
         by_state, by_drive, seen = self._movements(vector, states[0][:-1], u[0], disturbances, period, steps)
         return y[0], u[0], by, by_state, by_drive, free, seen, normal
 
-    def start_at(self, posed: Posed, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+    def start_at(
+        self, problem: LeastSquares, values: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, int]:
         """Parameters, initial states, their derivatives by the unknowns, and steps per sample."""
-        n, started = posed.which.size, posed.started
-        vector = posed.base.copy()
-        vector[posed.places] = values[:n]
-        x, _, by_parameters = self.begin(vector, posed.first, posed.driven, posed.disturbances[0])
+        n, started = problem.which.size, problem.started
+        vector = problem.base.copy()
+        vector[problem.places] = values[:n]
+        x, _, by_parameters = self.begin(vector, problem.first, problem.input_before, problem.disturbances[0])
         columns = np.zeros((x.size, values.size))
-        columns[:, :n] = by_parameters[:, posed.which]
+        columns[:, :n] = by_parameters[:, problem.which]
         x[started] = values[n:]
         columns[started] = 0.0
         columns[started, n + np.arange(started.size)] = 1.0
         steps = self.step_count(
-            vector, posed.corners, posed.drives, posed.usual, posed.period, posed.rate_limit
+            vector,
+            problem.corners,
+            problem.drives,
+            problem.default_disturbances,
+            problem.period,
+            problem.rate_limit,
         )
         return vector, x, columns, steps
 
     def normal_at(
-        self, posed: Posed, values: FloatArray, limit: float
+        self, problem: LeastSquares, values: FloatArray, limit: float
     ) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr and JᵀJ of the weighted residuals; infinite if the FMU has no finite values."""
         n = values.size
         nowhere = np.inf, np.zeros(n), np.zeros((n, n))
-        vector, x, columns, steps = self.start_at(posed, values)
+        vector, x, columns, steps = self.start_at(problem, values)
         if steps > self.MOST_STEPS:
             return nowhere
         normal = self.run_with_tangents(
-            vector, posed.which, x, columns, posed.closed, posed.gains, posed.reference, posed.measured[1],
-            posed.disturbances, posed.integral, posed.previous, posed.period, steps, posed.measured,
-            posed.weights, posed.robust, False, limit,
+            vector, problem.which, x, columns, problem.closed, problem.gains, problem.reference,
+            problem.measured[1], problem.disturbances, problem.integral, problem.previous, problem.period,
+            steps, problem.measured, problem.weights, problem.robust, False, limit,
         )[7]  # fmt: skip
         if not np.isfinite(normal).all():
             return nowhere
-        off = values - posed.expected
-        cost = normal[n, n] + float(np.sum(posed.pull * off * off))
-        return cost, normal[n, :n] + posed.pull * off, normal[:n, :n] + np.diag(posed.pull)
+        off = values - problem.expected
+        cost = normal[n, n] + float(np.sum(problem.pull * off * off))
+        return cost, normal[n, :n] + problem.pull * off, normal[:n, :n] + np.diag(problem.pull)
 
-    def search(self, posed: Posed, state: Search) -> None:
+    def search(self, problem: LeastSquares, state: Search) -> None:
         """Let a search run to its end."""
-        found = self.normal_at(posed, state.point.copy(), np.inf)
+        found = self.normal_at(problem, state.point.copy(), np.inf)
         while update_search(state, *found):
-            found = self.normal_at(posed, state.point.copy(), float(state.best[0]))
+            found = self.normal_at(problem, state.point.copy(), float(state.best[0]))
 
     def correct(
         self, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray,
@@ -206,8 +243,8 @@ class FmuKernels:
         in place."""
         m, n = vector.size, x.size
         places = [*(m + np.arange(n)), *which[1]]
-        moved = self._places.around(np.append(vector, x), self._places.rest, places)
-        seen = self._runner.look(moved.fixed, moved.drive, np.tile(d, (len(moved.drive), 1)))
+        moved = self._differences.around(np.append(vector, x), self._differences.rest, places)
+        seen = self._runner.outputs(moved.fixed, moved.drive, np.tile(d, (len(moved.drive), 1)))
         surprise, slope = y - float(seen[0]), moved.slopes(seen[:, None])[0]
         reach = covariance @ slope
         variance = noise * noise + float(slope @ reach)
@@ -223,21 +260,21 @@ class FmuKernels:
         return surprise, variance
 
     def predict(
-        self, vector: FloatArray, x: FloatArray, covariance: FloatArray, strayed: FloatArray, u: float,
+        self, vector: FloatArray, x: FloatArray, covariance: FloatArray, process_noise: FloatArray, u: float,
         d: FloatArray, period: float, steps: int, which: Any, columns: FloatArray,
     ) -> None:  # fmt: skip
         """Advance states and joint covariance by one period, in place."""
         m, n = vector.size, x.size
-        wandering = which.shape[1]
+        estimated = which.shape[1]
         places = [*which[0], *(m + np.arange(n))]
-        moved = self._places.around(np.append(vector, x), u, places, drive_too=True)
+        moved = self._differences.around(np.append(vector, x), u, places, drive_too=True)
         given = np.tile(d, (len(moved.drive), 1))
         _, after = self._runner.ticks(moved.fixed, moved.drive, given, period, steps)
         columns[:] = moved.slopes(after)
         x[:] = after[0]
-        whole = np.eye(n + wandering)
-        whole[:n, :n], whole[:n, n:] = columns[:, wandering : wandering + n], columns[:, :wandering]
-        joint = whole @ covariance @ whole.T + np.diag(strayed)
+        whole = np.eye(n + estimated)
+        whole[:n, :n], whole[:n, n:] = columns[:, estimated : estimated + n], columns[:, :estimated]
+        joint = whole @ covariance @ whole.T + np.diag(process_noise)
         covariance[:] = 0.5 * (joint + joint.T)
 
     def _numbers(self, values: FloatArray) -> FloatArray:
@@ -264,7 +301,7 @@ class FmuKernels:
         m, n, size = vector.size, states.shape[1], states.shape[0]
         self._numbers(states)
         all_moved = [
-            self._places.around(np.append(vector, x), at, range(m, m + n), drive_too=True)
+            self._differences.around(np.append(vector, x), at, range(m, m + n), drive_too=True)
             for x, at in zip(states, u.tolist(), strict=True)
         ]
         each = len(all_moved[0].drive) if all_moved else 0
@@ -287,7 +324,7 @@ class FmuKernels:
         """Upper bound of the eigenvalues of df/dx: least of three norms, at the worst corner and drive."""
         m, n = vector.size, corners.shape[1]
         everywhere = [
-            self._places.around(np.append(vector, x), float(u), range(m, m + n))
+            self._differences.around(np.append(vector, x), float(u), range(m, m + n))
             for x in corners
             for u in drives
         ]

@@ -1,23 +1,33 @@
-"""The map file: which FMUs are structures of a plant, and which of their variables are which quantity."""
+"""The map file: which FMUs are structures of a plant, and which of their variables are which quantity.
+
+Initial states are formulas in terms of the plant's quantities, such as `temperature + 273.15`.
+"""
 
 from __future__ import annotations
 
+import ast
 import math
-from collections.abc import Mapping
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from twinmatch.dynamics import Parameter, Plant, PlantError, State
-from twinmatch.fmu.described import CO_SIMULATION, MODEL_EXCHANGE
-from twinmatch.fmu.errors import FmuError
-from twinmatch.fmu.formula import Formula
+from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, FmuError
 from twinmatch.plants import find_plant
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
 
-__all__ = ["FmuMap", "Link", "read_maps"]
+__all__ = ["FmuMap", "Formula", "Link", "read_maps"]
 
+_BINARY: Final[dict[type, Callable[[float, float], float]]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+LONGEST: Final = 500
 PATIENCE: Final = 10.0
 """Default time limit of one request to an FMU, s."""
 
@@ -31,6 +41,47 @@ _OF_PARAMETER: Final = (
     "unit", "text", "symbol", "default", "bounds", "scale", "least", "positive", "most", "relative",
 )  # fmt: skip
 _OF_STATE: Final = ("unit", "text", "symbol", "span", "scale", "start_bounds")
+
+
+class Formula:
+    """Sums, differences, products and quotients of numbers and names.
+
+    Raises:
+        FmuError: the text is not such a formula.
+    """
+
+    def __init__(self, place: str, text: str) -> None:
+        """Parse a formula; `place` starts the error message."""
+        self.text, self._place = text, place
+        try:
+            if len(text) > LONGEST:
+                raise SyntaxError("too long")
+            self._tree = ast.parse(text.strip(), mode="eval").body
+            self.names = tuple(sorted({n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}))
+            self._of(self._tree, dict.fromkeys(self.names, 1.0))
+        except ZeroDivisionError:
+            pass
+        except (SyntaxError, ValueError, RecursionError):
+            msg = f"{place}: {text[:80]!r} is not a formula; use names, numbers, +, −, *, / and parentheses"
+            raise FmuError(msg) from None
+
+    def __call__(self, values: Mapping[str, float]) -> float:
+        """Its value; NaN if it is undefined."""
+        try:
+            return self._of(self._tree, values)
+        except ZeroDivisionError:
+            return math.nan
+
+    def _of(self, node: Any, values: Mapping[str, float]) -> float:
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+            return float(node.value)
+        if isinstance(node, ast.Name):
+            return values[node.id]
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            return -self._of(node.operand, values)
+        if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+            return _BINARY[type(node.op)](self._of(node.left, values), self._of(node.right, values))
+        raise SyntaxError("not arithmetic")
 
 
 @dataclass(frozen=True)

@@ -1,29 +1,56 @@
-"""The process of an FMU, seen from its parent: started, sent requests, and killed on a timeout."""
+"""The process of an FMU, seen from its parent: started, sent messages, and killed on a timeout.
+
+A message is a header in JSON, then numbers. Nothing that is read here can become code, since the other
+process runs an untrusted program. Each process has a mark in its environment, which everything it starts
+inherits; so programs that outlive it or left its process group are found and ended. Build servers find the
+remains of a build in the same way.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import secrets
 import select
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from twinmatch.fmu.errors import FmuError
-from twinmatch.fmu.remains import MARK, end_marked
-from twinmatch.fmu.wire import Message, WireError, packed, unpacked
+import numpy as np
+
+from twinmatch.fmu.archive import FmuError
 from twinmatch.signals import FloatArray
 
-__all__ = ["FmuProcess", "ProcessLostError"]
+__all__ = [
+    "MARK",
+    "FmuProcess",
+    "MessageError",
+    "ProcessLostError",
+    "ProcessMessage",
+    "end_marked",
+    "packed",
+    "unpacked",
+]
 
+MOST_HEADER: Final = 1 << 24
+MOST_NUMBERS: Final = 1 << 27
+"""Largest header, and largest block of numbers after it, bytes."""
+
+_LENGTHS: Final = struct.Struct("<II")
+MARK: Final = "TWINMATCH_FMU"
+"""Environment variable with the mark."""
+_ROUNDS: Final = 20
+"""Most searches: a process that is found may just have started another one."""
 START: Final = 120.0
 """Time limit for the start on a busy machine, including the first compilation, s."""
 _KEPT: Final = (
@@ -31,6 +58,74 @@ _KEPT: Final = (
     "TWINMATCH_CACHE", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR",
 )  # fmt: skip
 """Environment variables passed to the FMU's process."""
+
+
+class MessageError(Exception):
+    """The received bytes are not a valid message."""
+
+
+class ProcessMessage(NamedTuple):
+    """A header, and arrays by name."""
+
+    header: Mapping[str, Any]
+    arrays: Mapping[str, FloatArray]
+
+
+def packed(header: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> bytes:
+    """Encode a message."""
+    held = {name: np.ascontiguousarray(array, dtype="<f8") for name, array in arrays.items()}
+    shapes = [[name, list(array.shape)] for name, array in held.items()]
+    head = json.dumps({**header, "arrays": shapes}).encode()
+    body = b"".join(array.tobytes() for array in held.values())
+    return _LENGTHS.pack(len(head), len(body)) + head + body
+
+
+def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
+    """Decode a message; `read` returns the requested number of bytes.
+
+    Raises:
+        MessageError: the bytes are not a valid message.
+    """
+    lengths = read(_LENGTHS.size)
+    size, numbers = _LENGTHS.unpack(lengths)
+    if size > MOST_HEADER or numbers > MOST_NUMBERS:
+        raise MessageError(f"a message of {size} and {numbers} bytes")
+    try:
+        header = json.loads(read(size))
+        shapes = [(str(name), tuple(int(n) for n in shape)) for name, shape in header.pop("arrays")]
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise MessageError(f"a header that cannot be read: {error}") from error
+    body, arrays, place = read(numbers), {}, 0
+    for name, shape in shapes:
+        count = math.prod(shape)
+        if min(shape, default=0) < 0 or place + 8 * count > len(body):
+            raise MessageError(f"an array {name} of shape {shape} in {len(body)} bytes")
+        arrays[name] = np.frombuffer(body, "<f8", count, place).reshape(shape).astype(np.float64)
+        place += 8 * count
+    return ProcessMessage(header, arrays)
+
+
+def end_marked(mark: str) -> None:
+    """Kill all other processes with this mark in their environment."""
+    wanted = f"{MARK}={mark}".encode()
+    for _ in range(_ROUNDS):
+        found = _marked(wanted)
+        if not found:
+            return
+        for process in found:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(process, signal.SIGKILL)
+
+
+def _marked(wanted: bytes) -> list[int]:
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        if int(folder.name) == os.getpid():
+            continue
+        with contextlib.suppress(OSError):  # it has ended, or belongs to another user
+            if wanted in (folder / "environ").read_bytes().split(b"\0"):
+                found.append(int(folder.name))
+    return found
 
 
 class ProcessLostError(Exception):
@@ -61,7 +156,7 @@ class FmuProcess:
 
     def ask(
         self, header: Mapping[str, Any], arrays: Mapping[str, FloatArray] | None = None, *, limit: float
-    ) -> Message:
+    ) -> ProcessMessage:
         """Send a request and return the answer, within `limit` seconds, plus `START` for the first one.
 
         Raises:
@@ -80,7 +175,7 @@ class FmuProcess:
             except TimeoutError:
                 self.close()
                 raise ProcessLostError(f"it gave no answer within {limit:g} s and was killed") from None
-            except (WireError, OSError) as error:
+            except (MessageError, OSError) as error:
                 raise ProcessLostError(self._cause(error)) from None
         if "error" in message.header:
             raise FmuError(str(message.header["error"]))
@@ -116,7 +211,7 @@ class FmuProcess:
             _wait([handle], [], by)
             part = os.read(handle, min(size - len(found), 1 << 20))
             if not part:
-                raise WireError("its answer ended early")
+                raise MessageError("its answer ended early")
             found += part
         return bytes(found)
 

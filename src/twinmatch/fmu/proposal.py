@@ -10,7 +10,7 @@ from typing import Any, Final
 import yaml
 
 from twinmatch.dynamics import Plant
-from twinmatch.fmu.described import CO_SIMULATION, MODEL_EXCHANGE, Described, Variable
+from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, Variable
 
 __all__ = ["draft", "overview"]
 

@@ -1,25 +1,119 @@
-"""An FMU in the plant's units: the requests of a structure's kernels, and the management of its process."""
+"""An FMU in the plant's units: checked against its map, asked by its structure's kernels, its process run."""
 
 from __future__ import annotations
 
 import sys
 import threading
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import StructureLostError
-from twinmatch.dynamics.pid_step import Gains
-from twinmatch.fmu.errors import FmuError
-from twinmatch.fmu.fitting import described_by, loading
-from twinmatch.fmu.mapping import FmuMap
+from twinmatch.dynamics.loop import Gains
+from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, FmuError, described_from
+from twinmatch.fmu.mapping import FmuMap, Link
 from twinmatch.fmu.process import START, FmuProcess, ProcessLostError
 from twinmatch.signals import FloatArray
 
-__all__ = ["Runner", "Signals"]
+__all__ = ["Runner", "Signals", "described_by", "loading"]
 
 _SAMPLES = 1000
 """Most samples of one request; the map's `patience` applies to so many."""
+
+
+def described_by(file: Path, process: FmuProcess, limit: float = START) -> Described:
+    """Read the description of an FMU, without executing its code.
+
+    Raises:
+        FmuError: the file is not an FMU, or cannot be used.
+    """
+    if not file.is_file():
+        raise FmuError(f"{file}: does not exist; give the path of an FMU")
+    try:
+        answer = process.ask(
+            {"ask": "describe", "file": str(file.resolve()), "folder": str(process.folder / "description")},
+            limit=limit,
+        )
+        return described_from(dict(answer.header["described"]))
+    except ProcessLostError as error:
+        raise FmuError(f"{file}: its description cannot be read: {error}") from error
+    except (FmuError, KeyError, TypeError, ValueError) as error:
+        raise FmuError(f"{file}: {error}") from error
+
+
+def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
+    """The request that loads the FMU, without the paths of its files; and its interface type.
+
+    Raises:
+        FmuError: the FMU does not match the map.
+    """
+    kind = of.kind or next(iter(described.kinds), "")
+    if kind not in described.kinds:
+        ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
+        raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
+    plant, links = of.plant, of.links
+    inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
+    states = [links[name] for name in of.known_states]
+    parameters = [links[name] for name in of.known_parameters]
+    output = [links[plant.output.name]]
+    for link in (*output, *inputs, *states, *parameters):
+        for name in (link.variable, link.set):
+            if described.called(name) is None:
+                raise FmuError(f"has no real variable {name!r}; `twinmatch fmu` lists those it has")
+    _check_inputs(described, inputs)
+    own = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
+    if kind == MODEL_EXCHANGE:
+        _check_states(described, own, [link.variable for link in states])
+    fixed = [*parameters, *states] if kind == CO_SIMULATION else parameters
+    _check_settable(described, fixed)
+    references = {"fixed": [link.set for link in fixed]}
+    references |= {
+        name: [link.variable for link in those]
+        for name, those in (("inputs", inputs), ("states", states), ("output", output))
+    }
+    return {
+        "ask": "load",
+        "described": described.tree,
+        "kind": kind,
+        "references": {name: _references(described, names) for name, names in references.items()},
+        "places": [own.index(link.variable) for link in states] if kind == MODEL_EXCHANGE else [],
+    }, kind
+
+
+def _references(described: Described, names: list[str]) -> list[int]:
+    return [found.reference for name in names if (found := described.called(name)) is not None]
+
+
+def _check_states(described: Described, own: list[str], named: list[str]) -> None:
+    """Check that the map names all states of a model-exchange FMU, and no others."""
+    left = [name for name in own if name not in named]
+    other = [name for name in named if name not in own]
+    if left or other or described.states != len(named):
+        what = "the map does not name all of them"
+        if left:
+            what = f"the map does not name {left[0]!r}"
+        elif other:
+            what = f"the map names {other[0]!r}, which is not one of them"
+        raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what}")
+
+
+def _check_inputs(described: Described, links: list[Link]) -> None:
+    """Check that the plant's inputs are inputs of the FMU: it may ignore values of others."""
+    for link in links:
+        variable = described.called(link.set)
+        if variable is not None and variable.causality != "input" and variable.variability != "tunable":
+            given = f"{variable.causality}, variability {variable.variability or 'not given'}"
+            inputs = ", ".join(one.name for one in described.of("input")) or "none"
+            raise FmuError(f"its variable {link.set!r} is not an input ({given}); its inputs are {inputs}")
+
+
+def _check_settable(described: Described, links: list[Link]) -> None:
+    for link in links:
+        variable = described.called(link.set)
+        if variable is not None and not variable.settable:
+            msg = f"its variable {link.set!r} cannot be set before a run"
+            raise FmuError(f"{msg} ({variable.causality}, initial {variable.initial or 'not given'})")
 
 
 class Signals(NamedTuple):
@@ -82,9 +176,9 @@ class Runner:
             if self._process is None:
                 self._started()
 
-    def look(self, fixed: FloatArray, drive: FloatArray, disturbances: FloatArray) -> FloatArray:
+    def outputs(self, fixed: FloatArray, drive: FloatArray, disturbances: FloatArray) -> FloatArray:
         """Outputs, shape (B,), at parameters and states, shape (B, n), and inputs, shape (B,) and (B, m)."""
-        answer = self._ask({"ask": "look"}, fixed=self._own(fixed), inputs=self._fed(drive, disturbances))
+        answer = self._ask({"ask": "outputs"}, fixed=self._own(fixed), inputs=self._fed(drive, disturbances))
         return self._seen(answer)
 
     def ticks(

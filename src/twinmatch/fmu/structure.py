@@ -12,17 +12,54 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from twinmatch.dynamics import Model, Parameter, State, Structure
-from twinmatch.fmu.archive import MOST_BYTES, digest_of
-from twinmatch.fmu.errors import FmuError
+import numpy as np
+
+from twinmatch.dynamics import Model, Parameter, State, Structure, begin, simulate_driven
+from twinmatch.fmu.archive import MOST_BYTES, FmuError, digest_of
+from twinmatch.fmu.differences import Differences
 from twinmatch.fmu.kernels import FmuKernels
 from twinmatch.fmu.mapping import FmuMap, read_maps
-from twinmatch.fmu.places import Places
 from twinmatch.fmu.runner import Runner
-from twinmatch.fmu.trial import check_restart
-from twinmatch.plants.absent import MARK, is_marked
+from twinmatch.plants.records import MARK, is_marked
 
-__all__ = ["FmuSource", "adopt_fmus", "is_fmu", "unmarked"]
+__all__ = ["FmuSource", "adopt_fmus", "check_restart", "is_fmu", "unmarked"]
+
+SAMPLES = 8
+_STATE = 1e-4
+"""Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
+
+
+def check_restart(model: Model) -> None:
+    """Simulate a few samples in one run, and again restarting at each from its states; both must agree.
+
+    Forecasts start from states that an observer has estimated. An FMU with internal states that its map does
+    not name, such as a filter, would then give wrong forecasts.
+
+    Raises:
+        FmuError: they disagree, or the FMU has no finite values.
+    """
+    plant, kernels = model.plant, model.kernels
+    low, high = plant.drive.limits
+    drive = np.repeat([0.5 * (plant.drive.rest + high), 0.5 * (plant.drive.rest + low)], SAMPLES // 2)
+    parameters = model.parameters()
+    period = 1.0 if plant.loop is None else plant.loop.period
+    y = float(np.mean(plant.output.set_points or plant.output.span))
+    run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
+    spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
+    for k, u in enumerate(drive.tolist()):
+        after = kernels.advance(parameters.vector, run.states[k], u, model.disturbances, period, run.steps)
+        seen, _ = kernels.outputs_at(parameters.vector, run.states[k], plant.drive.rest, model.disturbances)
+        off = np.abs(after - run.states[k + 1]) / spans if spans.size else np.zeros(1)
+        if abs(seen - run.output[k]) > plant.output.noise or off.max() > _STATE:
+            what = f"its output {seen:g} instead of {run.output[k]:g}"
+            if off.max() > _STATE:
+                name = model.states[int(np.argmax(off))]
+                what = f"{name} {after[np.argmax(off)]:g} instead of {run.states[k + 1][np.argmax(off)]:g}"
+            msg = (
+                f"{model.title}: restarted from its states, the FMU has {what}; it has internal states that "
+                "its map does not name: name all, or export it as model exchange"
+            )
+            raise FmuError(msg)
 
 
 class FmuSource:
@@ -52,7 +89,7 @@ class FmuSource:
         of = self.map
         parameters = {**of.plant.parameters, **of.parameters}
         states = {**of.plant.states, **of.states}
-        places = Places(
+        places = Differences(
             of.plant,
             [parameters[name] for name in of.known_parameters],
             [states[name] for name in of.known_states],
@@ -87,7 +124,7 @@ def _adopted(of: FmuMap) -> Model:
     digest = _digest(of)
     name = f"{of.name} (FMU {_mark(of, digest)})"
     held = of.plant.structures.get(name)
-    if held is not None and held.elsewhere is not None and not held.elsewhere.lost:
+    if held is not None and held.external is not None and not held.external.lost:
         return of.plant.model(name)
     for other in [n for n in of.plant.structures if unmarked(n) == of.name and n != of.name]:
         of.plant.disown(other)
@@ -101,7 +138,7 @@ def _adopted(of: FmuMap) -> Model:
             starts=of.searches,
             watched=of.watched,
             text=f"FMU {of.file.name}",
-            elsewhere=source,
+            external=source,
         ),
     )
     try:

@@ -19,16 +19,26 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from twinmatch.dynamics.pid_step import Gains, pid_step
-from twinmatch.dynamics.sensor_step import reading
-from twinmatch.fmu.archive import MOST_BYTES, ArchiveError, digest_of, unpack
-from twinmatch.fmu.described import described_from, read_description
-from twinmatch.fmu.exchange import Exchange
-from twinmatch.fmu.loading import machine_of
-from twinmatch.fmu.machine import Machine, MachineError, Wires
-from twinmatch.fmu.remains import MARK, end_marked
-from twinmatch.fmu.straight import DONE, EVENT, prepared, straight_run
-from twinmatch.fmu.wire import Message, packed, unpacked
+from twinmatch.dynamics.loop import Gains, pid_step, reading
+from twinmatch.fmu.archive import (
+    MOST_BYTES,
+    FmuArchiveError,
+    described_from,
+    digest_of,
+    read_description,
+    unpack,
+)
+from twinmatch.fmu.exchange import ModelExchange, machine_of
+from twinmatch.fmu.machine import (
+    DONE,
+    EVENT,
+    CoSimulation,
+    FmuRunError,
+    References,
+    compile_runs,
+    compiled_run,
+)
+from twinmatch.fmu.process import MARK, ProcessMessage, end_marked, packed, unpacked
 from twinmatch.signals import FloatArray
 
 MEMORY: Final = 2 << 30
@@ -41,21 +51,21 @@ DESCRIPTION: Final = "modelDescription.xml"
 Arrays = dict[str, FloatArray]
 
 
-class Worker:
+class FmuWorker:
     """One FMU, and the requests it answers."""
 
     def __init__(self) -> None:
-        self._machine: Machine | None = None
-        self._asks: dict[str, Callable[[Message], tuple[dict[str, Any], Arrays]]] = {
+        self._machine: CoSimulation | None = None
+        self._asks: dict[str, Callable[[ProcessMessage], tuple[dict[str, Any], Arrays]]] = {
             "describe": self._describe,
             "load": self._load,
-            "look": self._look,
+            "outputs": self._outputs,
             "ticks": self._ticks,
             "rates": self._rates,
             "runs": self._runs,
         }
 
-    def answer(self, message: Message) -> bytes:
+    def answer(self, message: ProcessMessage) -> bytes:
         """Answer a request; errors of the FMU are an answer too."""
         try:
             header, arrays = self._asks[message.header["ask"]](message)
@@ -63,33 +73,33 @@ class Worker:
             if self._machine is not None:
                 self._machine.forget()
             words = " ".join(str(error).split()) or type(error).__name__
-            return packed({"error": words[:600], "refused": isinstance(error, ArchiveError)}, {})
+            return packed({"error": words[:600], "refused": isinstance(error, FmuArchiveError)}, {})
         return packed(header, arrays)
 
-    def _describe(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+    def _describe(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
         file, folder = Path(message.header["file"]), Path(message.header["folder"])
         names = unpack(file, folder, DESCRIPTION)
         return {"described": read_description(folder, names).tree}, {}
 
-    def _load(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+    def _load(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
         header = message.header
         file, folder = Path(header["file"]), Path(header["folder"])
         if digest_of(file) != header["digest"]:
-            raise MachineError("the file has changed since it was added to the plant; start again")
+            raise FmuRunError("the file has changed since it was added to the plant; start again")
         unpack(file, folder)
-        prepared()
+        compile_runs()
         described = described_from(header["described"])
-        wires = Wires(**header["wires"])
-        self._machine = machine_of(folder, described, header["kind"], wires, header["places"])
+        references = References(**header["references"])
+        self._machine = machine_of(folder, described, header["kind"], references, header["places"])
         return {}, {}
 
     @property
-    def _loaded(self) -> Machine:
+    def _loaded(self) -> CoSimulation:
         if self._machine is None:
-            raise MachineError("no FMU is loaded")
+            raise FmuRunError("no FMU is loaded")
         return self._machine
 
-    def _look(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+    def _outputs(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
         machine, arrays = self._loaded, message.arrays
         found = []
         for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
@@ -97,7 +107,7 @@ class Worker:
             found.append(machine.output())
         return {}, {"output": np.array(found)}
 
-    def _ticks(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+    def _ticks(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
         """Advance from each of several points by one period: the output before, and the states after."""
         machine, arrays, header = self._loaded, message.arrays, message.header
         outputs, after = [], []
@@ -106,23 +116,23 @@ class Worker:
             outputs.append(machine.output())
             machine.move(header["period"], header["steps"])
             after.append(machine.states())
-        shape = (len(outputs), len(machine.wires.states))
+        shape = (len(outputs), len(machine.references.states))
         return {}, {"output": np.array(outputs), "after": np.array(after).reshape(shape)}
 
-    def _rates(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+    def _rates(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
         """Rates and outputs at each of several points."""
         machine, arrays = self._loaded, message.arrays
-        if not isinstance(machine, Exchange):
-            raise MachineError("a co-simulation FMU provides no derivatives")
+        if not isinstance(machine, ModelExchange):
+            raise FmuRunError("a co-simulation FMU provides no derivatives")
         outputs, rates = [], []
         for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
             machine.put(fixed, inputs)
             outputs.append(machine.output())
             rates.append(machine.rates())
-        shape = (len(outputs), len(machine.wires.states))
+        shape = (len(outputs), len(machine.references.states))
         return {}, {"output": np.array(outputs), "rates": np.array(rates).reshape(shape)}
 
-    def _runs(self, message: Message) -> tuple[dict[str, Any], Arrays]:
+    def _runs(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
         """Whole runs from several points with the same signals, in closed loop or driven.
 
         The controller works in the plant's units: output and drive are converted with scale and offset.
@@ -134,7 +144,7 @@ class Worker:
 
     def _run(self, fixed: list[float], header: Any, arrays: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
         machine, gains = self._loaded, _gains(header["gains"])
-        found = _straight(machine, gains, fixed, header, arrays)
+        found = _compiled_run(machine, gains, fixed, header, arrays)
         if found is not None:
             return found
         (y_scale, y_offset), (u_scale, u_offset) = header["y"], header["u"]
@@ -157,30 +167,30 @@ class Worker:
             machine.feed([u_scale * u + u_offset, *others[k]])
             machine.move(period, steps)
         states.append(machine.states())
-        shape = (len(states), len(machine.wires.states))
+        shape = (len(states), len(machine.references.states))
         return np.array(outputs), np.array(inputs), np.array(states).reshape(shape)
 
 
-def _straight(
-    machine: Machine, gains: Gains, fixed: list[float], header: Any, arrays: Any
+def _compiled_run(
+    machine: CoSimulation, gains: Gains, fixed: list[float], header: Any, arrays: Any
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """The run in compiled code; None if it has events."""
     given, others = arrays["given"], arrays["disturbances"]
     machine.put(fixed, [header["u"][0] * header["rest"] + header["u"][1], *others[0].tolist()])
-    ready = machine.straight()
+    ready = machine.run_arguments()
     if ready is None:
         return None
     y, u = np.empty(given.size), np.empty(given.size)
-    states = np.empty((given.size + 1, len(machine.wires.states)))
+    states = np.empty((given.size + 1, len(machine.references.states)))
     numbers = [header[name] for name in ("resolution", "integral", "previous", "period")]
-    status = straight_run(
+    status = compiled_run(
         *ready, header["closed"], gains, given, others, arrays["noise"], arrays["frozen"],
         np.array([*numbers, *header["y"], *header["u"]], dtype=np.float64), header["steps"], y, u, states,
     )  # fmt: skip
     if status == EVENT:
         return None
     if status != DONE:
-        raise MachineError(f"one of its functions returned status {status}")
+        raise FmuRunError(f"one of its functions returned status {status}")
     return y, u, states
 
 
@@ -192,7 +202,7 @@ def main() -> None:
     questions = os.fdopen(os.dup(0), "rb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     threading.Thread(target=_end_with, args=(os.getppid(), folder), daemon=True).start()
-    worker = Worker()
+    worker = FmuWorker()
     _limit()
     while message := _next(questions):
         # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
@@ -208,7 +218,7 @@ def _gains(values: list[float]) -> Gains:
     return Gains(**{**named, "on_measurement": bool(named["on_measurement"])})
 
 
-def _next(questions: BinaryIO) -> Message | None:
+def _next(questions: BinaryIO) -> ProcessMessage | None:
     def read(size: int) -> bytes:
         found = questions.read(size)
         if len(found) < size:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import (
     Drive,
-    Foretold,
+    LoopForecast,
     Model,
     Observer,
     Output,
@@ -20,7 +20,7 @@ from twinmatch.dynamics import (
     PidState,
     PlantError,
     advance,
-    foretell,
+    forecast_loop,
     simulate_closed_loop,
     simulate_driven,
 )
@@ -176,14 +176,14 @@ class Outlook:
         plant = self.parameters.model.plant
         return plant.output if self.closed else plant.drive
 
-    def predicted(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Foretold:
+    def predicted(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> LoopForecast:
         """Mean and variance of the next N samples under these set-points or inputs, shape (N,).
 
         Disturbances stay constant unless they are given, from the newest sample on, shape (N + 1, d).
         """
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
-        return foretell(
+        return forecast_loop(
             self.parameters,
             states=self.states,
             covariance=self.covariance,
@@ -226,7 +226,7 @@ class Outlook:
             )
         return np.stack([found.output, found.input])
 
-    def deviations(self, predicted: Foretold) -> FloatArray:
+    def deviations(self, predicted: LoopForecast) -> FloatArray:
         """Standard deviations of output and input expected by the twin, shape (2, N)."""
         least = (_LEAST * self.parameters.model.plant.drive.noise) ** 2
         return np.sqrt(np.stack([predicted.output_variance, predicted.input_variance + least]))

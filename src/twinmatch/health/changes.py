@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.tracker import Belief, Stretch, Traces, Tracker
+from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import Sample
 
@@ -300,7 +300,7 @@ class ChangeDetector:
     def _run(self, h: Hypothesis, age: int, level: int) -> tuple[float, Belief]:
         """Code length of the last blocks' readings under a hypothesis at a level, and the belief after it."""
         blocks: list[Block] = list(self._tracked.blocks)[-age:]
-        stretch: Stretch = joined(blocks)
+        stretch: Readings = joined(blocks)
         before = blocks[0].before[level]
         if h.slowly:
             belief = before.opened(self.tracker.rate, 0.0, h.spread / h.slowly)

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameters, PlantError, State, begin, read, simulate_driven
-from twinmatch.dynamics.observer import Observer, Wander
+from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.health.balance import Movement
 from twinmatch.health.traces import DriveEffect
 from twinmatch.signals import FloatArray, Sample
@@ -271,7 +271,7 @@ class LaggedEffect(DriveEffect):
                 start=scales,
                 input=sample.input,
                 disturbances=given,
-                wandering=self._wandering,
+                random_walks=self._random_walks,
             )
         observer, moved = self._observer, 0.0
         if self._past and self._standing is not None:
@@ -343,10 +343,10 @@ class LaggedEffect(DriveEffect):
         self.share, self.length, self.expected = share, len(stretch), effect
 
     @property
-    def _wandering(self) -> dict[str, Wander]:
+    def _random_walks(self) -> dict[str, RandomWalk]:
         declared = self._parameters.model.declared if not self._frozen else {}
         return {
-            name: Wander(start=parameter.scale, drift=_ROOM_DRIFT * parameter.scale)
+            name: RandomWalk(start=parameter.scale, drift=_ROOM_DRIFT * parameter.scale)
             for name, parameter in declared.items()
             if parameter.role == "room"
         }

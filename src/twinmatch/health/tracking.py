@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.tracker import Belief, Stretch, Traces, Tracker
+from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.signals import FloatArray, Sample
 
 __all__ = ["LEVELS", "REACH", "Block", "TrackedBlocks", "joined"]
@@ -45,7 +45,7 @@ class Block:
 
     first: int
     """Index of its first sample."""
-    stretch: Stretch
+    stretch: Readings
     before: tuple[Belief, ...]
     costs: tuple[float, ...]
 
@@ -109,7 +109,7 @@ class TrackedBlocks:
         self._beliefs = (belief,) * len(LEVELS)
         self.blocks.clear()
 
-    def full(self, sample: Sample) -> Stretch | None:
+    def full(self, sample: Sample) -> Readings | None:
         """Take a sample; return the block once it is full, with the noise estimated from the readings."""
         self._samples.append(sample)
         if len(self._samples) < self.size:
@@ -123,9 +123,9 @@ class TrackedBlocks:
         model = self.tracker.parameters.model
         rows = np.array([model.disturbance_row(s.disturbances or None) for s in self._samples])
         noise = min(max(self._rough / _SECOND, 0.3 * self._noise), 1.5 * self._noise)
-        return Stretch(y, u, rows.reshape(u.size, -1), np.full(u.size, noise))
+        return Readings(y, u, rows.reshape(u.size, -1), np.full(u.size, noise))
 
-    def take(self, stretch: Stretch, traces: Traces, *, settled: bool) -> None:
+    def take(self, stretch: Readings, traces: Traces, *, settled: bool) -> None:
         """Track a block; the level is kept if `settled`."""
         first, row = self._samples[0], stretch.disturbances[0]
         self._samples.clear()
@@ -186,10 +186,10 @@ class TrackedBlocks:
         return self.level != before
 
 
-def joined(blocks: Sequence[Block]) -> Stretch:
+def joined(blocks: Sequence[Block]) -> Readings:
     """Concatenate blocks."""
     y = np.concatenate([blocks[0].stretch.output[:2], *(b.stretch.output[2:] for b in blocks)])
-    return Stretch(
+    return Readings(
         y,
         np.concatenate([b.stretch.input for b in blocks]),
         np.concatenate([b.stretch.disturbances for b in blocks]),

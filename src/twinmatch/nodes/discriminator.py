@@ -85,7 +85,7 @@ class ForecastPublisher:
         try:
             forecast = outlook.forecast(np.full(max(self._ahead), outlook.standing))
         except PlantError:
-            if not outlook.parameters.model.is_elsewhere:
+            if not outlook.parameters.model.is_external:
                 raise
             return  # at the next sample another candidate leads, which can be run
         self._node.publish(self._forecasts, forecast_message(forecast, sample.stamp, self._ahead))

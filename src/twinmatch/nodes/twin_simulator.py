@@ -11,7 +11,7 @@ from twinmatch.nodes.messages import description_message, parameters_from, state
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.samples import SampleNode
 from twinmatch.nodes.topics import LATCHED, RELIABLE
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror
 from twinmatch_msgs.msg import ForecastScore, PlantDescription, TwinState

@@ -25,7 +25,7 @@ def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
     Raises:
         ForeignError: they differ.
     """
-    able = [name for name, held in plant.structures.items() if held.elsewhere and not held.elsewhere.lost]
+    able = [name for name, held in plant.structures.items() if held.external and not held.external.lost]
     then, now = ([s for s in those if is_fmu(s)] for those in (recorded, able))
     missing, more = [s for s in then if s not in now], [s for s in now if s not in then]
     if missing:

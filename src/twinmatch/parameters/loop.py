@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from twinmatch.dynamics import FILED, Closing, Drive, Filed, PidGains, Plant, gains_for
+from twinmatch.dynamics import FROM_PLANT_FILE, Drive, FromPlantFile, LoopGains, PidGains, Plant, gains_for
 from twinmatch.parameters.declared import Parameter, group
 
 __all__ = ["UNKNOWN", "closing_of", "loop_parameters", "pid_gains", "unit_of"]
@@ -22,12 +22,12 @@ def unit_of(drive: Drive) -> str:
     return drive.unit or drive.name
 
 
-def closing_of(values: Mapping[str, Any]) -> Closing:
+def closing_of(values: Mapping[str, Any]) -> LoopGains:
     """The loop that parameter `loop` selects; without it, that of the plant file."""
-    return None if values.get("loop", Filed.LOOP.value) == UNKNOWN else FILED
+    return None if values.get("loop", FromPlantFile.LOOP.value) == UNKNOWN else FROM_PLANT_FILE
 
 
-def loop_parameters(plant: type[Plant], closing: Closing = FILED) -> tuple[Parameter, ...]:
+def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) -> tuple[Parameter, ...]:
     """The sampling period, and the gains of the plant's controller if it is known."""
     usual = plant.loop.period if plant.loop else 1.0
     has = gains_for(plant, usual, closing)

@@ -12,14 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from twinmatch.dynamics import FILED, Closing, Filed, Model, Plant, PlantError, Sensor
+from twinmatch.dynamics import FROM_PLANT_FILE, FromPlantFile, LoopGains, Model, Plant, PlantError, Sensor
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
 from twinmatch.parameters.declared import Parameter, ParameterError, Values, check, flattened
 from twinmatch.parameters.loop import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
-from twinmatch.plants.written import structure_of
+from twinmatch.plants.records import structure_of
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.errors import DocumentError
 from twinmatch.twin import ForecastSettings, TrustLimits, TwinError, TwinSettings
@@ -58,7 +58,7 @@ _START: Final = "start."
 
 
 def twin_table(
-    plant: type[Plant] = Peltier, structure: str | None = None, closing: Closing = FILED
+    plant: type[Plant] = Peltier, structure: str | None = None, closing: LoopGains = FROM_PLANT_FILE
 ) -> tuple[Parameter, ...]:
     """Name, default, meaning, unit and range of everything in `TwinSettings`, and of what single nodes need.
 
@@ -70,9 +70,9 @@ def twin_table(
         *_plant(has.start.model),
         Parameter(
             "loop",
-            Filed.LOOP.value if closing is FILED else UNKNOWN,
+            FromPlantFile.LOOP.value if closing is FROM_PLANT_FILE else UNKNOWN,
             "Whether the twin runs in the loop of the plant file; unknown: the recorded input drives it.",
-            choices=(Filed.LOOP.value, UNKNOWN),
+            choices=(FromPlantFile.LOOP.value, UNKNOWN),
         ),
         *loop_parameters(plant, closing),
         *_schedule(has),
@@ -177,7 +177,7 @@ def values_of(settings: TwinSettings) -> Values:
         "plant": written_name(model.plant),
         "structure": model.structure_name,
         "free": list(settings.free),
-        "loop": Filed.LOOP.value if settings.gains is not None else UNKNOWN,
+        "loop": FromPlantFile.LOOP.value if settings.gains is not None else UNKNOWN,
     }
     groups: dict[str, Any] = {"pid": settings.gains}
     for parameter in twin_table(model.plant, model.structure_name, closing_of(values)):

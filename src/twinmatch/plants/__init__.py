@@ -9,9 +9,15 @@ from __future__ import annotations
 from typing import Final
 
 from twinmatch.dynamics import Plant, PlantError
-from twinmatch.plants.files import is_plant_file, load_plant, loaded, source_of
+from twinmatch.plants.files import (
+    installed_names,
+    installed_plant,
+    is_plant_file,
+    load_plant,
+    loaded,
+    source_of,
+)
 from twinmatch.plants.incubator import Incubator
-from twinmatch.plants.installed import installed_names, installed_plant
 from twinmatch.plants.peltier import Peltier
 from twinmatch.plants.tclab import TCLab
 

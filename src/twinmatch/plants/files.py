@@ -1,7 +1,12 @@
-"""Plants in files named by the user: loaded, found again by name, and sent to other processes.
+"""Plants of other people: in installed packages, and in files named by the user.
 
-The class from such a file is pickled as the path of the file, because other processes cannot import its
-module by name.
+Packages declare theirs as entry points of the group `twinmatch.plants`:
+
+[project.entry-points."twinmatch.plants"]
+tank = "my_package.tank:Tank"
+
+A plant in a file is loaded, found again by name, and sent to other processes: its class is pickled as the
+path of the file, because other processes cannot import its module by name.
 """
 
 from __future__ import annotations
@@ -11,23 +16,67 @@ import hashlib
 import importlib.util
 import sys
 import traceback
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Final
 
 from twinmatch.dynamics import Plant, PlantError
-from twinmatch.dynamics.equations import error_words
-from twinmatch.dynamics.patience import PATIENCE, TooLongError, at_most
-from twinmatch.dynamics.plant import PlantType
+from twinmatch.dynamics.definition import PlantType
+from twinmatch.dynamics.equations import PATIENCE, TooLongError, at_most, error_words
 
-__all__ = ["is_plant_file", "load_plant", "loaded", "source_of"]
+__all__ = [
+    "GROUP",
+    "installed_names",
+    "installed_plant",
+    "is_plant_file",
+    "load_plant",
+    "loaded",
+    "source_of",
+]
 
+GROUP: Final = "twinmatch.plants"
 _MODULES: Final = "twinmatch_plant_file_"
 """Prefix of the names of modules loaded from a path."""
 _BY_FILE: Final[dict[Path, type[Plant]]] = {}
 _BY_NAME: Final[dict[str, type[Plant]]] = {}
 _WRITTEN: Final[dict[str, str]] = {}
 """The path as the user wrote it, by name of the plant."""
+
+
+def installed_names() -> tuple[str, ...]:
+    """Names of the plants that installed packages declare."""
+    return tuple(_declared())
+
+
+def installed_plant(name: str) -> type[Plant] | None:
+    """The plant of this name; None if no package declares it.
+
+    Raises:
+        PlantError: the declared object is not a plant, or cannot be imported.
+    """
+    point = _declared().get(name)
+    if point is None:
+        return None
+    package = point.dist.name if point.dist is not None else point.module
+    try:
+        plant = point.load()
+    except Exception as error:
+        msg = f"plant {name!r} of {package}: cannot be imported ({type(error).__name__}: {error})"
+        raise PlantError(msg) from error
+    if not (isinstance(plant, type) and issubclass(plant, Plant)):
+        msg = f"plant {name!r} of {package}: {point.value} is not a Plant; declare the class"
+        raise PlantError(msg)
+    if plant.name != name:
+        msg = f"plant {name!r} of {package}: its class is named {plant.name!r}; give both the same name"
+        raise PlantError(msg)
+    return plant
+
+
+@lru_cache(maxsize=1)
+def _declared() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def is_plant_file(name: str) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.plants import named as names_of
+from twinmatch.plants import records
 from twinmatch.record.fields import Form, RecordError, RecordField, fields_of, values_name
 
 __all__ = [
@@ -110,7 +110,7 @@ def tree_of_message(message: Any) -> Tree:
 
 def parameters_tree(parameters: Parameters | None) -> dict[str, Any]:
     """The parameters as in a message; for None without names."""
-    fields = names_of.named(parameters)._asdict()
+    fields = records.named(parameters)._asdict()
     return {key: value if isinstance(value, str) else list(value) for key, value in fields.items()}
 
 
@@ -120,7 +120,7 @@ def parameters_of(tree: Mapping[str, Any]) -> Parameters | None:
     Raises:
         PlantError: the plant is unknown, or a value is out of range.
     """
-    return names_of.parameters_of(tree["plant"], tree["structure"], tree["names"], tree["values"])
+    return records.parameters_of(tree["plant"], tree["structure"], tree["names"], tree["values"])
 
 
 def parameters_document(parameters: Parameters) -> dict[str, float]:

@@ -21,7 +21,7 @@ from twinmatch.comparing.family import Candidate
 from twinmatch.dynamics import Output, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier, find_plant, plant_named
-from twinmatch.plants.written import parameters_from
+from twinmatch.plants.records import parameters_from
 from twinmatch.sessions.documents import parse_yaml, read_text, shown
 from twinmatch.sessions.errors import DocumentError
 

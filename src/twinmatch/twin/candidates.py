@@ -182,7 +182,7 @@ class CandidatePool:
         It is reached through the lower orders like all others.
 
         Raises:
-            IdentificationError: set-point or input does not move, or there are too few samples.
+            FittingError: set-point or input does not move, or there are too few samples.
         """
         order = common_order([self._members[c.name].chosen for c in self._family.candidates])
         orders = ORDERS[: ORDERS.index(order) + 1]
@@ -196,7 +196,7 @@ class CandidatePool:
         try:
             return self._compared(newest, beside)
         except PlantError:
-            if not any(candidate.parameters.model.is_elsewhere for candidate in beside):
+            if not any(candidate.parameters.model.is_external for candidate in beside):
                 raise
             return self._compared(newest, [])
 

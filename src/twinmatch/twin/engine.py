@@ -89,7 +89,7 @@ class Discriminator:
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = _schedule(self.settings)
-        self._external = [model for model in watched(self.settings.plant) if model.is_elsewhere]
+        self._external = [model for model in watched(self.settings.plant) if model.is_external]
         self._pool = CandidatePool(self.settings, self._spoilt)
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)

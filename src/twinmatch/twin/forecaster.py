@@ -238,7 +238,7 @@ class Forecaster:
                 try:
                     twin = self._built(candidate, earlier)
                 except PlantError:
-                    if not candidate.parameters.model.is_elsewhere:
+                    if not candidate.parameters.model.is_external:
                         raise
                     continue
             twins[candidate.name] = twin
@@ -300,7 +300,7 @@ class Forecaster:
         try:
             forecast = outlook.forecast(self._condition(came[1:]), _rows(came))
         except PlantError:
-            if not outlook.parameters.model.is_elsewhere:
+            if not outlook.parameters.model.is_external:
                 raise
             return None
         newest_of = came[-samples:]
@@ -313,7 +313,7 @@ class Forecaster:
         try:
             yield
         except PlantError:
-            if not self._twins[name].candidate.parameters.model.is_elsewhere:
+            if not self._twins[name].candidate.parameters.model.is_external:
                 raise
             del self._twins[name]
             self._order = tuple(self._twins)

@@ -11,7 +11,7 @@ from threadpoolctl import ThreadpoolController
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match, Status, match
-from twinmatch.fitting.result import without_fit
+from twinmatch.fitting.match import without_fit
 from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
 

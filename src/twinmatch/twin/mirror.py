@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import (
-    FILED,
+    FROM_PLANT_FILE,
     SKIPPED,
-    Closing,
     Experiment,
+    LoopGains,
     Parameters,
     Pid,
     PidGains,
@@ -26,7 +26,7 @@ from twinmatch.dynamics import (
     simulate_driven,
     simulate_window,
 )
-from twinmatch.fitting.bounds import unknown_starts
+from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
 from twinmatch.signals import FloatArray, Sample, Window
 
@@ -79,7 +79,11 @@ class Mirror:
     _pid: Pid | None
 
     def __init__(
-        self, parameters: Parameters, gains: Closing = FILED, recent: int = 60, period: float = 1.0
+        self,
+        parameters: Parameters,
+        gains: LoopGains = FROM_PLANT_FILE,
+        recent: int = 60,
+        period: float = 1.0,
     ) -> None:
         """Start with these parameters.
 
@@ -252,7 +256,7 @@ def hidden_starts(parameters: Parameters, window: Window) -> dict[str, float]:
     """
     model = parameters.model
     unknown = unknown_starts(model)
-    if not unknown or model.is_elsewhere or len(window) <= SKIPPED + len(unknown):
+    if not unknown or model.is_external or len(window) <= SKIPPED + len(unknown):
         return {}
     runs = Experiment(parameters, (), window, free_starts=[u.name for u in unknown], gains=None)
     low, high = np.array([u.bounds for u in unknown]).T

@@ -6,7 +6,16 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from twinmatch.comparing import spans_of
-from twinmatch.dynamics import FILED, Closing, Parameters, PidGains, Plant, Sensor, gains_for, gains_of
+from twinmatch.dynamics import (
+    FROM_PLANT_FILE,
+    LoopGains,
+    Parameters,
+    PidGains,
+    Plant,
+    Sensor,
+    gains_for,
+    gains_of,
+)
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.health import HealthSettings
@@ -86,7 +95,7 @@ class TwinSettings:
         plant: type[Plant],
         structure: str | None = None,
         period: float = 1.0,
-        gains: Closing = FILED,
+        gains: LoopGains = FROM_PLANT_FILE,
     ) -> TwinSettings:
         """Settings for a plant in one of its structures (the first, if none is named).
 

@@ -110,7 +110,7 @@ class StructureFits:
         self._models, self._noise, self._gains, self._decimals = tuple(models), noise, gains, decimals
         self._competing = tuple(model for model in models if model is not matched)
         # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
-        own = [model for model in models if not model.is_elsewhere] or models
+        own = [model for model in models if not model.is_external] or models
         self._richest = max(reversed(own), key=lambda model: model.structure.n_parameters())
         pace = time_scale(period) / period
         self._least, self._choose_every, longest = (round(time) for time in choice)

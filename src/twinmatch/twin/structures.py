@@ -25,9 +25,9 @@ import numpy as np
 from twinmatch.comparing import information_gain
 from twinmatch.comparing.code_length import two_part_length
 from twinmatch.comparing.criteria import Criteria, bic, mdl, naic
-from twinmatch.dynamics import FILED, Closing, Model, Parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, LoopGains, Model, Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import MatchingError, Noise, StructureFit, fit_structure
+from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
 
 __all__ = ["StructureChoice", "StructureScore", "choose_structure", "prediction_errors", "score_structure"]
@@ -128,7 +128,7 @@ def choose_structure(
     *,
     previous: StructureChoice | None = None,
     noise: Noise | None = None,
-    gains: Closing = FILED,
+    gains: LoopGains = FROM_PLANT_FILE,
     decimals: int = 2,
     thorough: bool = True,
 ) -> StructureChoice:
@@ -149,7 +149,7 @@ def choose_structure(
         thorough: as in `fit_structure`.
 
     Raises:
-        MatchingError: no window, one too short, or no structure.
+        FittingError: no window, one too short, or no structure.
     """
     held = [windows] if isinstance(windows, Window) else list(windows)
     before = {s.name: s.fitted for s in previous.scores} if previous else {}
@@ -166,7 +166,7 @@ def choose_structure(
             )
             scores.append(score_structure(fitted, decimals))
         except TwinmatchError:
-            if not model.is_elsewhere:
+            if not model.is_external:
                 raise
     samples = (min(w.first for w in held), max(w.last for w in held))
     if (
@@ -176,7 +176,7 @@ def choose_structure(
     ):
         scores = [replace(s, evidence=previous.of(s.name).evidence + s.total) for s in scores]
     if not scores:
-        raise MatchingError("structures: there is none to choose from; give at least one")
+        raise FittingError("structures: there is none to choose from; give at least one")
     votes = _votes(scores)
     count = Counter(votes.values())
     chosen = min(scores, key=lambda s: (-count[s.name], s.fitted.n_parameters))

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
 from twinmatch.plants import Peltier
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, layout
 from twinmatch.showing.foxglove.topics import ELSEWHERE, TOPICS
 

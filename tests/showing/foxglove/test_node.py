@@ -35,7 +35,7 @@ from tests.support.processes import Process
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
 from twinmatch.nodes.messages import description_message
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session, write_session
 from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore, PlantDescription
 

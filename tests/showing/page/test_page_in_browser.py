@@ -30,7 +30,7 @@ from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.offline.judgement import Judgement
 from twinmatch.plants import Peltier
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, TwinSettings

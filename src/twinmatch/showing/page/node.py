@@ -25,7 +25,7 @@ from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Parameter
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.showing.page.page import Page
 from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.sentence import update_sentence

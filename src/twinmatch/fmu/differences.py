@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameter, Plant, State
-from twinmatch.fmu.formula import Formula
+from twinmatch.fmu.mapping import Formula
 from twinmatch.signals import FloatArray
 
-__all__ = ["Moved", "Places"]
+__all__ = ["Differences", "Points"]
 
 STEP: Final = 1e-4
 """Half width of a central difference, relative to the size of the variable: the truncation error is 1e-8;
@@ -20,7 +20,7 @@ _LEAST: Final = 0.1
 """The size of a parameter near zero is this share of its scale."""
 
 
-class Moved(NamedTuple):
+class Points(NamedTuple):
     """A point, and points on both sides of it in several directions."""
 
     fixed: FloatArray
@@ -36,7 +36,7 @@ class Moved(NamedTuple):
         return np.asarray((values[first::2] - values[first + 1 :: 2]).T / self.widths)
 
 
-class Places:
+class Differences:
     """Widths of finite differences within the possible values of parameters; and initial states."""
 
     def __init__(
@@ -82,7 +82,7 @@ class Places:
 
     def around(
         self, at: FloatArray, drive: float, directions: Iterable[int], *, drive_too: bool = False
-    ) -> Moved:
+    ) -> Points:
         """The point, and both sides of it along single parameters and states, optionally also the drive."""
         m = len(self._parameters)
         rows, widths = [at], []
@@ -100,9 +100,9 @@ class Places:
             rows += [at, at]
             drives = np.append(drives, [drive + self._drive_step, drive - self._drive_step])
             widths.append(2.0 * self._drive_step)
-        return Moved(np.array(rows), drives, np.array(widths))
+        return Points(np.array(rows), drives, np.array(widths))
 
-    def along(self, at: FloatArray, directions: FloatArray) -> Moved:
+    def along(self, at: FloatArray, directions: FloatArray) -> Points:
         """Both sides of a point along arbitrary directions, shape (k, n)."""
         m = len(self._parameters)
         sizes = np.array([*(self._reach(k, float(at[k])) for k in range(m)), *self._spans])
@@ -120,7 +120,7 @@ class Places:
                 up, down = min(up, (high_k - at[k]) / direction[k]), min(down, (at[k] - low_k) / direction[k])
             rows += [at + up * direction, at - down * direction]
             widths.append(up + down)
-        return Moved(np.array(rows).reshape(-1, at.size), np.zeros(0), np.array(widths))
+        return Points(np.array(rows).reshape(-1, at.size), np.zeros(0), np.array(widths))
 
     def _reach(self, k: int, value: float) -> float:
         return STEP * max(abs(value), _LEAST * self._parameters[k].scale)

@@ -1,6 +1,6 @@
-"""Forecasts: the loop simulated beyond the newest sample, with the variances of output and input."""
+"""Forecasts of the loop beyond the newest sample, and the effect of the sensor's noise around the loop."""
 
-# ruff: noqa: PLR0917 (a kernel takes arrays in a row)
+# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
 
 from __future__ import annotations
 
@@ -11,19 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics.closing import gains_of
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.noise import around_loop
-from twinmatch.dynamics.parameters import Parameters
-from twinmatch.dynamics.pid import PidGains, PidState
-from twinmatch.dynamics.pid_step import Gains
-from twinmatch.dynamics.simulation import NO_GAINS
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.experiment import Experiment, Tangents
+from twinmatch.dynamics.loop import Gains, PidGains, PidState
+from twinmatch.dynamics.plant import Parameters
+from twinmatch.dynamics.simulation import NO_GAINS, gains_of
 from twinmatch.signals import FloatArray
 
-__all__ = ["Foretold", "foretell"]
+__all__ = ["LoopForecast", "forecast_loop", "noise_scores"]
 
 
-class Foretold(NamedTuple):
+class LoopForecast(NamedTuple):
     """Forecast of the N samples after the newest one, shape (N,) each."""
 
     output: FloatArray
@@ -36,7 +34,7 @@ class Foretold(NamedTuple):
     """Variance of the command that the controller computes from such readings; zero if inputs are given."""
 
 
-def foretell(
+def forecast_loop(
     parameters: Parameters,
     *,
     states: FloatArray,
@@ -51,7 +49,7 @@ def foretell(
     period: float = 1.0,
     disturbances: ArrayLike | None = None,
     noise: float | None = None,
-) -> Foretold:
+) -> LoopForecast:
     """Simulate the closed loop, or a plant under known inputs, beyond the newest sample.
 
     The mean is that of `advance` and `simulate_closed_loop` (or `simulate_driven`). The variances are those
@@ -86,7 +84,7 @@ def foretell(
     if unknown:
         raise PlantError(f"{model.title}: no parameter {unknown[0]!r}; there are {', '.join(model.names)}")
     closed, n, m = reference is not None, len(model.states), len(unsure)
-    held = (gains or gains_of(model.plant, 1.0)) if closed else NO_GAINS
+    loop_gains = (gains or gains_of(model.plant, 1.0)) if closed else NO_GAINS
     signal = _fit(model.title, "set-points" if closed else "inputs", reference if closed else inputs, None)
     at, joint = (
         _fit(model.title, name, values, shape)
@@ -94,19 +92,21 @@ def foretell(
     )
     noise = model.plant.output.noise if noise is None else noise
     u, noise = _fit(model.title, "newest input and noise", (input, noise), (2,)).tolist()
-    period = float(held.period if closed else period)
-    strayed = np.zeros(n + m)
-    strayed[:n] = np.square(_fit(model.title, "drift", drift, (n,))) * period
+    period = float(loop_gains.period if closed else period)
+    process_noise = np.zeros(n + m)
+    process_noise[:n] = np.square(_fit(model.title, "drift", drift, (n,))) * period
     if disturbances is not None and np.ndim(disturbances) == 1:
         disturbances = np.tile(model.disturbance_row(disturbances), (signal.size + 1, 1))
     rows, steps = model.disturbance_rows(disturbances, signal.size + 1), parameters.steps(period)
     kernels, vector = model.kernels_by(unsure), parameters.vector
     which = np.array([[kernels.UNKNOWN.index(name) for name in unsure]] * 2, dtype=np.int64).reshape(2, m)
     begun = kernels.advance(vector, at, u, rows[0], period, steps)
-    kernels.predict(vector, at, joint, strayed, u, rows[0], period, steps, which, np.zeros((n, m + n + 1)))
+    kernels.predict(
+        vector, at, joint, process_noise, u, rows[0], period, steps, which, np.zeros((n, m + n + 1))
+    )
     memory = controller or PidState()
     ahead = (float(memory.integral), float(memory.previous), period, steps)
-    loop, size = (closed, held.constants, signal, signal, rows[1:]), signal.size
+    loop, size = (closed, loop_gains.constants, signal, signal, rows[1:]), signal.size
     still = (np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0)
     # The mean is simulated without derivatives, like every simulation: derivatives share subexpressions with
     # the rates, which then round differently.
@@ -116,9 +116,9 @@ def foretell(
         vector, which[0], begun, columns, *loop, *ahead, compared, compared, False, True, np.inf
     )
     variances = _variances(
-        joint, by, by_state, by_drive, free, seen, held.constants, closed, noise * noise, strayed
+        joint, by, by_state, by_drive, free, seen, loop_gains.constants, closed, noise * noise, process_noise
     )
-    return Foretold(output, commanded, *variances)
+    return LoopForecast(output, commanded, *variances)
 
 
 def _fit(title: str, name: str, values: ArrayLike | None, shape: tuple[int, ...] | None) -> FloatArray:
@@ -135,7 +135,7 @@ def _fit(title: str, name: str, values: ArrayLike | None, shape: tuple[int, ...]
 @compiled
 def _variances(
     joint: FloatArray, by: FloatArray, by_state: FloatArray, by_drive: FloatArray, free: FloatArray,
-    seen: FloatArray, gains: Gains, closed: bool, noise: float, strayed: FloatArray,
+    seen: FloatArray, gains: Gains, closed: bool, noise: float, process_noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Variances of output and input, shape (N,) each.
 
@@ -153,7 +153,7 @@ def _variances(
         for j in range(both):
             first[i, j] = joint[(i + nx) % both, (j + nx) % both]
     for k in range(size):
-        noise_u = around_loop(gains, closed, free[k], seen[k], by_state[k], by_drive[k], a, b, of_u)
+        noise_u = _around_loop(gains, closed, free[k], seen[k], by_state[k], by_drive[k], a, b, of_u)
         for i in range(nx):
             of_y[i] = seen[k, i]
         y = noise + _form(first, by[0, k]) + _form(later, of_y)
@@ -167,7 +167,7 @@ def _variances(
                 way[i, j] = total
         for i in range(m):
             for j in range(i + 1):
-                total = noise * b[i] * b[j] + (strayed[i] if i == j and i < nx else 0.0)
+                total = noise * b[i] * b[j] + (process_noise[i] if i == j and i < nx else 0.0)
                 for q in range(m):
                     total += way[i, q] * a[j, q]
                 later[i, j] = total
@@ -185,3 +185,152 @@ def _form(of: FloatArray, b: FloatArray) -> float:
             side += of[i, j] * b[j]
         total += b[i] * (2.0 * side + of[i, i] * b[i])
     return total
+
+
+def noise_scores(
+    experiment: Experiment, tangents: Tangents, weighed: FloatArray, weights: tuple[float, float]
+) -> tuple[FloatArray, float]:
+    """Effect of white noise in the readings on the sums Σ_j weighed_j·residual_j.
+
+    Args:
+        experiment: the experiment.
+        tangents: its run.
+        weighed: rows of the weighed residuals' Jacobian, shape (2, N, n).
+        weights: weights of the residuals of output and input, for noise of 1 in the readings.
+
+    Returns:
+        The sums caused by noise of size 1 at each sample alone, shape (N, n), and the mean squared
+        residual caused by all of them. Noise of the first reading also shifts the twin's start. For a
+        driven twin, noise enters only through the readings it is compared with, and its start.
+    """
+    return _noise_scores(
+        np.ascontiguousarray(tangents.by_state),
+        np.ascontiguousarray(tangents.by_drive),
+        tangents.free,
+        np.ascontiguousarray(tangents.seen),
+        experiment.start_slope,
+        np.ascontiguousarray(weighed),
+        float(weights[0]),
+        float(weights[1]) if experiment.closed else 0.0,
+        experiment.gains.constants,
+        experiment.closed,
+    )
+
+
+@compiled
+def _noise_scores(
+    by_state: FloatArray,
+    by_drive: FloatArray,
+    free: FloatArray,
+    seen: FloatArray,
+    started: FloatArray,
+    weighed: FloatArray,
+    weight_y: float,
+    weight_u: float,
+    gains: Gains,
+    closed: bool,
+) -> tuple[FloatArray, float]:
+    """Backwards through the linearised loop, whose state is z = (states, integral, previous).
+
+    `ahead` holds the gradients of the sums by the state one sample later, `power` the quadratic form
+    of a disturbed state that gives the sum of the squared residuals from then on.
+    """
+    size, n, nx = weighed.shape[1], weighed.shape[2], by_state.shape[1]
+    m = nx + 2
+    scores, squares = np.empty((size, n)), 0.0
+    ahead, power = np.zeros((m, n)), np.zeros((m, m))
+    a, b, of_u = np.zeros((m, m)), np.zeros(m), np.zeros(m)
+    for k in range(size - 1, -1, -1):
+        noise_u = _around_loop(gains, closed, free[k], seen[k], by_state[k], by_drive[k], a, b, of_u)
+        out_y, out_u = weight_y, weight_u * noise_u
+        if k == 0:
+            # The twin starts at the first reading, so its noise shifts both, and only the plant's own
+            # movement afterwards differs.
+            out_y, out_u = 0.0, 0.0
+            for i in range(m):
+                b[i] = 0.0
+                if i < nx:
+                    for j in range(nx):
+                        b[i] -= by_state[k, i, j] * started[j]
+        for p in range(n):
+            score = out_y * weighed[0, k, p] + out_u * weighed[1, k, p]
+            for i in range(m):
+                score += b[i] * ahead[i, p]
+            scores[k, p] = score
+        squares += out_y * out_y + out_u * out_u + _power_form(power, b)
+        moved = np.zeros((m, n))
+        for p in range(n):
+            for j in range(m):
+                total = weight_u * weighed[1, k, p] * of_u[j]
+                if j < nx:
+                    total += weight_y * weighed[0, k, p] * seen[k, j]
+                for i in range(m):
+                    total += a[i, j] * ahead[i, p]
+                moved[j, p] = total
+        ahead = moved
+        power = _congruent(power, a)
+        for i in range(m):
+            for j in range(m):
+                power[i, j] += weight_u * weight_u * of_u[i] * of_u[j]
+                if i < nx and j < nx:
+                    power[i, j] += weight_y * weight_y * seen[k, i] * seen[k, j]
+    outputs = 2.0 if weight_u != 0.0 else 1.0
+    return scores, squares / (outputs * size)
+
+
+@compiled(innermost=True)
+def _around_loop(
+    gains: Gains, closed: bool, free: float, seen: FloatArray, by_state: FloatArray, by_drive: FloatArray,
+    a: FloatArray, b: FloatArray, of_u: FloatArray,
+) -> float:  # fmt: skip
+    """One sample of the linear loop; its state z holds the plant's states, the integral and the error.
+
+    With v, the noise of the reading: u = of_u·z + noise_u·v, next z = a·z + b·v; returns noise_u. `seen`
+    holds the derivatives of the output by the plant's states.
+    """
+    nx = seen.size
+    per_second = gains.derivative / gains.period
+    by_reading = -gains.proportional - per_second if closed else 0.0
+    limited = free if closed else 0.0
+    wind = gains.period * gains.back_calculation * (limited - 1.0)
+    for i in range(nx):
+        of_u[i] = limited * by_reading * seen[i]
+    of_u[nx], of_u[nx + 1] = limited, -limited * per_second
+    noise_u = limited * by_reading
+    for i in range(nx):
+        for j in range(nx + 2):
+            a[i, j] = by_drive[i] * of_u[j] + (by_state[i, j] if j < nx else 0.0)
+        b[i] = by_drive[i] * noise_u
+    leak = wind * by_reading - gains.period * gains.integral
+    for i in range(nx):
+        a[nx, i] = leak * seen[i]
+        a[nx + 1, i] = -seen[i]
+    a[nx, nx], a[nx, nx + 1] = 1.0 + wind, -wind * per_second
+    b[nx], b[nx + 1] = leak, -1.0
+    return noise_u
+
+
+@compiled
+def _power_form(power: FloatArray, b: FloatArray) -> float:
+    """bᵀ·power·b."""
+    total = 0.0
+    for i in range(b.size):
+        for j in range(b.size):
+            total += power[i, j] * b[i] * b[j]
+    return total
+
+
+@compiled
+def _congruent(power: FloatArray, a: FloatArray) -> FloatArray:
+    """aᵀ·power·a."""
+    m = power.shape[0]
+    way, found = np.zeros((m, m)), np.zeros((m, m))
+    for i in range(m):
+        for j in range(m):
+            for q in range(m):
+                way[i, j] += power[i, q] * a[q, j]
+    for i in range(m):
+        for j in range(m):
+            for q in range(m):
+                found[i, j] += a[q, i] * way[q, j]
+    return found

@@ -1,26 +1,103 @@
-"""Checks of a plant's class: names, structures and values that contradict each other."""
+"""What a plant's file defines, and checks of names, structures and values that contradict each other."""
 
 from __future__ import annotations
 
 import inspect
 import re
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, TypeVar
 
-from twinmatch.dynamics.declarations import Declaration, Structure
-from twinmatch.dynamics.errors import PlantError
-from twinmatch.dynamics.numbers import require_text
+from twinmatch.dynamics.declarations import (
+    Declaration,
+    Disturbance,
+    Drive,
+    Output,
+    Parameter,
+    PlantError,
+    State,
+    Structure,
+    require_text,
+)
+from twinmatch.dynamics.loop import PidGains, Sensor
 
-if TYPE_CHECKING:
-    from twinmatch.dynamics.plant import Plant
+__all__ = ["Equations", "PlantDefinition", "PlantType", "require_consistent", "require_structure"]
 
-__all__ = ["require_consistent", "require_structure"]
+Expression = Any
+"""A SymPy expression; SymPy has no types of its own for mypy."""
 
+_Declared = TypeVar("_Declared", bound=Declaration)
 _OF_TABLES = ("time", "reference", "output", "input")
 """Names of signals in the map of a table's columns."""
 
 
-def require_consistent(plant: type[Plant], base: type[Plant]) -> None:
+@dataclass(frozen=True)
+class Equations:
+    """The return value of a plant's `equations`."""
+
+    rates: Mapping[Expression, Expression]
+    """Time derivative of each state that the structure has, in its unit per second."""
+    output: Expression
+    """The quantity that the sensor measures; a smooth function of states and parameters."""
+    start: Mapping[Expression, Expression]
+    """Initial value of each state, from the output, the drive until then, disturbances and parameters."""
+    quantities: Mapping[str, Expression] = field(default_factory=dict)
+    """Other quantities of interest, by name: currents, heat flows."""
+
+
+class PlantType(type):
+    """Metaclass of plants: a separate type, so that a plant can define how it is pickled for another
+    process."""
+
+
+class PlantDefinition(metaclass=PlantType):
+    """Quantities, structures and equations of one kind of plant, without what runs them."""
+
+    title: ClassVar[str] = ""
+    """Displayed name."""
+    parts: ClassVar[tuple[str, ...]] = ()
+    """Names of optional parts; `equations` gets those that are included."""
+    structures: ClassVar[Mapping[str, Structure]] = {}
+    """Structures by name, simple ones first. The first is the one matched to single windows."""
+    loop: ClassVar[PidGains | None] = None
+    """The controller that runs the plant, if known; without one the twin is driven by u."""
+    sensor: ClassVar[Sensor | None] = None
+    """Sensor model for simulated plants; without one, readings are exact."""
+
+    typical: ClassVar[Mapping[str, float]] = {}
+    """Typical parameters of plants of this kind, if not the defaults; used before the first match."""
+    followed: ClassVar[str] = ""
+    """Structure in which a running plant is tracked to detect changes; the first if empty."""
+    surroundings: ClassVar[str] = "what surrounds the plant"
+    """What to check if something changes slowly."""
+
+    name: ClassVar[str]
+    declarations: ClassVar[Mapping[str, Declaration]]
+    states: ClassVar[Mapping[str, State]]
+    parameters: ClassVar[Mapping[str, Parameter]]
+    disturbances: ClassVar[Mapping[str, Disturbance]]
+    drive: ClassVar[Drive]
+    output: ClassVar[Output]
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
+        """Rates, output and start, in terms of the plant's own symbols (`self.name_of_a_quantity`)."""
+        msg = f"plant {self.name}: it has no equations; write the method `equations`"
+        raise PlantError(msg)
+
+    @classmethod
+    def _of(cls, kind: type[_Declared]) -> dict[str, _Declared]:
+        return {n: v for n, v in cls.declarations.items() if isinstance(v, kind)}
+
+    @classmethod
+    def _one(cls, kind: type[_Declared]) -> _Declared:
+        held = list(cls._of(kind).values())
+        if len(held) != 1:
+            msg = f"plant {cls.name}: declares {len(held)} of {kind.__name__}; declare exactly one"
+            raise PlantError(msg)
+        return held[0]
+
+
+def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]) -> None:
     """Check a plant's class; `base` is the class of which all plants are.
 
     Raises:
@@ -49,7 +126,7 @@ def require_consistent(plant: type[Plant], base: type[Plant]) -> None:
             raise PlantError(f"plant {plant.name}: `{attribute}` is {value!r}; give a {wanted}(…)")
 
 
-def require_structure(plant: type[Plant], name: str, structure: Structure) -> None:
+def require_structure(plant: type[PlantDefinition], name: str, structure: Structure) -> None:
     """Check that a structure has known names and possible values.
 
     Raises:
@@ -60,8 +137,8 @@ def require_structure(plant: type[Plant], name: str, structure: Structure) -> No
         msg = f"plant {plant.name}, structure {name!r}: is {structure!r}; write Structure(free=(…))"
         raise PlantError(msg)
     place = f"structure {name!r}"
-    elsewhere = structure.elsewhere
-    own_parameters, own_states = (elsewhere.parameters, elsewhere.states) if elsewhere else ({}, {})
+    external = structure.external
+    own_parameters, own_states = (external.parameters, external.states) if external else ({}, {})
     parameters = {**plant.parameters, **own_parameters}
     _require_names_of(plant, place, "part", structure.parts, plant.parts)
     _require_names_of(plant, place, "parameter", structure.free, parameters)
@@ -76,7 +153,7 @@ def require_structure(plant: type[Plant], name: str, structure: Structure) -> No
         _require_values(plant, here, values, parameters)
 
 
-def _require_names(plant: type[Plant], base: type[Plant]) -> None:
+def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) -> None:
     if not isinstance(plant.name, str) or not re.fullmatch(r"\w[\w-]*", plant.name):
         msg = f'plant {plant.name!r}: is not a valid name; use letters, digits and _, such as name="tank"'
         raise PlantError(msg)
@@ -102,7 +179,7 @@ def _require_names(plant: type[Plant], base: type[Plant]) -> None:
 
 
 def _require_names_of(
-    plant: type[Plant], place: str, kind: str, names: Iterable[str], known: Iterable[str]
+    plant: type[PlantDefinition], place: str, kind: str, names: Iterable[str], known: Iterable[str]
 ) -> None:
     unknown = sorted({str(name) for name in names} - set(known))
     if unknown:
@@ -111,7 +188,7 @@ def _require_names_of(
 
 
 def _require_values(
-    plant: type[Plant], place: str, values: Mapping[str, Any], known: Mapping[str, Any]
+    plant: type[PlantDefinition], place: str, values: Mapping[str, Any], known: Mapping[str, Any]
 ) -> None:
     for name, value in values.items():
         number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -120,7 +197,7 @@ def _require_values(
             raise PlantError(msg)
 
 
-def _table(plant: type[Plant], place: str, values: Any) -> Mapping[str, Any]:
+def _table(plant: type[PlantDefinition], place: str, values: Any) -> Mapping[str, Any]:
     if not isinstance(values, Mapping):
         raise PlantError(
             f"plant {plant.name}, {place}: is {values!r}; write a dictionary of names and values"
