@@ -39,7 +39,7 @@ QUANTILE: Final = 3.841458820694124
 """95 % quantile of χ² with one degree of freedom."""
 
 _MOST_STEPS, _MOST_CUTS = 8, 3
-_MOST_FITS, _MOST_EVALUATIONS, _FIRST_SPAN = 16, 30, 0.1
+_MOST_REFITS, _MOST_OF_REFIT, _FIRST_SPAN = 16, 30, 0.1
 _FAR, _CUT = 2.0, 0.4
 _CLOSE = 0.02
 """Tolerance of an end, as a share of the allowed rise of the sum of squares: 1 % of the half interval."""
@@ -233,7 +233,7 @@ def _bracketed(
     near, far, beyond, ahead = inside, bound, math.inf, 1.0
     below = inside.cost - limit
     span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(inside.values[i]))
-    for _ in range(_MOST_FITS):
+    for _ in range(_MOST_REFITS):
         here = float(near.values[i])
         if math.isfinite(beyond):
             # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
@@ -243,7 +243,7 @@ def _bracketed(
             target = min(target, bound) if bound > here else max(target, bound)
         lower, upper, start = problem.lower.copy(), problem.upper.copy(), near.values.copy()
         lower[i] = upper[i] = start[i] = target
-        found = problem.experiment.descend(start, lower, upper, problem.scales, _MOST_EVALUATIONS)
+        found = problem.experiment.descend(start, lower, upper, problem.scales, _MOST_OF_REFIT)
         excess = found.cost - limit
         if abs(excess) <= _CLOSE * rise:
             return found.values
