@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
+from std_msgs.msg import Header
+
 from twinmatch.links.thermal_client import RegionError
 from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags
 from twinmatch.nodes.camera_bridge import celsius_image, centikelvin, raw_image
@@ -17,10 +19,6 @@ from twinmatch.nodes.camera_bridge import celsius_image, centikelvin, raw_image
 def exposure(counts: list[list[int]], resolution: float = 0.01, **values: Any) -> Exposure:
     image = np.array(counts, dtype=np.uint16)
     return Exposure(image=image, stamp=0, resolution=resolution, frame_counter=0, **values)
-
-
-def no_header(_: object) -> None:
-    """Leave it as it is."""
 
 
 def test_centikelvin_are_the_counts_of_a_fine_camera() -> None:
@@ -35,14 +33,14 @@ def test_a_coarse_camera_is_scaled_but_not_its_ends() -> None:
 
 
 def test_raw_is_mono16_row_by_row() -> None:
-    message = raw_image(exposure([[1, 2, 3], [4, 5, 65535]]), no_header)
+    message = raw_image(exposure([[1, 2, 3], [4, 5, 65535]]), Header())
     assert (message.height, message.width, message.step, message.encoding) == (2, 3, 6, "mono16")
     assert message.is_bigendian == 0
     assert np.frombuffer(bytes(message.data), "<u2").tolist() == [1, 2, 3, 4, 5, 65535]
 
 
 def test_celsius_has_nan_where_there_is_no_value() -> None:
-    message = celsius_image(exposure([[0, 29815], [27315, 65535]]), no_header)
+    message = celsius_image(exposure([[0, 29815], [27315, 65535]]), Header())
     assert (message.height, message.width, message.step, message.encoding) == (2, 2, 8, "32FC1")
     degrees = np.frombuffer(bytes(message.data), "<f4")
     np.testing.assert_allclose(degrees, [np.nan, 25.0, 0.0, np.nan], atol=1e-5)
@@ -50,9 +48,9 @@ def test_celsius_has_nan_where_there_is_no_value() -> None:
 
 def test_a_closed_shutter_shows_nothing() -> None:
     closed = exposure([[29815, 29815]], flat_field=FlatField.RUNNING)
-    assert np.isnan(np.frombuffer(bytes(celsius_image(closed, no_header).data), "<f4")).all()
+    assert np.isnan(np.frombuffer(bytes(celsius_image(closed, Header()).data), "<f4")).all()
 
 
 def test_a_picture_does_not_hold_temperatures() -> None:
     with pytest.raises(RegionError, match="counts are not temperatures"):
-        celsius_image(exposure([[1, 2]], flags=FrameFlags.GAIN_CONTROL), no_header)
+        celsius_image(exposure([[1, 2]], flags=FrameFlags.GAIN_CONTROL), Header())

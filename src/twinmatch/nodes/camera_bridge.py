@@ -6,14 +6,13 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Header
 
 from twinmatch.links.thermal_client import (
     ClientSettings,
@@ -72,12 +71,12 @@ def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
     return np.where(invalid, counts, scaled).astype(np.uint16)
 
 
-def raw_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
-    """The image as mono16 in centikelvin; `header` fills the message's header."""
+def raw_image(exposure: Exposure, header: Header) -> Image:
+    """The image as mono16 in centikelvin."""
     return _image("mono16", centikelvin(exposure).astype("<u2"), header)
 
 
-def celsius_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
+def celsius_image(exposure: Exposure, header: Header) -> Image:
     """The image as 32FC1 in °C; NaN means no value, which is everywhere while the shutter is closed.
 
     Raises:
@@ -89,19 +88,34 @@ def celsius_image(exposure: Exposure, header: Callable[[Any], None]) -> Image:
     return _image("32FC1", degrees.astype("<f4"), header)
 
 
-def _image(encoding: str, pixels: NDArray[Any], header: Callable[[Any], None]) -> Image:
+def _image(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     rows, columns = pixels.shape
-    message = Image(height=rows, width=columns, encoding=encoding, step=columns * pixels.itemsize)
+    message = Image(
+        height=rows, width=columns, encoding=encoding, step=columns * pixels.itemsize, header=header
+    )
     message.data = array("B", pixels.tobytes())  # the field's own type: not checked item by item
-    header(message.header)
     return message
 
 
+_STALL = "A connection without a frame for this long is dropped."
+_IMAGES = "Highest rate of images, by the wall clock; 0: all."
+_TEMPERATURES = "Highest rate of temperatures; 0: every new image."
 PATIENCE = 0.2
 """Longest wait of the thread for a frame before it checks whether it should end, s."""
 
 SAME_CLOCK = 60_000_000_000
 """Stamps of a simulated camera within this of simulated time are taken to be on that clock, ns."""
+
+
+def _region_parameters(name: str, text: str, usual: tuple[int, int, int, int]) -> tuple[Parameter, ...]:
+    x, y, width, height = usual
+    first_row = "First row, 0 at the top." if name == "roi" else "First row."
+    return (
+        Parameter(f"{name}.x", x, text, "pixels", 0, 1023),
+        Parameter(f"{name}.y", y, first_row, "pixels", 0, 1023),
+        Parameter(f"{name}.width", width, "Columns.", "pixels", 1, 1024),
+        Parameter(f"{name}.height", height, "Rows.", "pixels", 1, 1024),
+    )
 
 
 class CameraBridge(TwinmatchNode):
@@ -115,26 +129,14 @@ class CameraBridge(TwinmatchNode):
     PARAMETERS: ClassVar = (
         Parameter("host", "127.0.0.1", "Computer on which the camera server runs."),
         Parameter("port", DEFAULT_PORT, "Its TCP port.", "", 1, 65535),
-        Parameter(
-            "stall_timeout", 2.0, "A connection without a frame for this long is dropped.", "s", 0.1, 60.0
-        ),
+        Parameter("stall_timeout", 2.0, _STALL, "s", 0.1, 60.0),
         Parameter("stale_after", 3.0, "Age of the newest image that is an error.", "s", 0.1, 60.0),
-        Parameter("roi.x", 34, "Region whose mean is the temperature: first column.", "pixels", 0, 1023),
-        Parameter("roi.y", 24, "First row, 0 at the top.", "pixels", 0, 1023),
-        Parameter("roi.width", 12, "Columns.", "pixels", 1, 1024),
-        Parameter("roi.height", 12, "Rows.", "pixels", 1, 1024),
-        Parameter(
-            "plate.x", 22, "Region of the whole plate, for its uniformity: first column.", "pixels", 0, 1023
+        *_region_parameters("roi", "Region whose mean is the temperature: first column.", (34, 24, 12, 12)),
+        *_region_parameters(
+            "plate", "Region of the whole plate, for its uniformity: first column.", (22, 14, 36, 32)
         ),
-        Parameter("plate.y", 14, "First row.", "pixels", 0, 1023),
-        Parameter("plate.width", 36, "Columns.", "pixels", 1, 1024),
-        Parameter("plate.height", 32, "Rows.", "pixels", 1, 1024),
-        Parameter(
-            "temperature_rate", 0.0, "Highest rate of temperatures; 0: every new image.", "Hz", 0.0, 1000.0
-        ),
-        Parameter(
-            "image_rate", 10.0, "Highest rate of images, by the wall clock; 0: all.", "Hz", 0.0, 1000.0
-        ),
+        Parameter("temperature_rate", 0.0, _TEMPERATURES, "Hz", 0.0, 1000.0),
+        Parameter("image_rate", 10.0, _IMAGES, "Hz", 0.0, 1000.0),
         Parameter("frame_id", "thermal_camera", "Frame of the images."),
         Parameter("plate_frame_id", "plate", "Frame of the temperature."),
     )
@@ -185,23 +187,23 @@ class CameraBridge(TwinmatchNode):
         """State of the link, pace and age of the images, state of the camera."""
         health, status = self.health, self._camera.status
         frames, now = status.frames, time.monotonic()
-        health.set("link", status.state.value)
-        health.set("frame rate", f"{(frames - self._counted[0]) / (now - self._counted[1]):.1f} Hz")
+        rate = (frames - self._counted[0]) / (now - self._counted[1])
         self._counted = (frames, now)
-        health.set("frames", frames)
-        health.set("repeated or frozen frames", status.frozen)
-        health.set("missed frames", status.missed)
-        health.set("reconnects", max(0, status.connections - 1))
-        health.set("server restarts", status.restarts)
-        for name, count in status.errors.items():
-            health.set(name, count)
-        bad = sum(n for name, n in status.errors.items() if name.startswith("Frame"))
-        health.set("bad frames", bad)
-        if status.state is LinkState.STREAMING and frames:
-            health.withdraw("link")
-        else:
-            message = str(status.last_error or "thermal camera: connecting")
-            health.flag("link", Level.ERROR, message)
+        found = {
+            "link": status.state.value,
+            "frame rate": f"{rate:.1f} Hz",
+            "frames": frames,
+            "repeated or frozen frames": status.frozen,
+            "missed frames": status.missed,
+            "reconnects": max(0, status.connections - 1),
+            "server restarts": status.restarts,
+            **status.errors,
+            "bad frames": sum(n for name, n in status.errors.items() if name.startswith("Frame")),
+        }
+        for name, value in found.items():
+            health.set(name, value)
+        down = status.state is not LinkState.STREAMING or not frames
+        health.flag_if(down, "link", Level.ERROR, str(status.last_error or "thermal camera: connecting"))
         self._report_age()
         return super().report()
 
@@ -209,19 +211,16 @@ class CameraBridge(TwinmatchNode):
         health, newest, news = self.health, self._camera.newest(), self._camera.news()
         if newest is not None:
             frame = newest.frame
-            health.set(
-                "flat-field correction", "unknown" if frame.flat_field is None else frame.flat_field.name
-            )
+            state = "unknown" if frame.flat_field is None else frame.flat_field.name
+            health.set("flat-field correction", state)
             if frame.sensor_temperature is not None:
                 health.set("sensor temperature", f"{frame.sensor_temperature / 100 - KELVIN:.1f} °C")
         if news is None:
             return
         age = (time.monotonic_ns() - news.received) / 1e9
         health.set("age of the newest image", f"{age:.2f} s")
-        if age > self.values["stale_after"]:
-            health.flag("age", Level.ERROR, f"no new image for {age:.0f} s; is the shutter stuck?")
-        else:
-            health.withdraw("age")
+        stuck = f"no new image for {age:.0f} s; is the shutter stuck?"
+        health.flag_if(age > self.values["stale_after"], "age", Level.ERROR, stuck)
 
     def _run(self) -> None:
         number = 0
@@ -263,9 +262,8 @@ class CameraBridge(TwinmatchNode):
             return
         self._measured_at = stamp
         found, plate = region(frame, self._roi), region(frame, self._plate)
-        message = Temperature(temperature=found.mean, variance=found.variance)
-        _fill(self.values["plate_frame_id"], stamp)(message.header)
-        self._temperature.publish(message)
+        header = Header(frame_id=self.values["plate_frame_id"], stamp=time_message(stamp))
+        self._temperature.publish(Temperature(header=header, temperature=found.mean, variance=found.variance))
         self._uniformity.publish(Float64(data=plate.spread))
         self.health.set("temperature", f"{found.mean:.2f} °C")
         self.health.set("spread over the plate", f"{plate.spread:.2f} °C")
@@ -275,7 +273,7 @@ class CameraBridge(TwinmatchNode):
         if self._pictured_at is not None and now - self._pictured_at < self._image_gap:
             return
         self._pictured_at = now
-        header = _fill(self.values["frame_id"], stamp)
+        header = Header(frame_id=self.values["frame_id"], stamp=time_message(stamp))
         degrees = celsius_image(frame, header)  # first, as it refuses counts that are not temperatures
         self._raw.publish(raw_image(frame, header))
         self._degrees.publish(degrees)
@@ -284,14 +282,6 @@ class CameraBridge(TwinmatchNode):
 def _region_from(values: dict[str, Any], name: str) -> Region:
     column, row = values[f"{name}.x"], values[f"{name}.y"]
     return Region(row=row, column=column, rows=values[f"{name}.height"], columns=values[f"{name}.width"])
-
-
-def _fill(frame_id: str, stamp: int) -> Callable[[Any], None]:
-    def fill(header: Any) -> None:
-        header.frame_id = frame_id
-        header.stamp = time_message(stamp)
-
-    return fill
 
 
 def main() -> None:

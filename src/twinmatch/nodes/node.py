@@ -77,6 +77,13 @@ class Health:
         with self._lock:
             self._problems[key] = (level, message)
 
+    def flag_if(self, failed: bool, key: str, level: Level, message: str) -> None:
+        """Report a problem, or withdraw it, whether or not it was reported."""
+        if failed:
+            self.flag(key, level, message)
+        else:
+            self.withdraw(key)
+
     def withdraw(self, key: str) -> None:
         """Withdraw the problem with this key, if it is flagged."""
         with self._lock:
@@ -178,11 +185,8 @@ class Worker(Generic[Item]):
         """Report the queue's depth."""
         depth = self.depth
         self._health.set("queue depth", depth)
-        if depth > self._backlog:
-            message = f"{depth} messages are queued; they arrive faster than they are processed"
-            self._health.flag("queue", Level.WARN, message)
-        else:
-            self._health.withdraw("queue")
+        message = f"{depth} messages are queued; they arrive faster than they are processed"
+        self._health.flag_if(depth > self._backlog, "queue", Level.WARN, message)
 
     def close(self, timeout: float = 2.0) -> bool:
         """End the worker after its current item; returns whether it ended within the timeout (s)."""

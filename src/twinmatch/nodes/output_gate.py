@@ -223,18 +223,14 @@ class GatedNode(TwinmatchNode):
         health, armed = self.health, self.gate.armed
         health.set("armed", armed)
         health.say("passing commands" if armed else "waiting for a fresh command and temperature")
-        if self.gate.clock_stopped:
-            health.flag("clock", Level.WARN, "the clock stands still; nothing is driven")
-        else:
-            health.withdraw("clock")
-        if armed and time.monotonic() - self._sampled_at > UNWATCHED:
-            health.flag("watch", Level.WARN, "no messages on plant/sample; runaway is not monitored")
-        else:
-            health.withdraw("watch")
-        if self.count_publishers(self._commands.topic_name) > 1:
-            health.flag("senders", Level.WARN, "more than one node publishes commands; stop the others")
-        else:
-            health.withdraw("senders")
+        unwatched = armed and time.monotonic() - self._sampled_at > UNWATCHED
+        several = self.count_publishers(self._commands.topic_name) > 1
+        for failed, key, message in (
+            (self.gate.clock_stopped, "clock", "the clock stands still; nothing is driven"),
+            (unwatched, "watch", "no messages on plant/sample; runaway is not monitored"),
+            (several, "senders", "more than one node publishes commands; stop the others"),
+        ):
+            health.flag_if(failed, key, Level.WARN, message)
         return super().report()
 
     def note_fault(self) -> None:

@@ -9,10 +9,11 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final
 
 from rclpy.clock import Clock, ClockType
 
+from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.keeper import Keeper
@@ -22,6 +23,7 @@ from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import Parameter, ParameterError
 from twinmatch.plants import Peltier, find_plant, written_name
+from twinmatch.plants.named import description_of
 from twinmatch.sessions.column_map import parse_source
 from twinmatch.sessions.sampling import (
     INPUT,
@@ -44,68 +46,39 @@ _SLACK: Final = 1e-9
 """Relative tolerance of a limit, for rounding in unit conversions."""
 
 
-class Signal(NamedTuple):
-    """Description, unit and range of one of a plant's signals."""
-
-    text: str
-    unit: str
-    low: float
-    high: float
-
-
-def signals_of(plant: type[Plant]) -> dict[str, Signal]:
+def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
     """The signals of a plant: reference, output, input, and its disturbances in their order."""
-    y, u = plant.output, plant.drive
-    free = float("-inf"), float("inf")
-    return {
-        REFERENCE: Signal(f"set-point of {y.text or y.name}", y.unit, *free),
-        OUTPUT: Signal(y.text or y.name, y.unit, *y.span),
-        INPUT: Signal(u.text or u.name, u.unit, *u.limits),
-        **{name: Signal(d.text or name, d.unit, *free) for name, d in plant.disturbances.items()},
-    }
+    found = description_of(plant)
+    loop = {REFERENCE: found.reference, OUTPUT: found.output, INPUT: found.input}
+    return loop | dict(zip(plant.disturbances, found.disturbances, strict=True))
 
 
 def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Parameter, ...]:
     """The parameters for a plant and a sampling period, s."""
     usual = plant.loop.period if plant.loop else 1.0
-    signals = signals_of(plant)
+    signals, step = signals_of(plant), period or usual
     ages = {REFERENCE: 0.0, OUTPUT: _PERIODS, INPUT: _PERIODS}
-    step = period or usual
+    pacer = "What paces the ticks: a signal with one message per period, or the sampler's own timer."
+    types = "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
+    wait = "Longest wait for topics without publisher; 0: for ever."
+    maps, limits = [], []
+    for name, known in signals.items():
+        unit = f", in {known.unit}" if known.unit else ""
+        optional = "; empty: none" if name not in (OUTPUT, INPUT) else ""
+        text = f"Topic and field of the {name} ({known.text or known.name}){unit}{optional}."
+        maps.append(Parameter(f"map.{name}", "", text))
+        age = round(ages.get(name, _SLOWLY) * step, 9)
+        text = f"Age from which a value of the {name} is stale; 0: never."
+        limits.append(Parameter(f"max_age.{name}", age, text, "s", 0.0, 1e6))
     return (
         Parameter("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
         Parameter("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
-        Parameter(
-            "paced_by",
-            INPUT,
-            "What paces the ticks: a signal with one message per period, or the sampler's own timer.",
-            choices=(*signals, TIMER),
-        ),
+        Parameter("paced_by", INPUT, pacer, choices=(*signals, TIMER)),
         Parameter("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
-        *(
-            Parameter(
-                f"map.{name}",
-                "",
-                f"Topic and field of the {name} ({known.text}){_in(known.unit)}{_may_be(name)}.",
-            )
-            for name, known in signals.items()
-        ),
-        *(
-            Parameter(
-                f"max_age.{name}",
-                round(ages.get(name, _SLOWLY) * step, 9),
-                f"Age from which a value of the {name} is stale; 0: never.",
-                "s",
-                0.0,
-                1e6,
-            )
-            for name in signals
-        ),
-        Parameter(
-            "types", "", "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
-        ),
-        Parameter(
-            "wait_timeout", 10.0, "Longest wait for topics without publisher; 0: for ever.", "s", 0.0, 1e6
-        ),
+        *maps,
+        *limits,
+        Parameter("types", "", types),
+        Parameter("wait_timeout", 10.0, wait, "s", 0.0, 1e6),
         READERS,
         Parameter("readers_timeout", 30.0, "Longest wait for those nodes.", "s", 0.1, 3600.0),
     )
@@ -171,14 +144,6 @@ def types_of(place: str, text: str) -> dict[str, str]:
             raise SamplingError(msg)
         found[words[0]] = words[1]
     return found
-
-
-def _in(unit: str) -> str:
-    return f", in {unit}" if unit else ""
-
-
-def _may_be(name: str) -> str:
-    return "; empty: none" if name not in (OUTPUT, INPUT) else ""
 
 
 SEARCH: Final = 0.2
@@ -270,8 +235,10 @@ class SamplerNode(TwinmatchNode):
                 f"{counts.missing}, {counts.late}, {counts.beyond}, {sampler.refused(name)}",
             )
             trouble = self._silence(name, wire, now) or sampler.troubles.get(name, "")
-            self._flag(name, level, self._explained(name, wire, trouble))
-        self._flag("pace", level, sampler.troubles.get("pace", ""))
+            text = self._explained(name, wire, trouble)
+            self.health.flag_if(bool(text), name, level, text)
+        pace = sampler.troubles.get("pace", "")
+        self.health.flag_if(bool(pace), "pace", level, pace)
         self.health.set("missed ticks", sampler.grid.missed)
         self.health.set("ticks without sample", sampler.idle)
         self.health.set("tick late by", f"{sampler.grid.jitter / 1e6:.1f} ms")
@@ -304,7 +271,7 @@ class SamplerNode(TwinmatchNode):
         header = getattr(message, "header", None)
         stamp = nanoseconds(header.stamp) if header is not None else 0
         step = round(self.values["period"] * 1e9)
-        self._flag("stamps", Level.WARN, _ahead(topic, stamp - now) if stamp > now + step else "")
+        self.health.flag_if(stamp > now + step, "stamps", Level.WARN, _ahead(topic, stamp - now))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
         at = min(stamp, now) if stamp else now
         for name, wire in self._ready.items():
@@ -375,12 +342,6 @@ class SamplerNode(TwinmatchNode):
     def _late(self, now: float) -> bool:
         waited = self.values["wait_timeout"]
         return bool(waited) and now > self._begun + waited
-
-    def _flag(self, key: str, level: Level, text: str) -> None:
-        if text:
-            self.health.flag(key, level, text)
-        else:
-            self.health.withdraw(key)
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)

@@ -54,10 +54,8 @@ class SampleWatch:
     def look(self, now: float) -> None:
         """Report silence if no sample has arrived for too long; withdraw it once they arrive again."""
         silent = now - self._arrived
-        if self._last is not None and silent > self._silence:
-            self._health.flag("silence", Level.WARN, f"no sample for {silent:.0f} s")
-        else:
-            self._health.withdraw("silence")
+        down = self._last is not None and silent > self._silence
+        self._health.flag_if(down, "silence", Level.WARN, f"no sample for {silent:.0f} s")
 
 
 class TwinNode(TwinmatchNode):

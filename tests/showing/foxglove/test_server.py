@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from twinmatch.nodes.serving import is_loopback
 from twinmatch.showing.foxglove.errors import FoxgloveError
 from twinmatch.showing.foxglove.server import BACKLOG, GraphServer
+from twinmatch.showing.serving import is_loopback
 
 TEXT = "float64 data\n"
 

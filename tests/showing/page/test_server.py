@@ -16,9 +16,9 @@ from bokeh.models import Div
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
-from twinmatch.nodes.serving import is_loopback
 from twinmatch.showing.page import DashboardError
 from twinmatch.showing.page.server import PageServer
+from twinmatch.showing.serving import is_loopback
 
 
 def fill(document: Document) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twinmatch.nodes.serving import add_serving_arguments, check_serving, namespace_words
 from twinmatch.showing.foxglove.errors import FoxgloveError
+from twinmatch.showing.serving import add_serving_arguments, check_serving, namespace_words
 
 __all__ = ["add_arguments", "run"]
 

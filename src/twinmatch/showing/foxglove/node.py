@@ -15,7 +15,6 @@ from twinmatch.description import Description
 from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.plant_clock import CLOCK
-from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.topics import LATCHED, offered, reader_profile, wanted
 from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Qos, SessionError
@@ -25,6 +24,7 @@ from twinmatch.showing.foxglove.errors import FoxgloveError
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, layout, write_layout
 from twinmatch.showing.foxglove.server import GraphServer
 from twinmatch.showing.foxglove.topics import ELSEWHERE, TOPICS
+from twinmatch.showing.serving import is_loopback
 from twinmatch_msgs.msg import PlantDescription
 
 __all__ = ["Foxglove"]

@@ -20,7 +20,6 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.messages import description_from, forecast_from, verdict_from
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.sample_messages import one_of, sample_from
-from twinmatch.nodes.serving import is_loopback
 from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Parameter
 from twinmatch.parameters.twin import read_settings
@@ -31,6 +30,7 @@ from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.sentence import update_sentence
 from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, Drive, TwinRow
+from twinmatch.showing.serving import is_loopback
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
     Forecast,

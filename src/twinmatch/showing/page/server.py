@@ -18,8 +18,8 @@ from bokeh.settings import settings
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 
-from twinmatch.nodes.serving import is_loopback
 from twinmatch.showing.page.errors import DashboardError
+from twinmatch.showing.serving import is_loopback
 
 __all__ = ["PageServer"]
 
