@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from array import array
@@ -26,7 +25,7 @@ from twinmatch.links.thermal_client import (
 )
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import time_message
 from twinmatch.parameters.declared import Parameter
 from twinmatch.signals import KELVIN
@@ -284,9 +283,7 @@ def _region_from(values: dict[str, Any], name: str) -> Region:
     return Region(row=row, column=column, rows=values[f"{name}.height"], columns=values[f"{name}.width"])
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([CameraBridge]))
+main = program(CameraBridge)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ serves `twin/what_if`.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from pathlib import Path
@@ -31,7 +30,7 @@ from twinmatch.nodes.messages import (
     shown_samples,
 )
 from twinmatch.nodes.node import Level
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.sessions.candidates import read_candidates
@@ -240,9 +239,7 @@ class DiscriminatorNode(SampleNode):
             self._nominals.publish(nominal)
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([DiscriminatorNode]))
+main = program(DiscriminatorNode)
 
 
 if __name__ == "__main__":

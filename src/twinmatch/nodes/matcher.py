@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 
 from twinmatch.nodes.messages import match_message, request_from
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.samples import TwinNode
 from twinmatch.nodes.topics import EVERYTHING, RELIABLE
 from twinmatch.twin import carry_out
 from twinmatch_msgs.msg import Match, MatchRequest
-
-__all__ = ["MatcherNode", "main"]
 
 
 class MatcherNode(TwinNode):
@@ -51,9 +48,7 @@ class MatcherNode(TwinNode):
         self.put(message)
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([MatcherNode]))
+main = program(MatcherNode)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import ClassVar
 
 from rclpy.qos import qos_profile_sensor_data
@@ -12,7 +11,7 @@ from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
 from twinmatch.nodes.node import Report
 from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_table
 from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Parameter
@@ -119,9 +118,7 @@ class PwmBridge(GatedNode):
         self._applied.publish(message)
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([PwmBridge]))
+main = program(PwmBridge)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from rclpy.parameter import parameter_value_to_python
 
 from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.recorder_past import RecorderPast
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, reader_profile, wanted
 from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
@@ -359,9 +359,7 @@ class RecorderNode(TwinmatchNode):
         return Report(Level.OK, f"{len(arrivals)} topics", values)
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([RecorderNode]))
+main = program(RecorderNode)
 
 
 if __name__ == "__main__":

@@ -116,7 +116,6 @@ class InOrder:
                     self._write(name, messages.popleft())
 
 
-SAMPLE, MATCH, SCORE = "plant/sample", "twin/match", "twin/model_score"
 LOOK = 0.1
 """Interval at which the next request is considered, wall s."""
 PATIENCE = 10.0
@@ -127,116 +126,92 @@ MOST_WAITING = 4000
 Write = Callable[[str, bytes, int], None]
 
 
-class _Held(NamedTuple):
-    """A message held back until earlier ones are written."""
-
-    name: str
-    data: bytes
-    now: int
-
-
 class RecorderPast:
     """Holds the topics back until all earlier messages, if any, are written."""
 
     def __init__(self, node: Node, write: Write, known: Callable[[str], bool]) -> None:
-        """Prepare the requests.
-
-        Args:
-            node: the recorder.
-            write: writes a serialised message of a topic with its time, ns.
-            known: returns whether a topic is being recorded.
-        """
+        """`write` writes a topic's serialised message with its time (ns); `known`: is a topic recorded?"""
+        names = [node.resolve_topic_name(n) for n in ("plant/sample", "twin/match", "twin/model_score")]
+        self._sample, self._match, self._score = self._names = names
+        self._kinds = {self._match: Match, self._score: ModelScore}
         self._write, self._known = write, known
-        self._names = {short: node.resolve_topic_name(short) for short in (SAMPLE, MATCH, SCORE)}
         self._requests = PastRequests(node, self._on_answer)
         self._requested = 0  # samples in the pending request
-        self._held: list[_Held] | None = []
+        self._waiting: list[tuple[str, bytes, int]] | None = []  # messages held back until then
         self._until: int | None = None  # index of the first sample that came live
         self._next = 0
-        self._order = InOrder(self._write_fetched, SAMPLE, (MATCH, SCORE))
+        self._order = InOrder(lambda name, it: write(name, it.data, it.stamp), self._sample, self._kinds)
         self._copies = Copies()
-        self._kinds = {self._names[MATCH]: Match, self._names[SCORE]: ModelScore}
         self._since = 0.0
         self._timer = node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def take(self, name: str, data: bytes, now: int) -> bool:
         """Whether a message may be written at once; otherwise it is held back and written later."""
-        if name not in self._names.values():
+        if name not in self._names:
             return True
-        if self._held is None:
+        if self._waiting is None:
             return not self._is_copy(name, data)
-        if not self._held:
+        if not self._waiting:
             self._since = time.monotonic()
-        self._held.append(_Held(name, bytes(data), now))
-        if name == self._names[SAMPLE] and self._until is None:
+        self._waiting.append((name, bytes(data), now))
+        if name == self._sample and self._until is None:
             self._until, self._since = decode_sample(bytes(data)).index, time.monotonic()
             if self._until == 0:
-                self._release()
+                self.finish()
         return False
 
     def finish(self) -> None:
-        """Write what is held back, at the end of the recording."""
-        if self._held is not None:
-            self._release()
+        """Write what was held back, except what was fetched too, and hold nothing back from now on."""
+        if self._waiting is None:
+            return
+        self._order.finish()
+        waiting, self._waiting = self._waiting, None
+        self._timer.cancel()
+        for name, data, now in waiting:
+            if not self._is_copy(name, data):
+                self._write(name, data, now)
 
     def _look(self) -> None:
-        if self._held is None or self._until is None:
+        if self._waiting is None or self._until is None:
             return
         now = time.monotonic()
         if now - self._since > PATIENCE:
-            self._release()
-        elif self._requests.ready(now) and all(map(self._known, self._names.values())):
+            self.finish()
+        elif self._requests.ready(now) and all(map(self._known, self._names)):
             count = 0 if self._order.waiting > MOST_WAITING else self._until - self._next
-            matches, scores = self._order.counts[MATCH], self._order.counts[SCORE]
+            matches, scores = self._order.counts[self._match], self._order.counts[self._score]
             self._requested = count
             request = Past.Request(first=self._next, count=count, matches=matches, scores=scores)
             self._requests.send(request, now)
 
     def _on_answer(self, answer: Past.Response) -> None:
-        if self._held is None or self._until is None:
+        if self._waiting is None or self._until is None:
             return
         samples = list(samples_of_answer(answer))
         self._order.add_samples(Fetched(s.index, encode_sample(s), s.stamp) for s in samples)
         if samples:
             self._next = samples[-1].index + 1
-        for name, messages, heard in (
-            (MATCH, answer.match, answer.matches_heard),
-            (SCORE, answer.score, answer.scores_heard),
-        ):
+        heard = {self._match: answer.matches_heard, self._score: answer.scores_heard}
+        for name, messages in ((self._match, answer.match), (self._score, answer.score)):
             for message in messages:
-                self._copies.add(self._names[name], repr(message))
-            self._order.add_messages(name, map(_fetched, messages), heard)
+                self._copies.add(name, repr(message))
+            self._order.add_messages(name, map(_fetched, messages), heard[name])
         self._order.write()
         progress = bool(samples or answer.match or answer.score)
         if progress:
             self._since = time.monotonic()
-        counts = self._order.counts
-        all_fetched = counts[MATCH] >= answer.matches_heard and counts[SCORE] >= answer.scores_heard
-        if all_fetched and (
-            self._next >= self._until or (self._requested > 0 and not samples and answer.heard > self._until)
-        ):
-            self._release()
+        at_the_end = self._requested > 0 and not samples and answer.heard > self._until
+        all_said = all(self._order.counts[name] >= count for name, count in heard.items())
+        if all_said and (self._next >= self._until or at_the_end):
+            self.finish()
         elif progress:
             self._look()
 
-    def _write_fetched(self, name: str, message: Fetched) -> None:
-        self._write(self._names[name], message.data, message.stamp)
-
-    def _release(self) -> None:
-        """Write what was held back, except what was fetched too, and hold nothing back from now on."""
-        self._order.finish()
-        held, self._held = self._held or [], None
-        self._timer.cancel()
-        for name, data, now in held:
-            if not self._is_copy(name, data):
-                self._write(name, data, now)
-
     def _is_copy(self, name: str, data: bytes) -> bool:
         """Whether a message was fetched too."""
-        kind = self._kinds.get(name)
-        if kind is None or not self._copies.expected(name):
+        if not self._copies.expected(name):
             return False
-        return self._copies.found(name, values_of(bytes(data), kind))
+        return self._copies.found(name, values_of(bytes(data), self._kinds[name]))
 
 
 def values_of(data: bytes, kind: type[Match | ModelScore]) -> str:

@@ -15,7 +15,7 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -38,7 +38,7 @@ try:
 except ImportError:  # Jazzy before rclpy 7.1.4, or a release that moves what is experimental
     EventsExecutor = SingleThreadedExecutor
 
-__all__ = ["EXIT_DEFECT", "TEARDOWN", "RunnerError", "run"]
+__all__ = ["EXIT_DEFECT", "TEARDOWN", "RunnerError", "program", "run"]
 
 EXIT_DEFECT = 1
 """Exit code after a defect of the program; its traceback is printed."""
@@ -86,6 +86,11 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         code = EXIT_DEFECT
     process.end(code)
     return code
+
+
+def program(*kinds: type[TwinmatchNode]) -> Callable[[], None]:
+    """The console script of nodes that run together in one process."""
+    return lambda: sys.exit(run(kinds))
 
 
 class _Process:

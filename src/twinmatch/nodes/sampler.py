@@ -5,7 +5,6 @@ Its parameters depend on the plant: a map entry and an age limit for each signal
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +17,7 @@ from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, missing_readers
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import Parameter, ParameterError
@@ -352,9 +351,7 @@ def _ahead(topic: str, nanos: int) -> str:
     return f"the stamps of {topic} are {ahead} ahead of this machine's clock; the time of arrival is used"
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([SamplerNode, Keeper]))
+main = program(SamplerNode, Keeper)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import ClassVar
 
 from rclpy.qos import qos_profile_sensor_data
@@ -10,7 +9,7 @@ from rclpy.qos import qos_profile_sensor_data
 from twinmatch.links.kit_link import KitLink, KitReading
 from twinmatch.nodes.kit_driver import KitDriver, KitPace
 from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_table
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Parameter
@@ -132,9 +131,7 @@ class TCLabBridge(GatedNode):
         self._applied.publish(applied)
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([TCLabBridge]))
+main = program(TCLabBridge)
 
 
 if __name__ == "__main__":

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 from twinmatch.nodes.discriminator import DiscriminatorNode
 from twinmatch.nodes.matcher import MatcherNode
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.twin_simulator import TwinSimulatorNode
 
-__all__ = ["main"]
-
-
-def main() -> None:
-    """Console script."""
-    sys.exit(run([TwinSimulatorNode, MatcherNode, DiscriminatorNode]))
+main = program(TwinSimulatorNode, MatcherNode, DiscriminatorNode)
 
 
 if __name__ == "__main__":

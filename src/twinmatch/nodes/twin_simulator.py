@@ -5,10 +5,8 @@ It also publishes the description of the plant once, latched: `plant/description
 
 from __future__ import annotations
 
-import sys
-
 from twinmatch.nodes.messages import description_message, parameters_from, state_message
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.samples import SampleNode
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.plants.records import description_of
@@ -16,8 +14,6 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Mirror
 from twinmatch_msgs.msg import ForecastScore, PlantDescription, TwinState
 from twinmatch_msgs.srv import Past
-
-__all__ = ["TwinSimulatorNode", "main"]
 
 
 class TwinSimulatorNode(SampleNode):
@@ -59,9 +55,7 @@ class TwinSimulatorNode(SampleNode):
         self.health.set("leader", item.name)
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([TwinSimulatorNode]))
+main = program(TwinSimulatorNode)
 
 
 if __name__ == "__main__":
