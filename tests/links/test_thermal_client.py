@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import random
 import socket
+import statistics
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,14 +13,30 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from tests.support.waiting import PATIENCE, wait_for
-from twinmatch.links.thermal_client import ClientSettings, LinkState, LinkStatus, ThermalClient, back_off
+from twinmatch.links.thermal_client import (
+    CLOCK_MEMORY,
+    ClientSettings,
+    LinkState,
+    LinkStatus,
+    Region,
+    RegionError,
+    StampMapper,
+    ThermalClient,
+    back_off,
+    celsius,
+    region,
+)
 from twinmatch.links.thermal_frame import (
     LEPTON_SHAPE,
     Exposure,
     FlatField,
     FrameChecksumError,
+    FrameFlags,
     FrameSyntaxError,
     FrameTooLongError,
     ThermalConnectError,
@@ -371,3 +388,104 @@ def test_settings_must_be_positive(name: str) -> None:
 def test_the_longest_wait_is_no_shorter_than_the_first() -> None:
     with pytest.raises(ThermalLinkError, match=r"longest_wait 0\.1 s is below first_wait 1 s"):
         ClientSettings(first_wait=1, longest_wait=0.1)
+
+
+MS = 1_000_000
+
+
+def test_the_quickest_frame_sets_the_offset() -> None:
+    mapper = StampMapper()
+    assert mapper.map(0, 1000 * MS + 5 * MS) == 1005 * MS
+    assert mapper.map(100 * MS, 1100 * MS + 1 * MS) == 1101 * MS
+    assert mapper.map(200 * MS, 1200 * MS + 80 * MS) == 1201 * MS
+
+
+@given(st.integers(0, 10**15), st.lists(st.integers(0, 500 * MS), min_size=1, max_size=50))
+def test_never_early_and_late_by_the_shortest_transit(offset: int, transits: list[int]) -> None:
+    mapper = StampMapper()
+    for i, transit in enumerate(transits):
+        taken = 111 * MS * i
+        mapped = mapper.map(taken, taken + offset + transit)
+        assert mapped - (taken + offset) == min(transits[: i + 1])
+
+
+def test_clocks_that_drift_apart_cost_what_they_drift_in_two_stretches() -> None:
+    mapper = StampMapper()
+    worst = 0
+    for i in range(0, 3600 * 9):
+        ours = 111 * MS * i
+        camera = ours - ours * 50 // 1_000_000  # 50 ppm slow
+        worst = max(worst, abs(mapper.map(camera, ours) - ours))
+    # 50 ppm of two stretches of 30 s are 3 ms.
+    assert worst <= 2 * CLOCK_MEMORY * 50 // 1_000_000 + MS
+
+
+def test_a_quick_frame_is_forgotten_after_two_stretches() -> None:
+    mapper = StampMapper(memory=10)
+    mapper.map(0, 100)
+    assert mapper.map(1, 111) == 101
+    assert mapper.map(12, 122) == 122
+    assert mapper.map(23, 133) == 133
+
+
+def exposure(counts: object, resolution: float = 0.01, flags: FrameFlags = FrameFlags.NONE) -> Exposure:
+    image = np.array(counts, dtype=np.uint16)
+    return Exposure(image=image, stamp=0, resolution=resolution, frame_counter=0, flags=flags)
+
+
+def test_counts_are_kelvin_by_resolution() -> None:
+    assert celsius(exposure([[27315, 30815]]))[0] == pytest.approx([0.0, 35.0], abs=1e-9)
+    assert celsius(exposure([[3032]], resolution=0.1))[0, 0] == pytest.approx(30.05, abs=1e-9)
+
+
+def test_statistics_of_a_rectangle() -> None:
+    counts = np.full((60, 80), 27315)
+    counts[10:12, 20:22] = [[30000, 30100], [30200, 30300]]
+    found = region(exposure(counts), Region(10, 20, 2, 2))
+    degrees = [26.85, 27.85, 28.85, 29.85]
+    assert found.mean == pytest.approx(statistics.mean(degrees))
+    assert found.variance == pytest.approx(statistics.pvariance(degrees))
+    assert found.deviation == pytest.approx(statistics.pstdev(degrees))
+    assert (found.minimum, found.maximum) == pytest.approx((26.85, 29.85))
+    assert found.spread == pytest.approx(3.0)
+    assert found.pixels == 4
+
+
+def test_pixels_at_the_ends_of_the_range_do_not_count() -> None:
+    found = region(exposure([[0, 30000], [65535, 30100]]))
+    assert found.pixels == 2
+    assert found.mean == pytest.approx(27.35)
+
+
+@given(hnp.arrays(np.uint16, (6, 8), elements=st.integers(1, 65534)), st.data())
+def test_a_rectangle_lies_within_the_image(image: np.ndarray, data: st.DataObject) -> None:
+    row, column = data.draw(st.integers(0, 5)), data.draw(st.integers(0, 7))
+    roi = Region(row, column, data.draw(st.integers(1, 6 - row)), data.draw(st.integers(1, 8 - column)))
+    whole, part = region(exposure(image)), region(exposure(image), roi)
+    assert whole.minimum <= part.minimum <= part.maximum <= whole.maximum
+    assert part.pixels == roi.rows * roi.columns
+    # Popoviciu: no variance exceeds a quarter of the spread squared.
+    assert part.variance <= part.spread**2 / 4 + 1e-6
+
+
+@pytest.mark.parametrize("box", [(-1, 0, 1, 1), (0, -1, 1, 1), (0, 0, 0, 1), (0, 0, 1, 0)])
+def test_an_invalid_rectangle(box: tuple[int, int, int, int]) -> None:
+    with pytest.raises(RegionError, match="start at 0 or later and contain a pixel"):
+        Region(*box)
+
+
+@pytest.mark.parametrize("box", [(5, 0, 2, 1), (0, 7, 1, 2)])
+def test_a_rectangle_outside_the_image(box: tuple[int, int, int, int]) -> None:
+    with pytest.raises(RegionError, match="leave the image of 6 by 8"):
+        region(exposure(np.ones((6, 8))), Region(*box))
+
+
+def test_no_valid_pixel() -> None:
+    with pytest.raises(RegionError, match="every pixel is outside"):
+        region(exposure(np.zeros((6, 8))))
+
+
+@pytest.mark.parametrize("flag", [FrameFlags.GAIN_CONTROL, FrameFlags.NOT_RADIOMETRIC])
+def test_counts_that_are_not_temperatures(flag: FrameFlags) -> None:
+    with pytest.raises(RegionError, match="not temperatures; switch TLinear on"):
+        celsius(exposure(np.ones((6, 8)), flags=flag))

@@ -6,7 +6,6 @@ import dataclasses
 import random
 import struct
 import zlib
-from collections.abc import Callable
 from typing import Any
 
 import cbor2
@@ -73,9 +72,6 @@ def wire_map(**changes: Any) -> dict[str, Any]:
     return {**value, **changes}
 
 
-# --- against other hands -------------------------------------------------------------------------
-
-
 def head(major: int, value: int) -> bytes:
     """The head of a CBOR item, from RFC 8949 section 3 alone."""
     if value < 24:
@@ -135,8 +131,6 @@ def test_a_lepton_frame_is_below_ten_kilobytes() -> None:
     assert len(encode_frame(make_frame())) < 10_000
 
 
-# --- round trips ---------------------------------------------------------------------------------
-
 frames = st.builds(
     ThermalFrame,
     image=hnp.arrays(np.uint16, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12)),
@@ -178,9 +172,6 @@ def test_numbering_changes_the_numbers_only(frame: ThermalFrame, sequence: int, 
     assert same(numbered, dataclasses.replace(frame, sequence=sequence, boot_id=boot_id))
 
 
-# --- corruption ----------------------------------------------------------------------------------
-
-
 def flip(data: bytearray, rng: random.Random) -> None:
     for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
@@ -220,16 +211,7 @@ def header(data: bytearray, rng: random.Random) -> None:
     data[rng.randrange(min(70, len(data)))] = rng.randrange(256)
 
 
-MUTATIONS: list[Callable[[bytearray, random.Random], None]] = [
-    flip,
-    burst,
-    insert,
-    delete,
-    repeat,
-    swap,
-    truncate,
-    header,
-]
+MUTATIONS = (flip, burst, insert, delete, repeat, swap, truncate, header)
 
 
 @pytest.mark.parametrize(("shape", "rounds"), [((6, 8), 90_000), (LEPTON_SHAPE, 10_000)])
@@ -264,9 +246,6 @@ def test_every_single_bit_counts() -> None:
 def test_noise_is_refused(data: bytes) -> None:
     with pytest.raises(FrameError):
         decode_frame(data)
-
-
-# --- each error ----------------------------------------------------------------------------------
 
 
 def test_changed_pixel_is_reported_as_checksum() -> None:
@@ -373,9 +352,6 @@ def test_wrong_field(change: dict[str, Any], message: str) -> None:
         decode_frame(sealed(wire_map(**change)))
 
 
-# --- the frame itself ----------------------------------------------------------------------------
-
-
 def test_an_image_cannot_be_changed() -> None:
     frame = make_frame((2, 3))
     with pytest.raises(ValueError, match="read-only"):
@@ -384,16 +360,10 @@ def test_an_image_cannot_be_changed() -> None:
         decode_frame(encode_frame(frame)).image[0, 0] = 1
 
 
-@pytest.mark.parametrize(
-    "image",
-    [
-        np.zeros((2, 3)),
-        np.zeros(3, np.uint16),
-        np.zeros((0, 3), np.uint16),
-        np.zeros((1, 1025), np.uint16),
-        [1],
-    ],
-)
+INVALID = [np.zeros((2, 3)), *(np.zeros(s, np.uint16) for s in (3, (0, 3), (1, 1025))), [1]]
+
+
+@pytest.mark.parametrize("image", INVALID)
 def test_an_invalid_image(image: Any) -> None:
     with pytest.raises(FrameFieldError, match=r"the image (is|has shape)"):
         Exposure(image=image, stamp=0, resolution=0.01, frame_counter=0)

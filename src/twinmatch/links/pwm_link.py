@@ -3,20 +3,7 @@
 The board trips when it receives no command within its deadline (`Banner.deadline_ms`, one second), so the
 user of a `PwmLink` repeats the current command several times per second, changed or not. This is intended: a
 program that hangs or crashes stops doing so, and the output goes off. Every command is absolute, so it is
-safe to send it again after any error. There is one error class per remedy:
-
-PwmLinkError                  a command could not be delivered; the state of the output is unknown
-├── PwmRangeError             an argument is out of range; nothing was sent
-├── PwmPortMissingError       no such port, or no permission: is the board plugged in
-├── PwmPortBusyError          another program holds the port
-├── PwmPortLostError          the port vanished or was never opened: cable, board reset; reopen()
-├── PwmTimeoutError           the port is open, but no answer arrived in time
-├── PwmCorruptReplyError      answers arrived, but damaged, or not matching the request
-├── PwmStaleReplyError        only answers to earlier requests arrived
-├── PwmRejectedError          the board refused: .code is the reason
-│   └── PwmLatchedError       it has tripped and waits for clear(): .flags show the cause
-├── PwmResetError             the board restarted in mid-session; clear() if that was expected
-└── PwmVersionError           the board has another version of the protocol
+safe to send it again after any error.
 """
 
 from __future__ import annotations
@@ -52,15 +39,15 @@ from twinmatch.links.pwm_protocol import (
 
 
 class PwmLinkError(TwinmatchError):
-    """The PWM board could not be commanded."""
+    """A command could not be delivered; the state of the output is unknown."""
 
 
 class PwmRangeError(PwmLinkError):
-    """A command is not finite or outside ±255, or a setting is out of range."""
+    """A command or a setting is out of range; nothing was sent."""
 
 
 class PwmPortMissingError(PwmLinkError):
-    """The serial port does not exist or may not be opened."""
+    """No such port, or no permission: is the board plugged in?"""
 
 
 class PwmPortBusyError(PwmLinkError):
@@ -68,23 +55,23 @@ class PwmPortBusyError(PwmLinkError):
 
 
 class PwmPortLostError(PwmLinkError, ConnectionError):
-    """The serial port is closed or vanished."""
+    """The port vanished or was never opened: cable, board reset; reopen() it."""
 
 
 class PwmTimeoutError(PwmLinkError, TimeoutError):
-    """No answer in time."""
+    """The port is open, but no answer arrived in time."""
 
 
 class PwmCorruptReplyError(PwmLinkError):
-    """An answer has a wrong checksum or invalid content."""
+    """Answers arrived, but damaged, or not matching the request."""
 
 
 class PwmStaleReplyError(PwmLinkError):
-    """Answers arrived, but none to this request."""
+    """Only answers to earlier requests arrived."""
 
 
 class PwmRejectedError(PwmLinkError):
-    """The board refused a request."""
+    """The board refused a request: `code` is the reason."""
 
     def __init__(self, message: str, code: Code) -> None:
         super().__init__(message)
@@ -92,7 +79,7 @@ class PwmRejectedError(PwmLinkError):
 
 
 class PwmLatchedError(PwmRejectedError):
-    """The board has tripped: output off until it is cleared."""
+    """The board has tripped and waits for clear(): `flags` show the cause."""
 
     def __init__(self, message: str, code: Code, flags: Flags) -> None:
         super().__init__(message, code)
@@ -100,7 +87,7 @@ class PwmLatchedError(PwmRejectedError):
 
 
 class PwmResetError(PwmLinkError):
-    """The board restarted since it was cleared."""
+    """The board restarted since it was cleared; clear() it if that was expected."""
 
 
 class PwmVersionError(PwmLinkError):

@@ -2,20 +2,7 @@
 
 Only `wait` blocks its caller. Each frame replaces the one before, read or not, so a slow consumer sees gaps
 but never old images. Any error in the stream ends the connection; the thread then pauses, longer each time,
-and reconnects. `region` gives the temperatures of a rectangle of a frame. One error class per remedy:
-
-ThermalLinkError              the stream is not usable right now; the client reconnects automatically
-├── ThermalConnectError       no server at the address: is it running, is the port right
-├── ThermalStallError         connected, but no complete frame in time: camera or network hangs
-├── ThermalEndError           the server closed the connection, perhaps in the middle of a frame
-├── ThermalOrderError         the frames of one server are out of order: two programs on one port
-├── RegionError               a rectangle is outside the frame, empty, or without a valid pixel
-└── FrameError                the bytes are not a valid frame
-    ├── FrameSyntaxError      not CBOR, or not one map
-    ├── FrameTooLongError     longer than the limit
-    ├── FrameVersionError     a frame of another version of the format
-    ├── FrameFieldError       a field is missing, surplus, of the wrong type or out of range
-    └── FrameChecksumError    the bytes were corrupted in transit
+and reconnects. `region` gives the temperatures of a rectangle of a frame.
 """
 
 from __future__ import annotations
@@ -102,10 +89,8 @@ class ClientSettings:
                 msg = f"thermal client: {name} is {getattr(self, name)}; it must be positive"
                 raise ThermalLinkError(msg)
         if self.longest_wait < self.first_wait:
-            msg = (
-                f"thermal client: longest_wait {self.longest_wait} s is below first_wait {self.first_wait} s"
-            )
-            raise ThermalLinkError(msg)
+            waits = f"longest_wait {self.longest_wait} s is below first_wait {self.first_wait} s"
+            raise ThermalLinkError(f"thermal client: {waits}")
 
 
 def back_off(failures: int, settings: ClientSettings = ClientSettings()) -> float:

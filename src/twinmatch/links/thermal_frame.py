@@ -24,39 +24,39 @@ from twinmatch.errors import TwinmatchError
 
 
 class ThermalLinkError(TwinmatchError):
-    """The thermal stream is not usable."""
+    """The thermal stream is not usable right now; the client reconnects automatically."""
 
 
 class ThermalConnectError(ThermalLinkError):
-    """No connection to the camera server could be made."""
+    """No server at the address: is it running, is the port right?"""
 
 
 class ThermalStallError(ThermalLinkError):
-    """The connection is up, but no complete frame arrived in time."""
+    """Connected, but no complete frame in time: camera or network hangs."""
 
 
 class ThermalEndError(ThermalLinkError):
-    """The server closed the connection."""
+    """The server closed the connection, perhaps in the middle of a frame."""
 
 
 class ThermalOrderError(ThermalLinkError):
-    """A frame's sequence number is not above that of the frame before."""
+    """The frames of one server are out of order: two programs on one port?"""
 
 
 class FrameError(ThermalLinkError):
-    """Bytes are not a thermal frame."""
+    """The bytes are not a valid frame."""
 
 
 class FrameSyntaxError(FrameError):
-    """Bytes are not one CBOR map."""
+    """Not CBOR, or not one map."""
 
 
 class FrameTooLongError(FrameError):
-    """A frame is longer than the limit."""
+    """Longer than the limit."""
 
 
 class FrameVersionError(FrameError):
-    """A frame has another version of the wire format."""
+    """A frame of another version of the format."""
 
 
 class FrameFieldError(FrameError):
@@ -64,7 +64,7 @@ class FrameFieldError(FrameError):
 
 
 class FrameChecksumError(FrameError):
-    """The checksum does not match the bytes before it."""
+    """The bytes were corrupted in transit."""
 
 
 CountArray = NDArray[np.uint16]
