@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 
@@ -52,43 +52,32 @@ class Profile:
     """Unit of the set-points, for messages."""
 
     def __post_init__(self) -> None:
+        if problem := next(self._problems(), ""):
+            raise ControlError(f"profile: {problem}")
+
+    def _problems(self) -> Iterator[str]:
+        """Why the profile cannot be run; each holds if there is none before it."""
+        unit, allowed = self.unit, f"{self.lowest:g} to {self.highest:g} {self.unit}"
         if not self.lowest < self.highest:
-            msg = f"profile: the range {self.lowest:g} to {self.highest:g} {self.unit} is empty"
-            raise ControlError(msg)
+            yield f"the range {allowed} is empty"
         if not self.levels or len(self.levels) != len(self.holds):
-            msg = (
-                f"profile: {len(self.levels)} levels and {len(self.holds)} times are given; "
-                "give one time per level, and at least one level"
-            )
-            raise ControlError(msg)
+            given = f"{len(self.levels)} levels and {len(self.holds)} times are given"
+            yield f"{given}; give one time per level, and at least one level"
         for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True), 1):
             if not self.lowest <= level <= self.highest:
-                allowed = f"{self.lowest:g} to {self.highest:g} {self.unit}"
-                msg = (
-                    f"profile: level {number} is {level:g} {self.unit}; give one in the safe range, {allowed}"
-                )
-                raise ControlError(msg)
+                yield f"level {number} is {level:g} {unit}; give one in the safe range, {allowed}"
             if not (math.isfinite(hold) and hold > 0):
-                msg = f"profile: the time of level {number} is {hold:g} s; give a positive time"
-                raise ControlError(msg)
-        self._check_ramp()
-
-    def _check_ramp(self) -> None:
+                yield f"the time of level {number} is {hold:g} s; give a positive time"
         if not (math.isfinite(self.ramp) and self.ramp >= 0):
-            msg = f"profile: the ramp is {self.ramp:g} {self.unit}/s; give a positive rate, or 0 for steps"
-            raise ControlError(msg)
-        if self.ramp == 0:
-            return
-        for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True)):
-            if number == 0 and not self.repeat:
-                continue
-            needed = abs(level - self.levels[number - 1]) / self.ramp
-            if needed > hold:
-                msg = (
-                    f"profile: the ramp to level {number + 1} takes {needed:g} s, longer than its time of "
-                    f"{hold:g} s; hold it longer or choose a faster ramp"
+            yield f"the ramp is {self.ramp:g} {unit}/s; give a positive rate, or 0 for steps"
+        first = 0 if self.repeat else 1
+        for number in range(first, len(self.levels) if self.ramp > 0 else 0):
+            needed = abs(self.levels[number] - self.levels[number - 1]) / self.ramp
+            if needed > self.holds[number]:
+                yield (
+                    f"the ramp to level {number + 1} takes {needed:g} s, longer than its time of "
+                    f"{self.holds[number]:g} s; hold it longer or choose a faster ramp"
                 )
-                raise ControlError(msg)
 
     @property
     def duration(self) -> float:

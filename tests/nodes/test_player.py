@@ -1,4 +1,6 @@
-"""Sessions played: every byte, in order, at its time, to readers that are slow."""
+"""Sessions played: every byte, in order, at its time, to readers that are slow.
+
+When recorded messages are due."""
 
 from __future__ import annotations
 
@@ -8,6 +10,8 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from hypothesis import given
+from hypothesis import strategies as st
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -16,7 +20,7 @@ from std_srvs.srv import SetBool
 
 from tests.support.processes import Process
 from tests.support.ros import Listener
-from twinmatch.nodes.player import PlayerError, message_class, qos_profile
+from twinmatch.nodes.player import Pace, PlayerError, class_of, playing_profile
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.sessions import Qos, Topic, read_session, write_session
@@ -174,14 +178,98 @@ def test_refusals(start: Callable[..., Process], session: Path, arguments: list[
 
 @pytest.mark.parametrize("kind", ["nobody_msgs/msg/LoopSample", "twinmatch_msgs/msg/Nothing"])
 def test_types_that_are_not_installed(kind: str) -> None:
-    with pytest.raises(PlayerError, match="which is not installed here"):
-        message_class(Topic("/x", kind, "", ""))
+    with pytest.raises(PlayerError, match=f"player: /x: the type {kind} is not installed here"):
+        class_of(Topic("/x", kind, "", ""))
 
 
 def test_recorded_quality_of_service() -> None:
-    profile = qos_profile(Qos("reliable", "transient_local", 1))
+    profile = playing_profile(Qos("reliable", "transient_local", 1))
     assert (profile.durability, profile.depth) == (DurabilityPolicy.TRANSIENT_LOCAL, 1)
     assert profile.reliability == ReliabilityPolicy.RELIABLE
-    profile = qos_profile(Qos("best_effort", "volatile", 5))
+    profile = playing_profile(Qos("best_effort", "volatile", 5))
     assert (profile.durability, profile.depth) == (DurabilityPolicy.VOLATILE, 1000)
     assert profile.reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+SECONDS = st.floats(0.0, 1e6)
+
+
+def test_stands_still_until_resumed() -> None:
+    pace = Pace(2.0, start=100.0)
+    assert pace.paused
+    assert pace.wait(100.0, now=50.0) is None
+    assert pace.position(now=50.0) == 100.0
+
+
+def test_rate_divides_the_waiting() -> None:
+    pace = Pace(2.0, start=100.0)
+    pace.resume(now=50.0)
+    assert pace.wait(110.0, now=50.0) == 5.0
+    assert pace.wait(110.0, now=54.0) == 1.0
+    assert pace.wait(110.0, now=60.0) == 0.0
+
+
+def test_pause_takes_nothing_away() -> None:
+    pace = Pace(1.0, start=0.0)
+    pace.resume(now=0.0)
+    pace.pause(now=3.0)
+    pace.pause(now=4.0)
+    assert pace.position(now=99.0) == 3.0
+    pace.resume(now=100.0)
+    pace.resume(now=101.0)
+    assert pace.wait(10.0, now=102.0) == 5.0
+
+
+def test_without_pace_nothing_waits_but_a_pause() -> None:
+    pace = Pace(0.0, start=0.0)
+    assert pace.wait(1e9, now=0.0) is None
+    pace.resume(now=0.0)
+    assert pace.wait(1e9, now=0.0) == 0.0
+    pace.reach(1e9, now=1.0)
+    assert pace.position(now=5.0) == 1e9
+    pace.reach(1e8, now=1.0)
+    assert pace.position(now=5.0) == 1e9
+    pace.pause(now=6.0)
+    assert pace.wait(2e9, now=7.0) is None
+
+
+@given(rate=st.floats(0.01, 1000.0), first=SECONDS, wait=SECONDS, recorded=SECONDS)
+def test_after_the_wait_the_message_is_due(rate: float, first: float, wait: float, recorded: float) -> None:
+    pace = Pace(rate, start=first)
+    pace.resume(now=wait)
+    rest = pace.wait(recorded, now=wait)
+    assert rest is not None
+    assert rest >= 0.0
+    assert pace.position(now=wait + rest) >= recorded - 1e-3 * max(1.0, rate)
+    assert pytest.approx(0.0, abs=1e-3) == pace.wait(recorded, now=wait + rest)
+
+
+def test_change_continues_from_where_the_recording_stands() -> None:
+    pace = Pace(2.0, 100.0)
+    pace.resume(10.0)
+    pace.change(10.0, 13.0)
+    assert pace.rate == 10.0
+    assert pace.position(13.0) == 106.0
+    assert pace.position(14.0) == 116.0
+    assert pace.wait(126.0, 14.0) == 1.0
+
+
+def test_change_while_paused_stays_paused() -> None:
+    pace = Pace(2.0, 100.0)
+    pace.resume(10.0)
+    pace.pause(11.0)
+    pace.change(5.0, 20.0)
+    assert pace.paused
+    assert pace.position(30.0) == 102.0
+    pace.resume(40.0)
+    assert pace.position(41.0) == 107.0
+
+
+def test_change_to_and_from_no_pace() -> None:
+    pace = Pace(1.0, 0.0)
+    pace.resume(0.0)
+    pace.change(0.0, 5.0)
+    assert pace.wait(1000.0, 5.0) == 0.0
+    pace.reach(1000.0, 6.0)
+    pace.change(10.0, 7.0)
+    assert pace.position(8.0) == 1010.0

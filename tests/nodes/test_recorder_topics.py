@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from twinmatch.nodes.recorder import Arrivals
-from twinmatch.nodes.topics import offered, reader_profile, wanted
+from twinmatch.nodes.topics import offered, profile_of, wanted
 from twinmatch.sessions import Qos
 
 pytestmark = pytest.mark.ros
@@ -60,7 +60,7 @@ def endpoint(reliable=True, latched=False, depth=10):
 )
 def test_the_weakest_offer_is_taken(endpoints, qos):
     assert offered(endpoints) == qos
-    profile = reader_profile(qos)
+    profile = profile_of(qos)
     for one in endpoints:  # a reader that asks for more than is offered receives nothing
         assert profile.reliability == ReliabilityPolicy.BEST_EFFORT or (
             one.qos_profile.reliability == ReliabilityPolicy.RELIABLE

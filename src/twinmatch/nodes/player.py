@@ -5,15 +5,13 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any, ClassVar
 
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
@@ -21,19 +19,77 @@ from std_srvs.srv import SetBool
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_readers, missing_readers
-from twinmatch.nodes.pace import Pace
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
+from twinmatch.nodes.topics import DEPTH, MessageTypeError, message_class, profile_of
 from twinmatch.parameters.declared import Parameter, Values
 from twinmatch.sessions import Message, Qos, Topic, read_session
 
-__all__ = ["Player", "PlayerError", "main"]
 
-DEPTH = 1000
-"""Messages queued for slow readers, per topic."""
+class Pace:
+    """Maps recorded time onto the player's time; all times in seconds.
+
+    The time is passed in and no clock is read, so it can be tested without waiting.
+    """
+
+    def __init__(self, rate: float, start: float) -> None:
+        """`rate` is recorded seconds per second (0: as fast as possible), `start` the first recorded time."""
+        self._rate = rate
+        self._recorded = start  # recorded time reached at `_since`
+        self._since: float | None = None  # the listener's time then; None while paused
+
+    @property
+    def paused(self) -> bool:
+        """Whether playback is paused; it is until the first `resume`."""
+        return self._since is None
+
+    def resume(self, now: float) -> None:
+        """Continue from the current position."""
+        if self._since is None:
+            self._since = now
+
+    def pause(self, now: float) -> None:
+        """Pause at the current position."""
+        self._recorded = self.position(now)
+        self._since = None
+
+    @property
+    def rate(self) -> float:
+        """Recorded seconds per second; 0: as fast as possible."""
+        return self._rate
+
+    def change(self, rate: float, now: float) -> None:
+        """Continue at another rate from the current position."""
+        self._recorded = self.position(now)
+        self._since = None if self._since is None else now
+        self._rate = rate
+
+    def reach(self, recorded: float, now: float) -> None:
+        """Note that a message of this recorded time was played; at rate 0 this is the only progress."""
+        if self._rate == 0:
+            self._recorded = max(self._recorded, recorded)
+            self._since = None if self._since is None else now
+
+    def position(self, now: float) -> float:
+        """Recorded time that has been reached."""
+        if self._since is None:
+            return self._recorded
+        return self._recorded + (now - self._since) * self._rate
+
+    def wait(self, recorded: float, now: float) -> float | None:
+        """Seconds until a message of this recorded time is due; None while paused."""
+        if self._since is None:
+            return None
+        if self._rate == 0:
+            return 0.0
+        return max(0.0, (recorded - self.position(now)) / self._rate)
+
+
 BATCH = DEPTH // 4
 """At rate 0, messages after which the player waits until its readers have received all of them."""
 TICK = 0.1
 """Longest wait before the clock is published again, s."""
+_RATE = "Recorded seconds per second; 0: as fast as readers keep up."
+_TIMEOUT = "Longest wait for them, and for delivery at the end."
 SAMPLE = "plant/sample"
 FROM_TWIN = ("plant/description",)
 """Plant topics that a twin publishes, and the player therefore does not."""
@@ -55,22 +111,12 @@ class Player(TwinmatchNode):
         Parameter("session", "", "Folder or .mcap file of the session; required."),
         Parameter("topic", "", "Topic of the samples, if the session has several rigs."),
         Parameter("topics", ["plant/", "thermal/"], "Prefixes of the topics to play."),
-        Parameter(
-            "rate",
-            1.0,
-            "Recorded seconds per second; 0: as fast as readers keep up.",
-            "",
-            0.0,
-            1000.0,
-            changeable=True,
-        ),
+        Parameter("rate", 1.0, _RATE, "", 0.0, 1000.0, changeable=True),
         Parameter("paused", False, "Start paused; the service ~/pause continues."),
         Parameter("clock", True, "Publish /clock."),
         Parameter("wait_for", 1, "Readers of plant/sample to wait for before the first message.", "", 0, 100),
         READERS,
-        Parameter(
-            "wait_timeout", 10.0, "Longest wait for them, and for delivery at the end.", "s", 0.1, 3600.0
-        ),
+        Parameter("wait_timeout", 10.0, _TIMEOUT, "s", 0.1, 3600.0),
     )
 
     def __init__(self) -> None:
@@ -96,7 +142,7 @@ class Player(TwinmatchNode):
         self._prefix = self._session.topic.removesuffix(SAMPLE)
         self._publishers_of = {
             topic.name: self.create_publisher(
-                message_class(topic), self._relative(topic.name), qos_profile(topic.qos)
+                class_of(topic), self._relative(topic.name), playing_profile(topic.qos)
             )
             for topic in self._session.topics
             if self._relative(topic.name).startswith(tuple(self.values["topics"]))
@@ -258,37 +304,24 @@ class Player(TwinmatchNode):
         self.exit_code = 0
 
 
-def qos_profile(qos: Qos) -> QoSProfile:
+def playing_profile(qos: Qos) -> QoSProfile:
     """The recorded quality of service, with a deeper queue, so that a reader may be slow for a while."""
-    transient = qos.durability == "transient_local"
-    reliable = qos.reliability == "reliable"
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=qos.depth if transient else max(qos.depth, DEPTH),
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if transient else DurabilityPolicy.VOLATILE,
-    )
+    return profile_of(qos, qos.depth if qos.durability == "transient_local" else max(qos.depth, DEPTH))
 
 
-def message_class(topic: Topic) -> Any:
-    """The class of a recorded type.
+def class_of(topic: Topic) -> Any:
+    """The class of a recorded topic's messages.
 
     Raises:
         PlayerError: the type is not installed.
     """
-    package, _, name = topic.type.split("/")
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        msg = (
-            f"player: {topic.name} has the type {topic.type}, which is not installed here; install {package}"
-        )
-        raise PlayerError(msg) from None
+        return message_class(topic.type)
+    except MessageTypeError as error:
+        raise PlayerError(f"player: {topic.name}: {error}") from None
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([Player, Keeper]))
+main = program(Player, Keeper)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from rclpy.parameter import parameter_value_to_python
 from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.recorder_past import RecorderPast
 from twinmatch.nodes.runner import program
-from twinmatch.nodes.topics import message_class, offered, reader_profile, wanted
+from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
 from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.documents import read_text
@@ -286,7 +286,7 @@ class RecorderNode(TwinmatchNode):
         qos = offered(endpoints)
         known, reader = self._readers.get(name, (None, None))
         if known is not None:
-            if reader_profile(qos) == reader_profile(known.qos):
+            if profile_of(qos) == profile_of(known.qos):
                 return
             self.destroy_subscription(reader)  # a new publisher offers a weaker QoS
             topic = known
@@ -306,7 +306,7 @@ class RecorderNode(TwinmatchNode):
             message_class(topic.type),
             name,
             partial(self._on_message, name),
-            reader_profile(qos),
+            profile_of(qos),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(
                 message_lost=partial(self._on_lost, name), use_default_callbacks=False

@@ -68,12 +68,12 @@ def offered(endpoints: Sequence[Any]) -> Qos:
     )
 
 
-def reader_profile(qos: Qos) -> QoSProfile:
-    """The profile with which a recorder receives everything that is offered with this QoS."""
+def profile_of(qos: Qos, depth: int = DEPTH) -> QoSProfile:
+    """The profile of this QoS with a queue of `depth` messages; by default a recorder's."""
     reliable, latched = qos.reliability == "reliable", qos.durability == "transient_local"
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=DEPTH,
+        depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
@@ -121,7 +121,6 @@ def _field(text: str) -> Field:
 
 
 _OURS: Final = ("/plant/", "/twin/", "/thermal/")
-_SHARED: Final = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
 _MOST_LISTED: Final = 40
 """Most topics that an error lists."""
 
@@ -191,7 +190,7 @@ class ForeignTopics:
         found = [
             f"{name} ({', '.join(kinds)})"
             for name, kinds in sorted(self._node.get_topic_names_and_types())
-            if not name.startswith(_OURS) and name not in _SHARED and self._node.count_publishers(name)
+            if not name.startswith(_OURS) and name not in ELSEWHERE and self._node.count_publishers(name)
         ]
         more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
         return ", ".join(found[:_MOST_LISTED]) + more or "none, in this domain and from this machine"
@@ -201,7 +200,7 @@ class ForeignTopics:
         if not endpoints:
             return
         kind = self._kind(topic, name, {endpoint.topic_type for endpoint in endpoints})
-        profile = reader_profile(offered([e for e in endpoints if e.topic_type == kind] or endpoints))
+        profile = profile_of(offered([e for e in endpoints if e.topic_type == kind] or endpoints))
         known, reader = self._readers.get(topic, (None, None))
         if known == profile:
             return

@@ -15,7 +15,7 @@ from twinmatch.description import Description
 from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.plant_clock import CLOCK
-from twinmatch.nodes.topics import LATCHED, offered, reader_profile, wanted
+from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
 from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.installed import schema_of
@@ -144,7 +144,7 @@ class Foxglove(TwinmatchNode):
         qos, kind = offered(endpoints), endpoints[0].topic_type
         self._offers[name] = publishers, qos
         if known is not None:
-            if reader_profile(known[1]) == reader_profile(qos):
+            if profile_of(known[1]) == profile_of(qos):
                 return
             self.destroy_subscription(self._readers.pop(name))
         elif not self._advertise(name, kind):
@@ -152,7 +152,7 @@ class Foxglove(TwinmatchNode):
         package, _, short = kind.split("/")
         message = getattr(importlib.import_module(f"{package}.msg"), short)
         take = partial(self._on_message, name)
-        self._readers[name] = self.create_subscription(message, name, take, reader_profile(qos), raw=True)
+        self._readers[name] = self.create_subscription(message, name, take, profile_of(qos), raw=True)
 
     def _advertise(self, name: str, kind: str) -> bool:
         """Advertise a topic to viewers, once; returns whether it can be shown."""
