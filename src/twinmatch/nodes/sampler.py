@@ -22,7 +22,7 @@ from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import Parameter, ParameterError
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.plants.named import description_of
+from twinmatch.plants.records import description_of
 from twinmatch.sessions.column_map import parse_source
 from twinmatch.sessions.sampling import (
     INPUT,
