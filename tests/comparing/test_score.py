@@ -14,6 +14,7 @@ from twinmatch.comparing import (
     code_length,
     common_order,
     identify,
+    mdl,
     nu_gap_of,
     score,
     twin_response,
@@ -71,6 +72,22 @@ def test_deviations_begin_at_rest() -> None:
     assert abs(np.mean(y[40:60])) < 0.2  # the loop is at rest before the step
     assert abs(np.mean(u[40:60])) < 1e-9
     np.testing.assert_array_equal(ahead(np.array([1.0, 2.0, 3.0])), [2.0, 3.0, 3.0])
+
+
+@pytest.mark.parametrize("lead", [5, 20, 40])
+def test_the_level_is_that_of_as_many_samples_as_the_schedule_leads_by(lead: int) -> None:
+    window = measured()
+    assert operating_level(window, lead=lead).input == np.mean(window.input[60 - lead : 60])
+    driven = operating_level(
+        Window(window.reference, window.output, window.reference), driven=True, lead=lead
+    )
+    assert driven.output == np.mean(window.output[60 - lead : 60])
+    model = identify(window, ["22221"], lead=lead)[0]
+    assert model.lead == lead
+    _, _, u = deviations(window, operating_level(window, lead=lead))
+    errors = model.u.prediction_errors(ahead(window.reference - 30.0), u)
+    loss = float(np.mean(errors**2))
+    assert score(model, window, absolute=KELVIN).u.mdl == mdl(loss, model.u.n_parameters, len(window))
 
 
 def test_models_of_the_loop_have_its_gain_and_its_poles_inside() -> None:

@@ -84,6 +84,14 @@ def test_it_chooses_every_so_many_samples_and_a_replay_chooses_the_same(hour: Wi
     assert figures[0] == figures[1]
 
 
+def test_times_are_scaled_for_slow_samples(hour: Window) -> None:
+    """At 5 s, 1500 s are 300 samples; the forecasts' horizons are counted in the same way."""
+    times = (1500.0, 1500.0, 1500.0)
+    fits = StructureFits(TWO, Noise.of(Peltier), None, 5.0, matched=TWO[1], choice=times)
+    found = [chosen(fits, hour.part(k, k + 99)) for k in range(0, 700, 100)]
+    assert [c.samples for c in found if c] == [(0, 299), (300, 599)]
+
+
 def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
     schedule, fits = Schedule(), choices_only()
     triggers = [t for t in map(schedule.push, samples_of(hour)) if t]
@@ -148,7 +156,8 @@ def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> N
     fits.push(window, excited=True)
     assert {c.parameters.model for c in fits.candidates} == set(watched(Peltier)[1:])
     best = fits.candidates[0]
-    assert best.parameters.model.structure_name == RICHEST, "the fit that is worth most goes first"
+    charges = [fits._fits[candidate.name][1].charge for candidate in fits.candidates]
+    assert charges == sorted(charges), "the fit that is worth most goes first"
     states = best.states_at(window.last)
     assert states is not None
     assert states[0] - 273.15 == pytest.approx(window.output[-1], abs=0.5)  # five times the noise

@@ -146,11 +146,11 @@ def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: floa
             the tables are in kelvin (paper, table IV).
     """
     if model.u is None:
-        level = operating_level(window, driven=True)
+        level = operating_level(window, driven=True, lead=model.lead)
         _, y, u = deviations(window, level)
         on_y = _criteria(model.y, u, y, level.output + absolute, decimals)
         return OrderScore(model.order, on_y, None, on_y)
-    level = operating_level(window)
+    level = operating_level(window, lead=model.lead)
     r, y, u = deviations(window, level)
     on_y = _criteria(model.y, r, y, level.output + absolute, decimals)
     on_u = _criteria(model.u, ahead(r), u, level.input, decimals)

@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 LEAD = 20
-"""Samples before the first step whose mean is the window's steady input."""
+"""Samples before the first step of a window whose mean is its steady input, as a schedule keeps them."""
 
 
 class OperatingLevel(NamedTuple):
@@ -53,6 +53,8 @@ class SimoModel:
     """r[k+1] → u[k]; see `ahead`."""
     scale: float = 1.0
     """Scale of the input over that of the output, for a plant's graph symbol."""
+    lead: int = LEAD
+    """Samples before the first step of a window from which `operating_level` is taken."""
 
     @cached_property
     def symbol(self) -> GraphSymbol:
@@ -64,27 +66,27 @@ class SimoModel:
         return GraphSymbol.of_fractions([(self.y.B, self.y.F), (input_, self.u.F)], period=self.y.period)
 
 
-def operating_level(window: Window, *, driven: bool = False) -> OperatingLevel:
+def operating_level(window: Window, *, driven: bool = False, lead: int = LEAD) -> OperatingLevel:
     """The level to subtract so that the window begins at zero.
 
     For reference and output it is the set-point before the first step; for the input the mean of the last
-    samples before that step, when the loop has settled even if the window began in a transient.
+    `lead` samples before that step, when the loop has settled even if the window began in a transient.
 
     Where the loop is not known, there is no set-point: if the input was constant before its first change, the
     level is the mean of the last samples before that change; if not, the mean over the window.
     """
     if driven:
-        return _driven_level(window)
+        return _driven_level(window, lead)
     moved = np.flatnonzero(window.reference != window.reference[0])
     step = int(moved[0]) if moved.size else len(window)
-    lead = window.input[max(0, step - LEAD) : step]
-    return OperatingLevel(float(window.reference[0]), float(np.mean(lead)))
+    steady = window.input[max(0, step - lead) : step]
+    return OperatingLevel(float(window.reference[0]), float(np.mean(steady)))
 
 
-def _driven_level(window: Window) -> OperatingLevel:
+def _driven_level(window: Window, lead: int) -> OperatingLevel:
     moved = np.flatnonzero(window.input != window.input[0])
     step = int(moved[0]) if moved.size else len(window)
-    before = slice(step - LEAD, step) if step >= LEAD else slice(None)
+    before = slice(step - lead, step) if step >= lead else slice(None)
     return OperatingLevel(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
 
 
@@ -108,11 +110,12 @@ def ahead(reference: FloatArray) -> FloatArray:
 
 
 def identify(
-    window: Window, orders: Sequence[str] = ORDERS, *, scale: float | None = None
+    window: Window, orders: Sequence[str] = ORDERS, *, scale: float | None = None, lead: int = LEAD
 ) -> tuple[SimoModel, ...]:
     """Box–Jenkins models of every order from a window's set-point to its output and input.
 
-    Where the loop is not known, from its input to its output: then `scale` is the models' scale.
+    Where the loop is not known, from its input to its output: then `scale` is the models' scale. `lead` is
+    that of the schedule.
 
     They are the minima next to the start values, not the global ones: on windows of the rig the prediction
     errors of the global minima are only a few per cent smaller, and come from a noise model that explains
@@ -123,15 +126,15 @@ def identify(
         FittingError: set-point or input does not move, or there are too few samples.
     """
     if scale is not None:
-        _, y, u = deviations(window, operating_level(window, driven=True))
+        _, y, u = deviations(window, operating_level(window, driven=True, lead=lead))
         found = estimate_ladder(u, y, orders, hops=0, period=window.period)
-        return tuple(SimoModel(o, found[o], None, scale) for o in orders)
-    r, y, u = deviations(window, operating_level(window))
+        return tuple(SimoModel(o, found[o], None, scale, lead) for o in orders)
+    r, y, u = deviations(window, operating_level(window, lead=lead))
     # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
     with ThreadPoolExecutor(1) as other:
         u_models = other.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)
         y_models = estimate_ladder(r, y, orders, hops=0, period=window.period)
-    return tuple(SimoModel(o, y_models[o], u_models.result()[o]) for o in orders)
+    return tuple(SimoModel(o, y_models[o], u_models.result()[o], lead=lead) for o in orders)
 
 
 def twin_response(

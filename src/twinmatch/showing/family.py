@@ -52,7 +52,7 @@ class Member:
     def models(self) -> tuple[SimoModel, ...]:
         """Box–Jenkins models of that response, one per order."""
         with one_thread():
-            return identify(self.response, scale=self.settings.model_scale)
+            return identify(self.response, scale=self.settings.model_scale, lead=self.settings.schedule.lead)
 
     @property
     def measured(self) -> Window:
@@ -68,7 +68,7 @@ class Member:
         """The measured window as simulated by the model of this order: B/F alone, as for the gain."""
         model = next(m for m in self.models if m.order == order)
         measured = self.measured
-        level = operating_level(measured, driven=model.u is None)
+        level = operating_level(measured, driven=model.u is None, lead=model.lead)
         r, y, u = deviations(measured, level)
         return Window(
             measured.reference,

@@ -128,7 +128,9 @@ class CandidatePool:
             self._successors[candidate.name] = before.name
         seed = settings.seed + window.first
         response = twin_response(candidate.parameters, window, settings.gains, settings.sensor, seed)
-        models = {m.order: m for m in identify(response, scale=settings.model_scale)}
+        models = {
+            m.order: m for m in identify(response, scale=settings.model_scale, lead=settings.schedule.lead)
+        }
         measured = window.part(response.first, response.last)
         absolute = settings.plant.output.absolute
         orders = score_orders(list(models.values()), measured, settings.decimals, absolute=absolute)
@@ -186,7 +188,8 @@ class CandidatePool:
         """
         order = common_order([self._members[c.name].chosen for c in self._family.candidates])
         orders = ORDERS[: ORDERS.index(order) + 1]
-        return identify(window, orders, scale=self._settings.model_scale)[-1]
+        settings = self._settings
+        return identify(window, orders, scale=settings.model_scale, lead=settings.schedule.lead)[-1]
 
     def _scored(self, newest: _NewestWindow) -> FamilyScores:
         """The scores of the family, and beside it of the structure with the best forecasts."""

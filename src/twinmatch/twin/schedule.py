@@ -33,6 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twinmatch.comparing.models import LEAD
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import Sample, Window
 
@@ -57,7 +58,7 @@ class ScheduleSettings:
     """A regime shorter than this is not judged on its own; the next step counts as part of it."""
     span: int = 240
     """A regime is judged this many samples after its step, if it has not ended before."""
-    lead: int = 20
+    lead: int = LEAD
     """Samples kept before the previous regime's step: the steady state from which the window starts."""
     capacity: int = 720
     """Longest window."""

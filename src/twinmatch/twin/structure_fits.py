@@ -113,7 +113,7 @@ class StructureFits:
         own = [model for model in models if not model.is_external] or models
         self._richest = max(reversed(own), key=lambda model: model.structure.n_parameters())
         pace = time_scale(period) / period
-        self._least, self._choose_every, longest = (round(time) for time in choice)
+        self._least, self._choose_every, longest = (round(time * pace) for time in choice)
         self._compared = NewestSamples(longest)
         self._fitted = NewestSamples(max(round(LONGEST_S * pace), 1))
         self._fit_every = round(EVERY_S * pace)
