@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +14,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from tests.support.oven import HOLD, MAP, PERIOD, RIG, oven_file
 from tests.support.places import LAUNCH_SCRIPTS
-from tests.support.processes import Process, Processes
+from tests.support.processes import Process, Processes, run_twinmatch
 from tests.support.ros import listening
 from tests.support.waiting import PATIENCE
 from twinmatch.offline.verification import verify_session
@@ -119,10 +116,7 @@ def test_without_a_set_point_the_twin_is_driven_and_the_session_says_so(
     ],
 )
 def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    command = [sys.executable, ATTACH, *options]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, timeout=90, cwd=tmp_path, env=dict(os.environ)
-    )
+    done = run_twinmatch("attach", *options, folder=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr

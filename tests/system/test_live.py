@@ -20,7 +20,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from rclpy.serialization import deserialize_message
 
 from tests.support.places import PROJECT
-from tests.support.processes import Process
+from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import PATIENCE
 from twinmatch.emulation.virtual_rig_control import tell
 from twinmatch.offline.verification import verify_session
@@ -220,7 +220,6 @@ def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., Liv
     ],
 )
 def test_options_that_do_not_fit_are_refused(options: tuple[str, ...], words: str) -> None:
-    command = [sys.executable, LIVE, *options]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    result = run_twinmatch("live", *options)
     assert result.returncode == 2
     assert words in result.stderr

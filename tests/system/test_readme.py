@@ -21,7 +21,7 @@ import pytest
 
 from tests.support.oven import RIG, oven_file
 from tests.support.places import PROJECT, SHIPPED
-from tests.support.processes import Processes
+from tests.support.processes import Processes, run_twinmatch
 from tests.support.waiting import PATIENCE
 from twinmatch.cli import _parser
 from twinmatch.sessions import read_session
@@ -48,7 +48,7 @@ IMPORT = (
 
 
 class Runs(NamedTuple):
-    """A command that is run."""
+    """A command that is run, in this process if it is of twinmatch alone and ends by itself."""
 
     says: str
     """Pattern of a line it has to print."""
@@ -149,6 +149,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(command: str, how: Runs, folder: Path, processes: Processes) -> str:
     for placeholder, value in how.given.items():
         command = command.replace(placeholder, value)
+    program, *arguments = shlex.split(command)
+    if Path(program).name == "twinmatch" and how.until is None:
+        done = run_twinmatch(*arguments, folder=folder)
+        assert done.returncode == 0, done.stderr
+        assert re.search(how.says, done.stdout, re.MULTILINE), done.stdout
+        return done.stdout
     words = f"PATH={Path(sys.executable).parent}:$PATH; {'' if '&&' in command else 'exec '}{command}"
     process = processes.start("bash", "-c", words, folder=folder)
     if how.until is not None:
