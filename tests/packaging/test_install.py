@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -19,22 +18,6 @@ PROJECT = Path(__file__).resolve().parents[2]
 SCRIPTS = re.findall(
     r'^(\w+) = "(twinmatch\.\S+):main"', (PROJECT / "pyproject.toml").read_text(), re.MULTILINE
 )
-
-
-def test_wheel_carries_share_and_profile(sources: Path, tmp_path: Path) -> None:
-    options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet", "--wheel-dir", str(tmp_path)]
-    subprocess.run([sys.executable, "-m", "pip", "wheel", *options, str(sources)], check=True)
-    (wheel,) = tmp_path.glob("twinmatch-*.whl")
-    with zipfile.ZipFile(wheel) as archive:
-        names = {name.split(".data/data/")[-1] for name in archive.namelist()}
-    assert "share/twinmatch/package.xml" in names
-    assert "share/ament_index/resource_index/packages/twinmatch" in names
-    assert "twinmatch/nodes/fastdds2_loopback.xml" in names
-    assert "twinmatch/nodes/fastdds3_loopback.xml" in names
-    for path in (PROJECT / "config").iterdir():
-        assert f"share/twinmatch/config/{path.name}" in names
-    for path in (PROJECT / "camera_server" / "src").rglob("*.py"):
-        assert f"share/twinmatch/{path.relative_to(PROJECT)}" in names
 
 
 def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:

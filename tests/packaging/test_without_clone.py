@@ -14,27 +14,37 @@ import sys
 import sysconfig
 import time
 import venv
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.support.places import PROJECT
 from tests.support.processes import Processes
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
+OPTIONS = ("--quiet", "--no-deps", "--no-index")
+
+
 @pytest.fixture(scope="module")
-def installed(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [*OPTIONS, "--no-build-isolation", "--wheel-dir", str(folder), str(sources)]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", *build], check=True)
+    (made,) = folder.glob("twinmatch-*.whl")
+    return made
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of programs of an environment with the wheel in it."""
     folder = tmp_path_factory.mktemp("installed")
-    options = ["--quiet", "--no-deps", "--no-index"]
-    build = [*options, "--no-build-isolation", "--wheel-dir", str(folder), str(sources)]
-    subprocess.run([sys.executable, "-m", "pip", "wheel", *build], check=True)
-    (wheel,) = folder.glob("twinmatch-*.whl")
     venv.create(folder / "env", symlinks=True)
     python = folder / "env" / "bin" / "python"
-    install = ["-m", "pip", "--python", str(python), "install", *options, str(wheel)]
+    install = ["-m", "pip", "--python", str(python), "install", *OPTIONS, str(wheel)]
     subprocess.run([sys.executable, *install], check=True)
     (packages,) = (folder / "env" / "lib").glob("python3*/site-packages")
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
@@ -50,6 +60,19 @@ def programs(installed: Path, tmp_path: Path) -> Iterator[Processes]:
     started = Processes(tmp_path / "output", {**kept, "PATH": path, "AMENT_PREFIX_PATH": sys.prefix})
     yield started
     started.dismiss()
+
+
+def test_the_wheel_carries_share_and_profile(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name.split(".data/data/")[-1] for name in archive.namelist()}
+    shared = [*(PROJECT / "config").iterdir(), *(PROJECT / "camera_server" / "src").rglob("*.py")]
+    assert names >= {f"share/twinmatch/{path.relative_to(PROJECT)}" for path in shared}
+    assert names >= {
+        "share/twinmatch/package.xml",
+        "share/ament_index/resource_index/packages/twinmatch",
+        "twinmatch/nodes/fastdds2_loopback.xml",
+        "twinmatch/nodes/fastdds3_loopback.xml",
+    }
 
 
 def test_code_and_files_are_those_of_the_wheel(installed: Path, programs: Processes, tmp_path: Path) -> None:

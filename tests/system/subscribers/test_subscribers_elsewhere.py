@@ -74,11 +74,9 @@ def other_python(
         if not stamp.exists() or stamp.read_text() != key:
             shutil.rmtree(folder, ignore_errors=True)
             wheel = build_wheel(sources, tmp_path_factory.mktemp("wheel"), environment)
-            run([bare_python, "-m", "venv", "--without-pip", str(folder)], environment)
-            # Compiling what is hardly ever imported would take longer than all the rest.
-            pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-compile"]
-            packages = [str(wheel), "ros-jazzy-rclpy>=7.1,<8"]
-            run([*pip, *OPTIONS, *packages], environment)
+            run([bare_python, "-m", "venv", str(folder)], environment)
+            install = ["sh", str(project / ".ci" / "install.sh"), str(python)]
+            run([*install, str(wheel), "ros-jazzy-rclpy>=7.1,<8"], environment)
             stamp.write_text(key)
     return str(python)
 
