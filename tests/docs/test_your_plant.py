@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from tests.support.places import PROJECT
-from tests.support.processes import run_twinmatch
 
 PAGE = PROJECT / "docs" / "your_plant.md"
+TWINMATCH = [sys.executable, "-m", "twinmatch.cli"]
 
 
 def commands() -> list[list[str]]:
@@ -34,11 +34,8 @@ def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "make_log.py"], cwd=tmp_path, check=True)
     said: list[tuple[list[str], int, str]] = []
     for program, *arguments in commands():
-        if program == "twinmatch":
-            done = run_twinmatch(*arguments, folder=tmp_path)
-        else:
-            command = [sys.executable, *arguments]
-            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        words = TWINMATCH if program == "twinmatch" else [sys.executable]
+        done = subprocess.run([*words, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert "Traceback" not in done.stderr, done.stderr
         said.append((arguments, done.returncode, done.stdout + done.stderr))
     looked = [(code, text) for arguments, code, text in said if "--data" in arguments]
