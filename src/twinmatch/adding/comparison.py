@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from twinmatch.adding.findings import Finding
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.fitting import FittingError
-from twinmatch.showing.comparison import root_mean_square
+from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import StructureScore, TwinSettings, choose_structure
 

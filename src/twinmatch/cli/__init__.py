@@ -16,9 +16,11 @@ from twinmatch.cli import (
     attaching,
     backtesting,
     checking,
+    dashboard,
     demonstrating,
     fmus,
     forecasting,
+    foxglove,
     importing,
     living,
     planting,
@@ -26,13 +28,11 @@ from twinmatch.cli import (
     preparing,
     repairing,
     replaying,
+    report,
     verifying,
 )
 from twinmatch.emulation import virtual_rig_program as virtual_rig
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.showing.foxglove import command as foxglove
-from twinmatch.showing.page import command as dashboard
-from twinmatch.showing.report import command as reporting
 
 __all__ = ["main"]
 
@@ -64,7 +64,7 @@ _COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
         "score the twin's forecasts of recorded sessions against the measurements and against other methods",
     ),
     ("repair", repairing, "repair a session whose recorder was killed"),
-    ("report", reporting, "write a report on a session: one HTML file with figures and tables"),
+    ("report", report, "write a report on a session: one HTML file with figures and tables"),
     ("dashboard", dashboard, "show the running graph on a live page in the browser"),
     ("foxglove", foxglove, "serve the graph to Foxglove and Lichtblick"),
     ("virtual-rig", virtual_rig, "emulate a rig: the Peltier rig's board, camera and plate, or the kit"),

@@ -139,7 +139,7 @@ def _write(found: Sequence[Backtest], total: Backtest, options: argparse.Namespa
         options.json.write_text(text + "\n", encoding="utf-8")
     if options.figure is not None:
         from twinmatch.offline.backtest.figure import draw_backtest  # noqa: PLC0415
-        from twinmatch.showing.figures import save  # noqa: PLC0415
+        from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
         save(draw_backtest(total), options.figure)
 

@@ -59,10 +59,10 @@ def _live(speed: float) -> int:
 
 def _look_back(session: Path) -> int:
     """Judge the recording again, draw the verdict and write the report; the last line names it."""
-    from twinmatch.showing.figures import draw_verdict  # noqa: PLC0415
-    from twinmatch.showing.report import build_report, judge  # noqa: PLC0415
+    from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415
+    from twinmatch.showing.report.report import build_report, judge_for_report  # noqa: PLC0415
 
-    judged = judge(session)
+    judged = judge_for_report(session)
     print(judged.recorded)
     picture, report = session.with_suffix(".png"), session.with_suffix(".html")
     found = judged.judgement
@@ -77,7 +77,7 @@ def _recorded(session: Path) -> int:
     """Play a session within `LONGEST`, then write the report; returns the exit code."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
     from twinmatch.sessions import open_any  # noqa: PLC0415
-    from twinmatch.showing.report import make_report  # noqa: PLC0415
+    from twinmatch.showing.report.report import make_report  # noqa: PLC0415
 
     found = open_any(session)
     code = play(Replay(found, min(1000.0, max(50.0, found.duration / LONGEST))))

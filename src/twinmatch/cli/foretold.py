@@ -17,8 +17,8 @@ from twinmatch.offline.outlooks import Prospect, prospects, samples_at
 from twinmatch.offline.progress import Progress
 from twinmatch.offline.terms import terms_from_files
 from twinmatch.sessions import Session, open_any
-from twinmatch.showing.fan import Fan, fan
-from twinmatch.showing.forecast import came_words, forecast_document, forecast_words
+from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
+from twinmatch.showing.series import Fan, fan
 from twinmatch.twin import TwinSettings
 
 __all__ = ["Foretold", "foretold", "show"]
@@ -86,7 +86,8 @@ def show(found: Foretold, options: argparse.Namespace) -> None:
         except OSError as error:
             raise TwinmatchError(f"{options.json}: cannot be written ({error.strerror})") from error
     if options.figure is not None:
-        from twinmatch.showing.figures import draw_forecasts, save  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
 
         save(draw_forecasts(found.fans, found.settings.plant), options.figure)
 
@@ -124,7 +125,7 @@ def _print(one: Fan, prospect: Prospect, set_points: str, settings: TwinSettings
     confidence = f"confidence {prospect.leader_confidence:.2f}"
     who = f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
     print(f"  {forecast.candidate} forecasts {forecast.time[-1]:g} s; {who}")
-    for line in forecast_words(forecast, settings.plant) + came_words(one, settings.plant):
+    for line in forecast_words(forecast, settings.plant) + comparison_words(one, settings.plant):
         print(f"  {line}")
     for note in forecast.notes:
         print(f"  Note: {note.rstrip('.')}.")

@@ -14,8 +14,8 @@ from twinmatch.offline.judgement import Judgement, judge
 from twinmatch.offline.progress import Progress
 from twinmatch.offline.terms import terms_from_files
 from twinmatch.sessions import Session, open_any
-from twinmatch.showing import document
-from twinmatch.showing.line import Lines, closing_lines, redraws
+from twinmatch.showing.lines import Lines, redraws
+from twinmatch.showing.summary import closing_lines, document
 from twinmatch.twin import Outcome
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def _replay(path: Path, options: argparse.Namespace) -> Judgement:
         entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
         options.json.write_text(json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     if options.figure is not None:
-        from twinmatch.showing.figures import draw_verdict  # noqa: PLC0415 — matplotlib is slow to import
+        from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415 — matplotlib is slow to import
 
         draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, options.figure)
     return judgement

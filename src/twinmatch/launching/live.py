@@ -23,11 +23,10 @@ from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.twin import read_settings
 from twinmatch.sessions.spool import SampleSpool
-from twinmatch.showing import Summary
-from twinmatch.showing.line import Lines, closing_lines
-from twinmatch.showing.summary import Stretch, Tally, conclude
+from twinmatch.showing.lines import Lines
+from twinmatch.showing.summary import SessionSummary, Tally, closing_lines, conclude
 from twinmatch.showing.terminal import Screen, view_on
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, Window
 from twinmatch_msgs.msg import LoopSample, Match, ModelScore
 
 __all__ = ["EXIT_LOST", "Live", "run_live"]
@@ -66,7 +65,7 @@ class Live:
     """Folders recorded into; more than one if the recorder had to be restarted."""
     killed: list[str] = field(default_factory=list)
     """Processes that did not end on SIGTERM."""
-    summary: Summary | None = None
+    summary: SessionSummary | None = None
     ending: str = "stopped by the operator"
 
     def take_sample(self, sample: Sample) -> None:
@@ -77,9 +76,9 @@ class Live:
             spool.close()
         self.samples.push(sample)
 
-    def longest(self, period: float) -> Stretch:
-        """The longest stretch without a missing sample, at this sampling period (s)."""
-        return Stretch(self.samples.longest(period), self.samples.stretches)
+    def longest(self, period: float) -> tuple[Window, int]:
+        """The longest stretch without a missing sample, at this sampling period (s), and their number."""
+        return self.samples.longest(period), self.samples.stretches
 
 
 def run_live(live: Live) -> int:

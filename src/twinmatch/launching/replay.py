@@ -22,8 +22,8 @@ from twinmatch.parameters.loop import UNKNOWN
 from twinmatch.parameters.twin import at_period, read_settings
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
-from twinmatch.showing import Summary, summarise
-from twinmatch.showing.line import Lines, closing_lines
+from twinmatch.showing.lines import Lines
+from twinmatch.showing.summary import SessionSummary, closing_lines, summarise
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch_msgs.msg import Match, ModelScore
@@ -53,7 +53,7 @@ class Replay:
     console: Console = field(default_factory=lambda: Console(soft_wrap=True, highlight=False))
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
-    summary: Summary | None = None
+    summary: SessionSummary | None = None
     whole: bool = False
     """Whether all verdicts were received."""
 

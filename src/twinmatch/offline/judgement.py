@@ -10,7 +10,7 @@ from twinmatch.comparing import Candidate, Verdict
 from twinmatch.offline.interrupt import held_interrupts
 from twinmatch.offline.terms import Terms, terms_from_files
 from twinmatch.sessions import Session, open_any
-from twinmatch.showing import Summary, summarise
+from twinmatch.showing.summary import SessionSummary, summarise
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
 
@@ -32,7 +32,7 @@ class Judgement:
     settings: TwinSettings
     matches: tuple[MatchReport, ...]
     verdicts: tuple[Verdict, ...]
-    summary: Summary
+    summary: SessionSummary
 
 
 def judge_session(

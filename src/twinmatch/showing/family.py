@@ -1,4 +1,4 @@
-"""The candidates of a verdict with their windows, matches and Box–Jenkins models.
+"""The family of a verdict: its candidates with windows, matches and models, and the table of their criteria.
 
 A verdict carries figures, not models. The models are identified here again, in the same way and with the same
 seed as in the discriminator, so they are the same to the last bit.
@@ -6,26 +6,37 @@ seed as in the discriminator, so they are the same to the last bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
-from twinmatch.comparing import (
-    CandidateScore,
-    SimoModel,
-    Verdict,
-    identify,
-    twin_response,
-)
+from twinmatch.comparing import CandidateScore, OrderScore, SimoModel, Verdict, identify, twin_response
 from twinmatch.comparing.models import ahead, deviations, operating_level
 from twinmatch.dynamics import Response
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match
+from twinmatch.showing.quantities import number
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
 
-__all__ = ["Member", "family"]
+__all__ = [
+    "CRITERIA",
+    "OUTPUTS",
+    "Criterion",
+    "CriterionFigure",
+    "CriterionRow",
+    "Interval",
+    "Member",
+    "computed",
+    "criterion_rows",
+    "family",
+    "interval",
+    "outputs_of",
+    "value_of",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +132,147 @@ def _window_of(
         return Window.from_samples(held, period)
     except TwinmatchError:
         return None
+
+
+_NORMAL = 1.959964
+"""Standard errors to either side that hold 95 % of a normal distribution."""
+
+
+class Interval(NamedTuple):
+    """A 95 % interval, in the parameter's own unit."""
+
+    low: float
+    """Minus infinity where unbounded, NaN where not known."""
+    high: float
+    error: float
+    """Standard error."""
+    profile: bool
+    """Whether the ends come from the profile likelihood; otherwise they are ±1.96 standard errors."""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an interval at all."""
+        return not (math.isnan(self.low) or math.isnan(self.high))
+
+
+def interval(match: Match, name: str) -> Interval:
+    """The interval of a free parameter; NaN for one that was not fitted."""
+    if name not in match.free:
+        return Interval(math.nan, math.nan, math.nan, profile=False)
+    place = match.free.index(name)
+    error = float(match.standard_errors[place])
+    if len(match.intervals) > place:
+        low, high = (float(v) for v in match.intervals[place])
+        if not (math.isnan(low) or math.isnan(high)):
+            return Interval(low, high, error, profile=True)
+    value = value_of(match, name)
+    return Interval(value - _NORMAL * error, value + _NORMAL * error, error, profile=False)
+
+
+def value_of(match: Match, name: str) -> float:
+    """The value of a fitted parameter, or of a fitted initial state, in its own unit."""
+    return float(match.starts[name] if name in match.starts else match.parameters[name])
+
+
+class Criterion(NamedTuple):
+    """One column of the table."""
+
+    attribute: str
+    """Of `Criteria`."""
+    name: str
+    unit: str
+    """Empty: a plain number."""
+    decimals: int
+    larger_is_better: bool | None
+    """None: the column is not a criterion, so no value in it is best."""
+
+    def text(self, value: float) -> str:
+        """The value as shown in the table, without unit."""
+        return number(value, self.decimals)
+
+
+CRITERIA: tuple[Criterion, ...] = (
+    Criterion("trivial_length", "l(t)", "characters", 0, None),
+    Criterion("model_length", "l(p)", "characters", 0, None),
+    Criterion("gain", "gain", "characters", 0, True),
+    Criterion("explanation", "explained", "", 3, True),
+    Criterion("naic", "nAIC", "", 3, False),
+    Criterion("bic", "BIC", "", 1, False),
+    Criterion("mdl", "MDL", "", 4, False),
+    Criterion("two_part_length", "two-part", "characters", 0, False),
+)
+"""The columns, in the order of the paper's table; MDL has the unit of the loss, output or input squared."""
+
+OUTPUTS: tuple[tuple[str, str], ...] = (
+    ("y", "output y/r"),
+    ("u", "control u/r"),
+    ("total", "both"),
+)
+"""Attribute of `OrderScore` and its name in tables."""
+
+_DRIVEN: tuple[tuple[str, str], ...] = (("y", "output y/u"),)
+"""The same where the loop is not known."""
+
+
+def outputs_of(orders: Sequence[OrderScore]) -> tuple[tuple[str, str], ...]:
+    """The outputs that a candidate's orders were scored on: attributes of `OrderScore` and their names."""
+    return _DRIVEN if any(order.u is None for order in orders) else OUTPUTS
+
+
+class CriterionFigure(NamedTuple):
+    """One figure of the table."""
+
+    text: str
+    best: bool
+    """Whether this order is the best of its candidate by this criterion, on this output."""
+
+
+class CriterionRow(NamedTuple):
+    """One order of one candidate on one output."""
+
+    output: str
+    order: str
+    chosen: bool
+    """Whether the order is the one chosen for the candidate."""
+    cells: tuple[CriterionFigure, ...]
+    """One for each of the criteria passed to `criterion_rows`."""
+
+
+def criterion_rows(
+    candidate: CandidateScore, criteria: Sequence[Criterion] = CRITERIA
+) -> tuple[CriterionRow, ...]:
+    """The table of one candidate: a row per order, for y, for u and for both; for y alone in open loop."""
+    return tuple(
+        CriterionRow(
+            output=output,
+            order=order.order,
+            chosen=order.order == candidate.chosen_order,
+            cells=tuple(_figure(candidate.orders, order, output, criterion) for criterion in criteria),
+        )
+        for output, _ in outputs_of(candidate.orders)
+        for order in candidate.orders
+    )
+
+
+def computed(candidates: Sequence[CandidateScore]) -> tuple[Criterion, ...]:
+    """The criteria that have a value for at least one candidate."""
+    return tuple(
+        c
+        for c in CRITERIA
+        if any(not math.isnan(_value(o, "total", c)) for candidate in candidates for o in candidate.orders)
+    )
+
+
+def _figure(
+    orders: Sequence[OrderScore], order: OrderScore, output: str, criterion: Criterion
+) -> CriterionFigure:
+    value = _value(order, output, criterion)
+    if criterion.larger_is_better is None or math.isnan(value):
+        return CriterionFigure(criterion.text(value), best=False)
+    pick = max if criterion.larger_is_better else min
+    best = pick(_value(o, output, criterion) for o in orders)
+    return CriterionFigure(criterion.text(value), best=value == best)
+
+
+def _value(order: OrderScore, output: str, criterion: Criterion) -> float:
+    return float(getattr(getattr(order, output), criterion.attribute))

@@ -1,4 +1,4 @@
-"""A plant's parameters in readable form: symbol, unit, and a rounded number."""
+"""Numbers, parameters and signals in readable form: rounded, with symbol, name and unit."""
 
 from __future__ import annotations
 
@@ -10,12 +10,21 @@ from typing import Final, NamedTuple
 from twinmatch.dynamics import Parameter, Plant, State
 from twinmatch.signals import KELVIN
 
-__all__ = ["Quantity", "in_order", "number", "quantity"]
+__all__ = [
+    "ParameterFormat",
+    "SignalNames",
+    "in_order",
+    "number",
+    "parameter_format",
+    "percent",
+    "signal_names",
+    "with_unit",
+]
 
 _TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"})
 
 
-class Quantity(NamedTuple):
+class ParameterFormat(NamedTuple):
     """One parameter, or the initial value of a state, and how it is shown."""
 
     name: str
@@ -47,17 +56,17 @@ class Quantity(NamedTuple):
         return number(value * self.factor, self.decimals + 1)
 
 
-def quantity(plant: type[Plant], name: str) -> Quantity:
+def parameter_format(plant: type[Plant], name: str) -> ParameterFormat:
     """A parameter of the plant, or the initial value of a state; other names are shown unchanged."""
     start = name in plant.states
     declared: Parameter | State | None = plant.states.get(name) if start else plant.parameters.get(name)
     if declared is None:
-        return Quantity(name, name, "–", name, decimals=4)
+        return ParameterFormat(name, name, "–", name, decimals=4)
     symbol = declared.symbol or name
     prefix, factor = _prefix(declared.unit, declared.scale)
     # Where the output is in °C, absolute temperatures are shown in °C too.
     celsius = declared.unit == "K" and plant.output.unit == "°C" and not _difference(declared)
-    return Quantity(
+    return ParameterFormat(
         name,
         f"{symbol}(0)" if start else symbol,
         "°C" if celsius else f"{prefix}{declared.unit}" or "1",
@@ -97,3 +106,56 @@ def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str
     if float(text) == 0:
         text = text.replace("-", "")
     return text.replace("-", "−")
+
+
+def percent(share: float, decimals: int = 1) -> str:
+    """A share, 0 to 1, in percent without the sign."""
+    return number(100 * share, decimals)
+
+
+class SignalNames(NamedTuple):
+    """Names of output and input with their units; a unit may be empty."""
+
+    output: str
+    """For example temperature."""
+    output_unit: str
+    input: str
+    """For example inflow; "control" where the plant file names only its unit."""
+    input_unit: str
+    output_decimals: int
+    """Decimal places of its values; an error has one more."""
+    input_decimals: int
+
+    def y(self, *values: float, finer: int = 0) -> str:
+        """One output, or a range of two, with its unit; `finer` more decimal places, as for an error."""
+        return f"{_range(values, self.output_decimals + finer)} {self.output_unit}".rstrip()
+
+    def u(self, *values: float, finer: int = 0) -> str:
+        """One input, or a range of two, with its unit."""
+        return f"{_range(values, self.input_decimals + finer)} {self.input_unit}".rstrip()
+
+    @property
+    def output_label(self) -> str:
+        """Name and unit, as an axis label."""
+        return with_unit(self.output, self.output_unit)
+
+    @property
+    def input_label(self) -> str:
+        """Name and unit, as an axis label."""
+        return with_unit(self.input, self.input_unit)
+
+
+def signal_names(plant: type[Plant]) -> SignalNames:
+    """Names and units from the plant's declarations."""
+    y, u = plant.output, plant.drive
+    driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
+    return SignalNames(y.name.replace("_", " "), y.unit, driven, u.unit, y.decimals, u.decimals)
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A name and its unit, as an axis label."""
+    return f"{name} / {unit}" if unit else name
+
+
+def _range(values: Iterable[float], decimals: int) -> str:
+    return " to ".join(number(float(value), decimals) for value in values)

@@ -19,7 +19,6 @@ __all__ = [
     "FAMILY_MAP",
     "GRID",
     "LEVELS",
-    "LEVEL_WORDS",
     "MATRIX_MAP",
     "MODEL",
     "ORDERS",
@@ -49,15 +48,6 @@ LEVELS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
         TrustLevel.FAULT: "#B3001B",
     }
 )
-LEVEL_WORDS: Final[Mapping[TrustLevel, str]] = MappingProxyType(
-    {
-        TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
-        TrustLevel.TRUSTED: "measurements lie within the forecast bands",
-        TrustLevel.DOUBTFUL: "measurements lie outside the forecast bands",
-        TrustLevel.FAULT: "no twin explains the plant's behaviour",
-    }
-)
-
 ORDERS: Final = ("#56B4E9", "#0072B2", "#E69F00", "#5C5C5C")
 """Of the Box–Jenkins orders, lowest first."""
 FAMILY_MAP: Final = "cividis"

@@ -1,4 +1,4 @@
-"""The summary of a judged session, in figures and in one sentence."""
+"""The summary of a judged session: in figures, in one sentence, as closing lines and as JSON."""
 
 from __future__ import annotations
 
@@ -6,25 +6,60 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from twinmatch.comparing import REFUSED, TrustLevel, Verdict
-from twinmatch.dynamics import Parameters, PidGains
-from twinmatch.showing.quantities import number
-from twinmatch.showing.standing import Shown, nominal_score, shown_twin
-from twinmatch.showing.trust_range import TrustRange, trust_range
-from twinmatch.showing.words import words_of
+from twinmatch.dynamics import Output, Parameters, PidGains
+from twinmatch.record import document_of, parameters_document
+from twinmatch.showing.quantities import parameter_format, percent, signal_names
+from twinmatch.showing.verdicts import ShownTwin, nominal_score, shown_twin
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import window_fit
+from twinmatch.twin import MatchReport, window_fit
 
-__all__ = ["UNEXPLAINED", "Stretch", "Summary", "Tally", "conclude", "sentence", "summarise"]
+__all__ = [
+    "UNEXPLAINED",
+    "SessionSummary",
+    "Tally",
+    "TrustRange",
+    "closing_lines",
+    "conclude",
+    "document",
+    "sentence",
+    "summarise",
+    "trust_range",
+]
 
 UNEXPLAINED = "unexplained"
 """Name in sessions of earlier versions for a fault seen only in the residuals."""
 
 
+class TrustRange(NamedTuple):
+    """Lowest and highest output."""
+
+    low: float
+    high: float
+    unit: str
+    decimals: int = 0
+    """Decimal places to which the ends are rounded."""
+
+    def __str__(self) -> str:
+        """Both ends, rounded inwards."""
+        steps = 10.0**self.decimals
+        low, high = math.ceil(self.low * steps) / steps, math.floor(self.high * steps) / steps
+        if low > high:  # the range is narrower than the rounding
+            low, high = self.low, self.high
+        return f"{low:.{self.decimals}f} and {high:.{self.decimals}f} {self.unit}".rstrip()
+
+
+def trust_range(verdict: Verdict, output: Output) -> TrustRange | None:
+    """The range in which forecasts have held, one decimal place coarser than the output; None if none has."""
+    if math.isnan(verdict.held_low):
+        return None
+    return TrustRange(verdict.held_low, verdict.held_high, output.unit, max(0, output.decimals - 1))
+
+
 @dataclass(frozen=True)
-class Summary:
+class SessionSummary:
     """State at the end of a session: leader, its fit to the whole session, and nominal candidate."""
 
     nominal: str | None
@@ -85,39 +120,31 @@ class Tally:
         return dict(self._matches)
 
 
-class Stretch(NamedTuple):
-    """The longest unbroken stretch of a session."""
-
-    window: Window
-    of: int
-    """How many stretches there are."""
-
-
 def summarise(
     samples: Sequence[Sample],
     verdicts: Sequence[Verdict],
     gains: PidGains | None,
     notes: Sequence[str] = (),
     period: float = 1.0,
-) -> Summary:
+) -> SessionSummary:
     """Summarise a judged session; `period`, s, is used where the loop is not known."""
 
-    def longest(period: float) -> Stretch:
+    def longest(period: float) -> tuple[Window, int]:
         stretches = unbroken(samples)
-        return Stretch(Window.from_samples(max(stretches, key=len), period), len(stretches))
+        return Window.from_samples(max(stretches, key=len), period), len(stretches)
 
     return conclude(Tally(verdicts), longest, gains, notes, period)
 
 
 def conclude(
     tally: Tally,
-    longest: Callable[[float], Stretch],
+    longest: Callable[[float], tuple[Window, int]],
     gains: PidGains | None,
     notes: Sequence[str] = (),
     period: float = 1.0,
-) -> Summary:
-    """Summarise a session; `longest` returns its longest stretch for a sampling period (s), and is called
-    only if there is a twin to compare it with."""
+) -> SessionSummary:
+    """Summarise a session; `longest` returns its longest unbroken stretch for a sampling period (s) and the
+    number of stretches, and is called only if there is a twin to compare it with."""
     last = tally.last
     nominal, shown = nominal_score(last), shown_twin(last)
     fit = (math.nan, math.nan)
@@ -130,7 +157,7 @@ def conclude(
                 f"the longest of {stretches} unbroken stretches"
             )
         fit = window_fit(shown.parameters, window, gains)
-    return Summary(
+    return SessionSummary(
         nominal=last.nominal if last else None,
         level=last.level if last else TrustLevel.UNKNOWN,
         parameters=shown.parameters if shown else None,
@@ -150,7 +177,7 @@ def conclude(
     )
 
 
-def sentence(summary: Summary) -> str:
+def sentence(summary: SessionSummary) -> str:
     """The summary in one line: leader, fit, trust, and nominal candidate."""
     if summary.leader is None and summary.nominal is None:
         if summary.level is TrustLevel.FAULT:
@@ -166,16 +193,16 @@ def sentence(summary: Summary) -> str:
         return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {needed}"
     parts = [_who(summary)]
     if math.isfinite(summary.fit_y):
-        output = words_of(summary.parameters.model.plant).output if summary.parameters else "output"
-        parts.append(f"{output} fit {number(100 * summary.fit_y, 1)} %")
+        output = signal_names(summary.parameters.model.plant).output if summary.parameters else "output"
+        parts.append(f"{output} fit {percent(summary.fit_y)} %")
     return f"{'; '.join([*parts, _trust(summary)])}.{_center(summary)}"
 
 
-def _who(summary: Summary) -> str:
+def _who(summary: SessionSummary) -> str:
     """The leader, or the nominal candidate without one."""
     if summary.leader is None:
         return f"Nominal: {_match(summary, str(summary.nominal))}{_order(summary, '; ')}"
-    shown = Shown(summary.leader, summary.parameters) if summary.parameters else None
+    shown = ShownTwin(summary.leader, summary.parameters) if summary.parameters else None
     known = shown is None or shown.is_structure
     name = summary.leader if known else _match(summary, summary.leader)
     if summary.leader == summary.nominal:
@@ -183,7 +210,7 @@ def _who(summary: Summary) -> str:
     return f"Leader: {name}"
 
 
-def _center(summary: Summary) -> str:
+def _center(summary: SessionSummary) -> str:
     """The nominal candidate, where it is not the leader."""
     if summary.leader is None or summary.leader == summary.nominal:
         return ""
@@ -193,17 +220,17 @@ def _center(summary: Summary) -> str:
     return f" Nominal: {name}{_order(summary, ', ')}."
 
 
-def _match(summary: Summary, name: str) -> str:
+def _match(summary: SessionSummary, name: str) -> str:
     """A match in words: by its set-point, or, if the loop is not known, by the output it was near."""
     return f"{name} set" if summary.closed else f"match near {name}"
 
 
-def _order(summary: Summary, before: str) -> str:
+def _order(summary: SessionSummary, before: str) -> str:
     """Orders of the nominal candidate; empty for a structure, which has no Box–Jenkins models."""
     return f"{before}orders {summary.order}" if summary.order else ""
 
 
-def _trust(summary: Summary) -> str:
+def _trust(summary: SessionSummary) -> str:
     held = f"between {summary.range}" if summary.range else ""
     if summary.level is TrustLevel.FAULT:
         before = f" (it held {held})" if held else ""
@@ -214,6 +241,64 @@ def _trust(summary: Summary) -> str:
     return f"trust it {held}" if held else "how far to trust it is not known yet"
 
 
-def _trouble(summary: Summary) -> str:
+def _trouble(summary: SessionSummary) -> str:
     named = summary.fault and summary.fault != UNEXPLAINED
     return f"the plant shows {summary.fault}" if named else "no twin explains the plant's behaviour"
+
+
+def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]:
+    """The last lines of a run: notes, the meaning of leader and nominal, the plant's structure, the summary.
+
+    `verdict` is the last one.
+    """
+    lines = [f"Note: {note}" for note in summary.notes]
+    if verdict is not None and verdict.leader is not None:
+        lines.append(
+            "The leader is the twin to ask what comes next, the nominal one the centre of the family."
+        )
+    if verdict is not None and verdict.certainty:
+        lines.append(f"Certainty: {verdict.certainty}.")
+    if verdict is not None and verdict.structure:
+        lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
+    return [*lines, sentence(summary)]
+
+
+def _plant(verdict: Verdict) -> str:
+    """The structure's parameters in brackets with their units; one that is 0 and not fitted is left out."""
+    held = verdict.structure_parameters
+    if held is None:
+        return ""
+    plant, fitted = held.model.plant, held.model.structure.free
+    known = [(parameter_format(plant, name), held[name]) for name in held if held[name] or name in fitted]
+    shown = [f"{q.symbol} {q.text(value)} {q.unit}".removesuffix(" 1") for q, value in known]
+    return f" ({', '.join(shown)})"
+
+
+def document(
+    session: str, verdicts: Sequence[Verdict], summary: SessionSummary, matches: Sequence[MatchReport] = ()
+) -> dict[str, Any]:
+    """A whole judged session; every value is a string, finite number, boolean, None, list or dict.
+
+    Matches and verdicts have the fields of their messages.
+    """
+    return {
+        "session": session,
+        "matches": [document_of(m) for m in matches],
+        "verdicts": [document_of(v) for v in verdicts],
+        "summary": {
+            "leader": summary.leader,
+            "leader_confidence": _finite(summary.leader_confidence),
+            "nominal": summary.nominal,
+            "level": summary.level.value,
+            "parameters": parameters_document(summary.parameters) if summary.parameters else None,
+            "fit": {"y": _finite(summary.fit_y), "u": _finite(summary.fit_u)},
+            "order": summary.order,
+            "range": [summary.range.low, summary.range.high] if summary.range else None,
+            "sentence": sentence(summary),
+            "notes": list(summary.notes),
+        },
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from datetime import timedelta
+from math import nan
+from typing import Final, NamedTuple
 
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -13,18 +17,23 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.showing.events import Event, EventKind, events
-from twinmatch.showing.family_table import LEGEND, believed_of, family_table
-from twinmatch.showing.line import Lines, redraws
-from twinmatch.showing.quantities import number
-from twinmatch.showing.standing import nominal_score
-from twinmatch.showing.style import LEVEL_WORDS
-from twinmatch.showing.table import STYLES
-from twinmatch.showing.words import leader_words, missed
+from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.dynamics import Plant
+from twinmatch.showing.family import CRITERIA
+from twinmatch.showing.lines import STYLES, Lines, redraws
+from twinmatch.showing.quantities import number, parameter_format
+from twinmatch.showing.verdicts import (
+    LEVEL_WORDS,
+    Event,
+    EventKind,
+    events_since,
+    leader_words,
+    missed,
+    nominal_score,
+)
 from twinmatch.twin import MatchReport
 
-__all__ = ["Screen", "view_on"]
+__all__ = ["Screen", "family_table", "view_on"]
 
 LEAST_WAIT = 0.25
 """Shortest time between two drawings, s."""
@@ -37,7 +46,7 @@ MOST_MATCHES = 100
 """Newest matches that are kept, besides those of the current candidates."""
 BAR = 30
 """Width of the progress bar, characters."""
-_MARKS = {
+_MARKS: Final = {
     EventKind.ADMITTED: ("✓", "green"),
     EventKind.REFUSED: ("✗", "yellow"),
     EventKind.DISMISSED: ("✗", "yellow"),
@@ -99,8 +108,7 @@ class Screen:
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Show this verdict from now on."""
-        before = () if self._verdict is None else (self._verdict,)
-        self._events += events((*before, verdict))[len(events(before)) :]
+        self._events += events_since(self._verdict, verdict)
         self._verdict = verdict
 
     def say(self, text: str, style: str = "") -> None:
@@ -126,7 +134,7 @@ class Screen:
     def _fixed(self, verdict: Verdict | None, width: int) -> list[RenderableType]:
         shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
         if verdict is not None and verdict.candidates:
-            table = family_table(verdict, believed_of(self._matches), width)
+            table = family_table(verdict, _well_determined(self._matches), width)
             shown += [Text(), table, Text(LEGEND, style="dim")]
         return shown
 
@@ -195,14 +203,12 @@ def _nominal(verdict: Verdict) -> Text:
     chosen = nominal_score(verdict)
     if chosen is None:
         return Text("none yet")
-    return Text.assemble((chosen.name, "bold"), f"  probability {number(chosen.nominal_probability, 2)}")
+    return Text.assemble((chosen.name, "bold"), f"  probability {number(chosen.nominal_probability)}")
 
 
 def _leader(verdict: Verdict) -> Text:
-    if verdict.leader is None:
-        return Text("none yet")
     sure = "decided" if verdict.decided else "not decided: the data do not show which twin forecasts best"
-    return Text(f"{leader_words(verdict)}; {sure}")
+    return Text(leader_words(verdict) + (f"; {sure}" if verdict.leader is not None else ""))
 
 
 def _event_line(event: Event, period: float) -> RenderableType:
@@ -211,6 +217,123 @@ def _event_line(event: Event, period: float) -> RenderableType:
         style = next((s for level, s in STYLES.items() if level.value == event.title), style)
     why = f": {event.why}" if event.why else ""
     grid = Table.grid(padding=(0, 1, 0, 0))
-    when = f"{number(event.sample * period, 0):>6} s"
+    when = f"{number((event.sample or 0) * period, 0):>6} s"
     grid.add_row(when, Text(mark, style=style), Text.assemble((event.title, style), (why, "dim")))
     return grid
+
+
+LEGEND = "▶ leader; ○ nominal; * known within a factor of two from its window"
+"""Meaning of the marks in the table."""
+_GAP = 2
+"""Spaces between two columns."""
+
+WellDetermined = Mapping[tuple[int, int], Sequence[str]]
+"""Names of well determined parameters, by first and last sample of the window they were matched on."""
+
+
+class FamilyColumn(NamedTuple):
+    """One column of the family, and its priority where there is no room for all."""
+
+    header: str
+    """Name, and on the next line its unit."""
+    priority: float
+    """Columns with the largest value are left out first."""
+    cell: Callable[[CandidateScore, Sequence[str]], str]
+    """Its text, from a candidate and the names of its well determined parameters."""
+
+
+def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Table:
+    """The candidates with the columns that fit into `width` characters, chosen by priority."""
+    rows = [(c, determined.get((c.first, c.last), ())) for c in verdict.modelled]
+    columns = _family_columns(verdict)
+    cells = [[column.cell(*row) for row in rows] for column in columns]
+    widths = [
+        max(cell_len(text) for text in (*column.header.split("\n"), *texts))
+        for column, texts in zip(columns, cells, strict=True)
+    ]
+    table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+    chosen = _fitting([c.priority for c in columns], widths, width)
+    for k in chosen:
+        table.add_column(columns[k].header, no_wrap=True, justify="right" if k else "left")
+    for place, (candidate, _) in enumerate(rows):
+        style = "bold" if candidate.name in {verdict.leader, verdict.nominal} else ""
+        table.add_row(*(cells[k][place] for k in chosen), style=style)
+    return table
+
+
+def _well_determined(matches: Sequence[MatchReport]) -> dict[tuple[int, int], tuple[str, ...]]:
+    """The well determined parameters of every accepted match, by its window."""
+    found = [report.match for report in matches if report.match.accepted]
+    return {match.samples: match.believed for match in found if match.samples is not None}
+
+
+def _fitting(priorities: Sequence[float], widths: Sequence[int], room: int) -> list[int]:
+    """As many columns as have room, chosen by priority, in the order of the table; always at least one."""
+    room += _GAP  # there is none after the last column
+    chosen: list[int] = []
+    for k in sorted(range(len(widths)), key=priorities.__getitem__):
+        if not chosen or widths[k] + _GAP <= room:
+            chosen.append(k)
+            room -= widths[k] + _GAP
+    return sorted(chosen)
+
+
+def _family_columns(verdict: Verdict) -> tuple[FamilyColumn, ...]:
+    """All columns, in the order of the table; the parameters are those that the structure leaves free."""
+
+    def candidate(c: CandidateScore, _: Sequence[str]) -> str:
+        marks = ("▶" if c.name == verdict.leader else " ") + ("○" if c.name == verdict.nominal else " ")
+        return f"{marks} {c.name}"
+
+    first = FamilyColumn("candidate", 0, candidate)
+    if not verdict.modelled:
+        return (first,)
+    model = verdict.candidates[0].parameters.model
+    y, u = model.plant.output, model.plant.drive
+    return (
+        first,
+        FamilyColumn(f"at\n{y.unit}", 8, lambda c, _: number(c.operating_point, y.decimals)),
+        *(
+            _parameter(model.plant, name, 4 + k / len(model.structure.free))
+            for k, name in enumerate(model.structure.free)
+        ),
+        FamilyColumn("order", 1, lambda c, _: c.chosen_order),
+        *(
+            _criterion(name, header, priority)
+            for name, header, priority in (
+                ("gain", "gain\ncharacters", 7),
+                ("naic", "nAIC", 11),
+                ("bic", "BIC", 12),
+                ("mdl", f"MDL\n{y.unit}²+{u.unit or u.name}²", 13),
+            )
+        ),
+        FamilyColumn("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
+        FamilyColumn("90 %\ninterval", 10, lambda c, _: _sum_interval(c)),
+        FamilyColumn("P\nnominal", 3, lambda c, _: number(c.nominal_probability)),
+        FamilyColumn("margin\nb(P, C)", 9, lambda c, _: number(c.margin, 3)),
+    )
+
+
+def _parameter(plant: type[Plant], name: str, priority: float) -> FamilyColumn:
+    shown = parameter_format(plant, name)
+
+    def text(candidate: CandidateScore, determined: Sequence[str]) -> str:
+        return shown.text(candidate.parameters.get(name, nan)) + ("*" if name in determined else " ")
+
+    # The trailing space leaves room for the mark after the value.
+    return FamilyColumn(f"{shown.symbol} \n{shown.unit} ", priority, text)
+
+
+def _criterion(name: str, header: str, priority: float) -> FamilyColumn:
+    decimals = next(c.decimals for c in CRITERIA if c.attribute == name)
+
+    def text(candidate: CandidateScore, _: Sequence[str]) -> str:
+        chosen = next((o for o in candidate.orders if o.order == candidate.chosen_order), None)
+        return number(None if chosen is None else getattr(chosen.total, name), decimals)
+
+    return FamilyColumn(header, priority, text)
+
+
+def _sum_interval(candidate: CandidateScore) -> str:
+    low, high = number(candidate.nu_gap_sum_low), number(candidate.nu_gap_sum_high)
+    return low if low == high == number(None) else f"{low}…{high}"

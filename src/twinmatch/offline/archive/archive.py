@@ -57,8 +57,8 @@ def judge_archive(
         config: parameter file.
         candidates: file of initial candidates for every session.
         plant: name or file of the plant of every session that does not name it.
-        out: folder for one JSON file per session with the document of `twinmatch.showing.document`. A session
-            is not judged again if its file there has the same content, parameters and version.
+        out: folder for one JSON file per session with the document of `twinmatch.showing.summary.document`. A
+            session is not judged again if its file there has the same content, parameters and version.
         jobs: number of processes on this machine; one per core if not given.
         scheduler: address of a Dask scheduler; its workers judge instead.
         watch: called with (sessions done, total) after each session.

@@ -102,7 +102,7 @@ def _record(job: Job) -> dict[str, Any]:
     from twinmatch.parameters.twin import at_period, read_settings  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError, open_any  # noqa: PLC0415
-    from twinmatch.showing import document  # noqa: PLC0415
+    from twinmatch.showing.summary import document  # noqa: PLC0415
 
     terms, session = job.terms, open_any(job.path)
     settings = terms.settings

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from twinmatch.offline.archive.archive import Archive
-    from twinmatch.showing.quantities import Quantity
+    from twinmatch.showing.quantities import ParameterFormat
 
 __all__ = ["cells", "columns", "table"]
 
@@ -40,7 +40,7 @@ def columns(archive: Archive) -> tuple[str, ...]:
     return (*BEFORE, *(q.label for q in _matched(archive)), *BEHIND)
 
 
-def cells(row: dict[str, Any], matched: Sequence[Quantity]) -> tuple[str, ...]:
+def cells(row: dict[str, Any], matched: Sequence[ParameterFormat]) -> tuple[str, ...]:
     """One row as text, a cell per column."""
     fit = row["fit"]
     return (
@@ -57,15 +57,15 @@ def cells(row: dict[str, Any], matched: Sequence[Quantity]) -> tuple[str, ...]:
     )
 
 
-def _matched(archive: Archive) -> list[Quantity]:
+def _matched(archive: Archive) -> list[ParameterFormat]:
     if not archive.candidates:
         return []
     from twinmatch.plants import plant_named  # noqa: PLC0415 — as `rich`
-    from twinmatch.showing.quantities import quantity  # noqa: PLC0415
+    from twinmatch.showing.quantities import parameter_format  # noqa: PLC0415
 
     first = archive.candidates[0]
     plant = plant_named(first["plant"])
-    return [quantity(plant, name) for name in plant.structures[first["structure"]].free]
+    return [parameter_format(plant, name) for name in plant.structures[first["structure"]].free]
 
 
 def _number(value: float | None, form: str) -> str:

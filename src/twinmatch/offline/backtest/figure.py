@@ -9,8 +9,8 @@ from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
 from twinmatch.offline.backtest.summary import HINDSIGHT, Card
 from twinmatch.showing.figures.drawing import empty, new_figure, styled
+from twinmatch.showing.quantities import signal_names, with_unit
 from twinmatch.showing.style import CLOSED, DRIVEN, MODEL, PLANT, SET_POINT
-from twinmatch.showing.words import with_unit, words_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,7 +98,7 @@ def _draw_coverage(
         axes.plot(places, [100 * c.coverage_output for _, c in own], marker, color=colour, ms=6)
         axes.plot(places, [100 * c.coverage_input for _, c in own], marker, color=colour, ms=6, mfc="white")
     axes.axhline(100 * backtest.confidence, color=MODEL, lw=1, ls="--")
-    words = words_of(backtest.plant)
+    words = signal_names(backtest.plant)
     of_both = f"Coverage of the band: {words.output} filled, {words.input} hollow"
     axes.set_title(f"Coverage of the band: {words.output}" if backtest.driven else of_both)
     axes.set_ylim(min(50.0, axes.get_ylim()[0]), 102.0)
@@ -150,7 +150,7 @@ def _draw_forecast(
 
 def _dress(axes: tuple[Axes, Axes, Axes], backtest: Backtest) -> None:
     output, left, entry = axes
-    words = words_of(backtest.plant)
+    words = signal_names(backtest.plant)
     if backtest.shown:
         begin, last = (f.sample * backtest.period for f in (backtest.shown[0], backtest.shown[-1]))
         reach = float(backtest.shown[-1].time[-1])

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from twinmatch.dynamics import Plant
 from twinmatch.offline.backtest.result import LEADER, TWINS, Backtest
 from twinmatch.offline.backtest.summary import Card
-from twinmatch.showing.quantities import number
-from twinmatch.showing.words import with_unit, words_of
+from twinmatch.showing.quantities import number, signal_names, with_unit
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,7 +22,7 @@ _OF_INPUT = (5, 7, 9)
 
 def columns(plant: type[Plant], *, driven: bool = False) -> tuple[str, ...]:
     """The column names for `cells`."""
-    w = words_of(plant)
+    w = signal_names(plant)
     if w.output_unit == w.input_unit:
         called = (f" {w.output}", f" {w.input}")
         in_unit = tuple(with_unit(name, w.output_unit) for name in called)
@@ -90,7 +89,7 @@ def tables(backtest: Backtest) -> list[Table]:
 
 def sentences(backtest: Backtest) -> list[str]:
     """Sentences on the leader's results, one for each horizon."""
-    w, noise = words_of(backtest.plant), backtest.plant.output.noise
+    w, noise = signal_names(backtest.plant), backtest.plant.output.noise
     found = []
     for horizon in backtest.horizons:
         held = {card.who: card for card in at_horizon(backtest.cards, horizon)}

@@ -9,20 +9,34 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.showing.style import rc
+from twinmatch.showing.style import PLANT, SET_POINT, rc
+from twinmatch.signals import FloatArray, Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["empty", "new_figure", "png", "save", "stack", "styled", "svg", "time_axis"]
+__all__ = [
+    "draw_inputs",
+    "draw_outputs",
+    "draw_set_point",
+    "empty",
+    "legend_above",
+    "new_figure",
+    "png",
+    "save",
+    "stack",
+    "styled",
+    "svg",
+    "time_axis",
+]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Make a function draw with the settings of `views.style`, without changing matplotlib's own."""
+    """Make a function draw with the settings of `showing.style`, without changing matplotlib's own."""
 
     @wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -109,3 +123,26 @@ def empty(axes: Axes, words: str) -> None:
     """Show text in place of an empty chart."""
     axes.set_axis_off()
     axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes, color="#5C5C5C")
+
+
+def draw_set_point(axes: Axes, time: FloatArray, reference: FloatArray, width: float, *, named: bool) -> None:
+    """The set-point as dashed steps; in the legend if `named`."""
+    name = "set-point" if named else "_"  # matplotlib omits such labels from the legend
+    axes.plot(time, reference, color=SET_POINT, lw=width, ls="--", drawstyle="steps-post", label=name)
+
+
+def draw_outputs(axes: Axes, window: Window, *, closed: bool, named: bool = True, **line: Any) -> None:
+    """The measured output of the plant and, if `closed`, its set-point."""
+    if closed:
+        draw_set_point(axes, window.time, window.reference, 1, named=named)
+    axes.plot(window.time, window.output, color=PLANT, label="plant" if named else "_", **line)
+
+
+def draw_inputs(axes: Axes, window: Window, width: float, *, named: bool = False) -> None:
+    """The measured input of the plant."""
+    axes.plot(window.time, window.input, color=PLANT, lw=width, label="plant" if named else "_")
+
+
+def legend_above(axes: Axes, columns: int, height: float = 1.0, **spacing: float) -> None:
+    """The legend above the right end of a chart."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, height), ncols=columns, **spacing)

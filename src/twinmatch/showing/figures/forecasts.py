@@ -10,10 +10,10 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE
-from twinmatch.showing.fan import Fan
-from twinmatch.showing.figures.drawing import empty, new_figure, styled
+from twinmatch.showing.figures.drawing import draw_set_point, empty, new_figure, styled
+from twinmatch.showing.quantities import signal_names, with_unit
+from twinmatch.showing.series import Fan
 from twinmatch.showing.style import CLOSED, PLANT, SET_POINT
-from twinmatch.showing.words import with_unit, words_of
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -56,10 +56,10 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
 
 
 def _label(output: Axes, error: Axes, control: Axes, plant: type[Plant]) -> None:
-    words = words_of(plant)
-    output.set_ylabel(words.output_label)
-    error.set_ylabel(with_unit("measured −\nforecast", words.output_unit))
-    control.set_ylabel(words.input_label)
+    signals = signal_names(plant)
+    output.set_ylabel(signals.output_label)
+    error.set_ylabel(with_unit("measured −\nforecast", signals.output_unit))
+    control.set_ylabel(signals.input_label)
 
 
 def _add_legend(figure: Figure) -> None:
@@ -72,29 +72,21 @@ def _add_legend(figure: Figure) -> None:
 
 
 def _draw(output: Axes, control: Axes, fan: Fan) -> None:
-    forecast, past, came = fan.forecast, fan.past, fan.came
+    forecast, past, measured = fan.forecast, fan.past, fan.measured
     known = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
     if forecast.closed:
         set_points = np.concatenate([past.reference, forecast.reference])
         around = np.concatenate([known, forecast.time])
-        output.plot(
-            around, set_points, color=SET_POINT, lw=0.9, ls="--", drawstyle="steps-post", label="set-point"
-        )
+        draw_set_point(output, around, set_points, 0.9, named=True)
     for axes, band, before, after in (
-        (output, forecast.output, past.output, None if came is None else came.output),
-        (control, forecast.input, past.input, None if came is None else came.input),
+        (output, forecast.output, past.output, None if measured is None else measured.output),
+        (control, forecast.input, past.input, None if measured is None else measured.input),
     ):
         axes.fill_between(forecast.time, band.low, band.high, color=CLOSED, alpha=0.25, lw=0, label=_BAND)
         axes.plot(known, before, color=PLANT, lw=1.1, label="measured before")
         if after is not None:
-            axes.plot(
-                forecast.time[: after.size],
-                after,
-                color=PLANT,
-                lw=1.1,
-                ls=(0, (1, 1)),
-                label="measured afterwards",
-            )
+            time, dotted = forecast.time[: after.size], (0, (1, 1))
+            axes.plot(time, after, color=PLANT, lw=1.1, ls=dotted, label="measured afterwards")
         axes.plot(forecast.time, band.mean, color=CLOSED, lw=1.1, label="forecast")
         axes.axvline(0, color=SET_POINT, lw=0.8)
         axes.margins(x=0.01)

@@ -1,26 +1,45 @@
-"""The whole session: plant, closed-loop twin and driven twin, and their residuals."""
+"""The whole session: plant and twins with their residuals, trust and matches, and a verdict on one page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twinmatch.comparing import Verdict
-from twinmatch.showing.comparison import Comparison, compare, rolling_rms
-from twinmatch.showing.figures.drawing import new_figure, stack, styled, time_axis
-from twinmatch.showing.standing import shown_twin
-from twinmatch.showing.style import CLOSED, DRIVEN, PLANT, SET_POINT
-from twinmatch.showing.words import with_unit, words_of
+from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.showing.figures.drawing import (
+    draw_inputs,
+    draw_outputs,
+    empty,
+    legend_above,
+    new_figure,
+    save,
+    stack,
+    styled,
+    time_axis,
+)
+from twinmatch.showing.figures.family import draw_gains, fill_matrix
+from twinmatch.showing.quantities import signal_names, with_unit
+from twinmatch.showing.series import Comparison, compare, rolling_rms
+from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
+from twinmatch.showing.verdicts import (
+    ShownTwin,
+    admitted,
+    last_verdict,
+    level_stretches,
+    nominal_score,
+    shown_twin,
+)
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import TwinSettings
+from twinmatch.twin import MatchReport, TwinSettings, response_on
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_session"]
+__all__ = ["draw_health", "draw_session", "draw_verdict"]
 
 BAND = 60
 """Samples over which the residual's band is computed."""
@@ -42,22 +61,23 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])
     for number, stretch in enumerate(unbroken(samples)):
         window = Window.from_samples(stretch, settings.period)
-        _draw_plant(axes[0], axes[1], window, first=number == 0, closed=closed)
+        draw_outputs(axes[0], window, closed=closed, named=number == 0)
+        draw_inputs(axes[1], window, 0.8, named=number == 0)
     for number, part in enumerate(parts):
         _draw_twins(axes[0], axes[1], part, first=number == 0)
         _draw_residuals(axes[2:], part, first=number == 0)
-    words = words_of(settings.plant)
-    axes[0].set_ylabel(words.output_label)
-    axes[1].set_ylabel(words.input_label)
+    signals = signal_names(settings.plant)
+    axes[0].set_ylabel(signals.output_label)
+    axes[1].set_ylabel(signals.input_label)
     if parts:
-        axes[2].set_ylabel(with_unit("plant − twin", words.output_unit))
+        axes[2].set_ylabel(with_unit("plant − twin", signals.output_unit))
         _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
     if parts and closed:
-        axes[3].set_ylabel(with_unit("plant − twin", words.input_unit))
+        axes[3].set_ylabel(with_unit("plant − twin", signals.input_unit))
         _limit(axes[3], [p.closed_residual_u for p in parts])
     for each in axes:
         if each.get_legend_handles_labels()[0]:
-            each.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=5, borderaxespad=0.2)
+            legend_above(each, 5, 0.98, borderaxespad=0.2)
     time_axis(axes[-1], settings.period, samples[0].index, samples[-1].index)
     return figure
 
@@ -69,29 +89,8 @@ def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
     if not 0 < shown < highest:
         return
     axes.set_ylim(-shown, shown)
-    axes.annotate(
-        f"(peaks up to {highest:.3g} are cut off)",
-        (0.004, 0.97),
-        xycoords="axes fraction",
-        va="top",
-        fontsize=8,
-    )
-
-
-def _draw_plant(upper: Axes, control: Axes, window: Window, *, first: bool, closed: bool) -> None:
-    hidden = "_"  # matplotlib omits such labels from the legend
-    if closed:
-        upper.plot(
-            window.time,
-            window.reference,
-            color=SET_POINT,
-            lw=1,
-            ls="--",
-            drawstyle="steps-post",
-            label="set-point" if first else hidden,
-        )
-    upper.plot(window.time, window.output, color=PLANT, label="plant" if first else hidden)
-    control.plot(window.time, window.input, color=PLANT, lw=0.8, label="plant" if first else hidden)
+    note = f"(peaks up to {highest:.3g} are cut off)"
+    axes.annotate(note, (0.004, 0.97), xycoords="axes fraction", va="top", fontsize=8)
 
 
 def _draw_twins(upper: Axes, control: Axes, part: Comparison, *, first: bool) -> None:
@@ -120,3 +119,134 @@ def _draw_banded(axes: Axes, time: FloatArray, residual: FloatArray, colour: str
     axes.fill_between(time, -width, width, color=colour, alpha=0.18, lw=0, label=band)
     axes.plot(time, residual, color=colour, lw=0.7, label=name or "_")
     axes.axhline(0, color=SET_POINT, lw=0.6)
+
+
+_HEIGHTS = {TrustLevel.UNKNOWN: 0, TrustLevel.TRUSTED: 1, TrustLevel.DOUBTFUL: 2, TrustLevel.FAULT: 3}
+_DRAWN = 1.6
+"""A limit is drawn if it is at most this factor above the top of the axis."""
+
+
+@styled
+def draw_health(
+    samples: Sequence[Sample],
+    matches: Sequence[MatchReport],
+    verdicts: Sequence[Verdict],
+    settings: TwinSettings,
+) -> Figure:
+    """Trust level, misses of every verdict with their limit, matches admitted and refused."""
+    figure = new_figure(10, 4.8)
+    axes = stack(figure, (1.2, 2, 2, 0.9))
+    first, period = samples[0].index, settings.period
+    _draw_levels(axes[0], verdicts, period, first)
+    signals = signal_names(settings.plant)
+    for each, attribute, name in ((axes[1], "miss_y", signals.output), (axes[2], "miss_u", signals.input)):
+        _draw_misses(each, verdicts, attribute, period, settings.limits.doubtful)
+        each.set_ylabel(f"{name}\nmiss / half band")
+    _draw_matches(axes[3], matches, admitted(verdicts), period, signals.output_unit)
+    time_axis(axes[-1], period, first, samples[-1].index)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def _draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: int = 0) -> None:
+    """The trust level as a band, shown by height as well as colour."""
+    for stretch in level_stretches(verdicts, first):
+        begin, end = stretch.first * period, (stretch.last + 1) * period
+        height = _HEIGHTS[stretch.level]
+        axes.fill_between([begin, end], -0.5, height + 0.5, color=LEVELS[stretch.level], lw=0)
+    axes.set_ylim(-0.5, 3.5)
+    axes.set_yticks(list(_HEIGHTS.values()), [level.value for level in _HEIGHTS])
+    axes.grid(visible=False)
+    axes.set_ylabel("trust")
+
+
+def _draw_misses(
+    axes: Axes, verdicts: Sequence[Verdict], attribute: str, period: float, limit: float
+) -> None:
+    known = [v for v in verdicts if getattr(v, attribute) == getattr(v, attribute)]
+    values = [float(getattr(v, attribute)) for v in known]
+    if not values:
+        empty(axes, "no residual: there is no candidate")
+        return
+    axes.plot([v.sample * period for v in known], values, color=PLANT, marker=".", ms=4, lw=1)
+    top = 1.15 * max(values)
+    if limit <= _DRAWN * top:
+        axes.axhline(limit, color=LEVELS[TrustLevel.DOUBTFUL], lw=1.2, ls="--")
+        place: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
+        axes.annotate(f"doubtful from {limit:g}", (0.0, limit), (4, 2), fontsize=8, **place)
+        top = max(top, 1.2 * limit)
+    else:
+        note = f"(doubtful from {limit:g}, beyond this axis)"
+        axes.annotate(note, (1.0, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=8)
+    axes.set_ylim(0, top)
+
+
+def _draw_matches(
+    axes: Axes, matches: Sequence[MatchReport], joined: Collection[int], period: float, unit: str
+) -> None:
+    for inside, marker, level in ((True, "o", TrustLevel.TRUSTED), (False, "x", TrustLevel.FAULT)):
+        times = [m.sample * period for m in matches if (m.sample in joined) is inside]
+        axes.plot(times, [float(inside)] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
+    for m in matches:
+        at, letters = (m.sample * period, float(m.sample in joined)), {"fontsize": 7, "color": TEXT}
+        place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", **letters}
+        axes.annotate(f"{m.operating_point:g}", at, (0, 5), **place)
+    axes.set_ylim(-0.6, 2.0)
+    axes.set_yticks([0, 1], ["refused", "admitted"])
+    axes.set_ylabel(f"matches\n({unit})" if unit else "matches")
+
+
+@styled
+def draw_verdict(
+    samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings, path: Path
+) -> None:
+    """Plant and leading twin, trust over time, the criteria and the ν-gap matrix, on one page.
+
+    Raises:
+        TwinmatchError: matplotlib cannot write such a file there.
+    """
+    figure = new_figure(12, 9)
+    grid = figure.add_gridspec(4, 2, height_ratios=(3, 2, 0.9, 3))
+    upper = figure.add_subplot(grid[0, :])
+    control = figure.add_subplot(grid[1, :], sharex=upper)
+    trust = figure.add_subplot(grid[2, :], sharex=upper)
+    last = last_verdict(verdicts)
+    shown = shown_twin(verdicts[-1] if verdicts else None)
+    for number, stretch in enumerate(unbroken(samples)):
+        window = Window.from_samples(stretch, settings.period)
+        draw_outputs(upper, window, closed=settings.gains is not None, named=number == 0, lw=1.2)
+        draw_inputs(control, window, 0.9)
+        if shown is not None and len(window) >= 4:
+            _draw_twin(upper, control, window, shown, settings, named=number == 0)
+    signals = signal_names(settings.plant)
+    for axes, label in ((upper, signals.output_label), (control, signals.input_label)):
+        axes.set_ylabel(label)
+        axes.tick_params(labelbottom=False)
+    legend_above(upper, 3)
+    if shown is not None:
+        upper.set_title(_title(shown, nominal_score(last)))
+    _draw_levels(trust, verdicts, settings.period, samples[0].index)
+    time_axis(trust, settings.period, samples[0].index, samples[-1].index)
+    if last is not None:
+        draw_gains(figure.add_subplot(grid[3, 0]), last)
+        fill_matrix(figure.add_subplot(grid[3, 1]), last)
+    save(figure, path)
+
+
+def _draw_twin(
+    upper: Axes, control: Axes, window: Window, shown: ShownTwin, settings: TwinSettings, *, named: bool
+) -> None:
+    """The twin's response on one unbroken stretch."""
+    twin = response_on(shown.parameters, window, settings.gains)
+    upper.plot(
+        window.time[2:], twin.output, color=CLOSED, lw=1, label=f"twin of {shown.name}" if named else "_"
+    )
+    if settings.gains is not None:
+        control.plot(window.time[2:], twin.input, color=CLOSED, lw=0.8)
+
+
+def _title(shown: ShownTwin, nominal: CandidateScore | None) -> str:
+    """The twin that is drawn, and the nominal candidate."""
+    order = f", order {nominal.chosen_order}" if nominal and nominal.chosen_order else ""
+    centre = f"nominal: {nominal.name}{order}" if nominal else "nominal: none"
+    return f"Leader: {shown.name}; {centre}"

@@ -6,7 +6,10 @@ recorder writes. A layout for the live graph therefore also fits a recorded sess
 
 from __future__ import annotations
 
-from twinmatch.showing.foxglove.clock import StreamTime
-from twinmatch.showing.foxglove.errors import FoxgloveError
+from twinmatch.errors import TwinmatchError
 
-__all__ = ["FoxgloveError", "StreamTime"]
+__all__ = ["FoxgloveError"]
+
+
+class FoxgloveError(TwinmatchError):
+    """The graph cannot be served, or an option has an invalid value."""

@@ -1,4 +1,4 @@
-"""The layout of a viewer's window for a plant, with the plant's names and units on its axes."""
+"""The topics of a graph, and the layout of a viewer's window with the plant's names and units."""
 
 from __future__ import annotations
 
@@ -9,10 +9,40 @@ from typing import Any, Final
 
 from twinmatch.comparing import TrustLevel
 from twinmatch.description import Description, Quantity
-from twinmatch.showing.foxglove.errors import FoxgloveError
+from twinmatch.showing.foxglove import FoxgloveError
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
 
-__all__ = ["APPLIED", "IMAGE", "layout", "write_layout"]
+__all__ = ["APPLIED", "IMAGE", "OUTSIDE", "TOPICS", "layout", "write_layout"]
+
+TOPICS = {
+    "plant/description": "twinmatch_msgs/msg/PlantDescription",
+    "plant/sample": "twinmatch_msgs/msg/LoopSample",
+    "plant/reading": "twinmatch_msgs/msg/PlantReading",
+    "plant/command": "twinmatch_msgs/msg/PlantCommand",
+    "plant/applied": "twinmatch_msgs/msg/PlantApplied",
+    "plant/temperature": "sensor_msgs/msg/Temperature",
+    "plant/reference": "std_msgs/msg/Float64",
+    "plant/uniformity": "std_msgs/msg/Float64",
+    "plant/pwm_command": "twinmatch_msgs/msg/PwmCommand",
+    "plant/pwm_applied": "twinmatch_msgs/msg/PwmApplied",
+    "thermal/image_raw": "sensor_msgs/msg/Image",
+    "thermal/image": "sensor_msgs/msg/Image",
+    "twin/match_request": "twinmatch_msgs/msg/MatchRequest",
+    "twin/match": "twinmatch_msgs/msg/Match",
+    "twin/model_score": "twinmatch_msgs/msg/ModelScore",
+    "twin/nominal": "twinmatch_msgs/msg/Candidate",
+    "twin/leader": "twinmatch_msgs/msg/ForecastScore",
+    "twin/forecast": "twinmatch_msgs/msg/Forecast",
+    "twin/state": "twinmatch_msgs/msg/TwinState",
+}
+"""Types by name relative to the rig's namespace.
+
+They are advertised from the start, so that a viewer opened before the graph finds them. This also avoids a
+race in the SDK, which may refuse a viewer that subscribes to a new topic within a millisecond.
+"""
+
+OUTSIDE = {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "/rosout": "rcl_interfaces/msg/Log"}
+"""Topics outside the namespace that are also advertised."""
 
 APPLIED: Final = "plant/pwm_applied"
 IMAGE: Final = "thermal/image"
@@ -63,7 +93,7 @@ def write_layout(path: Path, made: Mapping[str, Any]) -> None:
 
 def _charts(described: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:
     y, u = described.output, described.input
-    sample, state, ahead = (f"{rig}/{name}" for name in ("plant/sample", "twin/state", "twin/forecast"))
+    sample, state, forecast = (f"{rig}/{name}" for name in ("plant/sample", "twin/state", "twin/forecast"))
     inputs = [
         _line(f"{sample}.input[0]", "plant", PLANT),
         _line(f"{state}.closed_input[0]", "closed-loop twin", CLOSED),
@@ -85,14 +115,14 @@ def _charts(described: Description, rig: str, *, applied: bool) -> dict[str, _Pa
         _line(f"{state}.closed_residual_u[0]", "closed-loop twin", CLOSED),
         _line(f"{state}.closed_rms_u[0]", "closed-loop twin, RMS", SET_POINT),
     ]
-    wanted = _line(f"{ahead}.reference[:]", "set-point", SET_POINT)
+    wanted = _line(f"{forecast}.reference[:]", "set-point", SET_POINT)
     return {
         "Plot!output": _plot(_title(y), y.label, asked),
         "Plot!input": _plot(_title(u), u.label, inputs),
         "Plot!residuals": _plot(f"{y.name}: plant minus twin", y.label, output_off),
         "Plot!input_residuals": _plot(f"{u.name}: plant minus twin", u.label, input_off),
-        "Plot!output_ahead": _ahead(f"{y.name} forecast", y, [wanted, *_band(f"{ahead}.output")], ahead),
-        "Plot!input_ahead": _ahead(f"{u.name} forecast", u, _band(f"{ahead}.input"), ahead),
+        "Plot!output_ahead": _forecast(forecast, y, [wanted, *_band(f"{forecast}.output")]),
+        "Plot!input_ahead": _forecast(forecast, u, _band(f"{forecast}.input")),
     }
 
 
@@ -134,10 +164,10 @@ def _plot(title: str, label: str, lines: Sequence[dict[str, Any]], **settings: A
     return _titled(title, paths=list(lines), **{**usual, **settings})
 
 
-def _ahead(title: str, of: Quantity, lines: Sequence[dict[str, Any]], topic: str) -> _Panel:
+def _forecast(topic: str, of: Quantity, lines: Sequence[dict[str, Any]]) -> _Panel:
     """The newest forecast, over the seconds ahead rather than the time of its message."""
     return _plot(
-        title,
+        f"{of.name} forecast",
         of.label,
         lines,
         xAxisVal="currentCustom",

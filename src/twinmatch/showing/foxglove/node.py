@@ -19,17 +19,15 @@ from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
 from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.installed import schema_of
-from twinmatch.showing.foxglove.clock import StreamTime
-from twinmatch.showing.foxglove.errors import FoxgloveError
-from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, layout, write_layout
-from twinmatch.showing.foxglove.server import GraphServer
-from twinmatch.showing.foxglove.topics import ELSEWHERE, TOPICS
+from twinmatch.showing.foxglove import FoxgloveError
+from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout, write_layout
+from twinmatch.showing.foxglove.server import GraphServer, StreamTime
 from twinmatch.showing.serving import is_loopback
 from twinmatch_msgs.msg import PlantDescription
 
 __all__ = ["Foxglove"]
 
-LOOK = 0.2
+POLL = 0.2
 """Seconds between checks for new topics."""
 TICK = 0.05
 """Seconds between updates of the viewers' time."""
@@ -68,7 +66,7 @@ class Foxglove(TwinmatchNode):
         self._types: dict[str, str] = {}
         self._unknown: set[str] = set()
         rig = self.get_namespace().rstrip("/")
-        for name, kind in ({f"{rig}/{name}": kind for name, kind in TOPICS.items()} | ELSEWHERE).items():
+        for name, kind in ({f"{rig}/{name}": kind for name, kind in TOPICS.items()} | OUTSIDE).items():
             self._advertise(name, kind)
         self._has_clock = self._to_repeat = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -77,7 +75,7 @@ class Foxglove(TwinmatchNode):
         if self.values["layout"]:
             self.create_subscription(PlantDescription, "plant/description", self._on_description, LATCHED)
         self.create_subscription(ClockMessage, "/clock", self._on_clock, CLOCK)
-        self.create_timer(LOOK, self._look, clock=steady)
+        self.create_timer(POLL, self._find_topics, clock=steady)
         self.create_timer(TICK, self._send_time, clock=steady)
         if not is_loopback(address):
             print(
@@ -101,10 +99,10 @@ class Foxglove(TwinmatchNode):
             self._server.close()
         return True
 
-    def _look(self) -> None:
+    def _find_topics(self) -> None:
         self._has_clock = self.count_publishers("/clock") > 0
         for name, _ in self.get_topic_names_and_types():
-            if name not in self._unknown and wanted(name, self.get_namespace(), ELSEWHERE, LEFT_OUT):
+            if name not in self._unknown and wanted(name, self.get_namespace(), OUTSIDE, LEFT_OUT):
                 self._subscribe(name)
         self._lay_out()
 

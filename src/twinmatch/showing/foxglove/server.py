@@ -1,22 +1,25 @@
-"""The WebSocket server of the Foxglove SDK, with one channel per topic; it does not depend on ROS."""
+"""The WebSocket server of the Foxglove SDK, with one channel per topic, and its time; without ROS."""
 
 from __future__ import annotations
 
 import logging
 import re
+import time
 from typing import NamedTuple
 
 from foxglove import Channel, Context, Schema, set_log_level, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
-from twinmatch.showing.foxglove.errors import FoxgloveError
+from twinmatch.showing.foxglove import FoxgloveError
 
-__all__ = ["GraphServer"]
+__all__ = ["GRACE", "GraphServer", "StreamTime"]
 
 BACKLOG = 1024
 """Queue length per viewer; the oldest messages are dropped for a slow viewer. A thermal image has 77 kB."""
 LARGEST_KEPT = 4_000_000
 """Largest message that is kept for late subscribers, bytes."""
+GRACE = 5.0
+"""Seconds without /clock after which a sample counts as one of a graph without it."""
 
 
 class _Last(NamedTuple):
@@ -140,3 +143,35 @@ class _Listener(ServerListener):
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
         self._server.left(client.id, channel.id)
+
+
+class StreamTime:
+    """Follows /clock while it is published, then stops until a graph without /clock has samples.
+
+    A replay can therefore still be viewed after its end. Every change between the two kinds of time is
+    reported, because viewers must then be reset.
+    """
+
+    def __init__(self) -> None:
+        """Start with wall time."""
+        self._plant: int | None = None
+        self._received = 0.0
+
+    @property
+    def now(self) -> int:
+        """Time, ns since the epoch of its clock."""
+        return time.time_ns() if self._plant is None else self._plant
+
+    def on_clock(self, stamp: int, at: float) -> bool:
+        """Take the time of /clock (ns), received at a monotonic time (s); returns whether the kind of time
+        has changed."""
+        changed = self._plant is None
+        self._plant, self._received = stamp, at
+        return changed
+
+    def on_sample(self, at: float, *, clock: bool) -> bool:
+        """Note a sample, and whether /clock has a publisher; returns whether the kind of time has changed."""
+        if self._plant is None or clock or at - self._received < GRACE:
+            return False
+        self._plant = None
+        return True

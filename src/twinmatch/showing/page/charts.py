@@ -1,28 +1,138 @@
-"""The charts that share the time axis: output, input, residuals, and events."""
+"""The charts that share the time axis, and what feeds them: signals, forecasts, residuals and events."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FactorRange, HoverTool, Legend
+import numpy as np
+from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FactorRange, HoverTool, Legend, LegendItem
 from bokeh.plotting import figure
 
 from twinmatch.description import Description, Quantity
-from twinmatch.showing.events import Stretch
-from twinmatch.showing.page.ahead import Fans
-from twinmatch.showing.page.events import Event, Lane
-from twinmatch.showing.page.look import MARKS, SHAPES
-from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
-from twinmatch.showing.words import with_unit
+from twinmatch.forecasting import Forecast
+from twinmatch.showing.page.state import RollingTable
+from twinmatch.showing.page.style import MARKS, SHAPES
+from twinmatch.showing.quantities import with_unit
+from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_POINT
+from twinmatch.showing.verdicts import Event, EventKind, LevelStretch
 from twinmatch.signals import FloatArray
 
-__all__ = ["TimeCharts", "bands"]
+__all__ = ["POINTS", "ChartFeed", "TimeCharts", "bands", "seconds_ahead", "stride_for"]
 
+POINTS = 2400
+"""Most points of a line, whatever time it spans."""
 BAND = 2.0
 """Half width of the residual band, in RMS of the newest samples."""
+LONGEST = 300.0
+"""Most time drawn ahead of the newest sample, s."""
+SHARE = 4.0
+"""The time drawn ahead is at most the span of the charts divided by this."""
 TOOLS = "xpan,xwheel_zoom,box_zoom,reset,save"
-LANES = {Lane.TRUST: "trust", Lane.MATCH: "matches", Lane.FAULT: "faults", Lane.NODES: "nodes"}
+TRUST = "trust"
+LANES = {
+    **dict.fromkeys((EventKind.LEADER, EventKind.NOMINAL, EventKind.LEVEL), TRUST),
+    **dict.fromkeys((EventKind.ADMITTED, EventKind.REFUSED, EventKind.DISMISSED), "matches"),
+    EventKind.FAULT: "faults",
+    EventKind.NODE: "nodes",
+}
+"""Rows of the time line."""
+FORECAST_COLUMNS = (
+    *("t", "reference"),
+    *(f"{signal}{edge}" for signal in ("output", "input") for edge in ("", "_low", "_high")),
+)
+
+Derive = Callable[[Mapping[str, FloatArray]], dict[str, FloatArray]]
+
+
+def stride_for(samples: int) -> int:
+    """How many samples are drawn as one, see `envelope`, so that a line has at most `POINTS` points."""
+    return 1 if samples <= POINTS else math.ceil(2 * samples / POINTS)
+
+
+class ChartFeed:
+    """Keeps one `ColumnDataSource` up to date with one table."""
+
+    def __init__(self, table: RollingTable, derive: Derive | None = None) -> None:
+        """Start empty; `derive` computes more columns from those of the table."""
+        self._table = table
+        self._derive = derive
+        names = list(self._columns(table.since(0)[0], 1.0))
+        self.source = ColumnDataSource({"t": [], **{name: [] for name in names}})
+        self._row = 0
+        self._shown: tuple[int, float, int] | None = None
+
+    def update(self, period: float, span: int) -> None:
+        """Send the new ones of the newest `span` samples, or all of them if epoch, period or span changed."""
+        stride = stride_for(span)
+        shown = (self._table.epoch, period, span)
+        points = span if stride == 1 else 2 * math.ceil(span / stride)
+        redraw = shown != self._shown
+        if redraw:
+            self._row = max(0, self._table.count // stride * stride - math.ceil(span / stride) * stride)
+        drawn, self._row = self._table.since(self._row, stride)
+        columns = self._columns(drawn, period)
+        if redraw:
+            self.source.data = columns
+            self._shown = shown
+        elif columns["t"].size:
+            self.source.stream(columns, rollover=points)
+
+    def _columns(self, drawn: dict[str, FloatArray], period: float) -> dict[str, FloatArray]:
+        columns = {"t": drawn.pop("index") * period, **drawn}
+        if self._derive is not None:
+            columns |= self._derive(columns)
+        return columns
+
+
+def seconds_ahead(span: float) -> float:
+    """How much time ahead to draw on charts that show `span` seconds of the past, s."""
+    return min(LONGEST, span / SHARE)
+
+
+class ForecastBands:
+    """Forecast mean and band ahead of the newest sample, on the charts of output and input."""
+
+    def __init__(self, output: Any, control: Any) -> None:
+        """Draw on these two charts."""
+        self._forecast, self._what_if = (
+            ColumnDataSource({name: [] for name in FORECAST_COLUMNS}) for _ in range(2)
+        )
+        self.lines = []
+        """The mean line of each forecast; the time axis covers them."""
+        for source, colour, name in ((self._forecast, CLOSED, "forecast"), (self._what_if, MODEL, "what if")):
+            drawn = _draw_band(output, "output", source, colour)
+            of_input = _draw_band(control, "input", source, colour)
+            asked = output.step("t", "reference", source=source, mode="after", color=colour, line_width=1)
+            asked.glyph.line_dash = [2, 3]
+            for chart, parts in ((output, [*drawn, asked]), (control, of_input)):
+                chart.legend[0].items.append(LegendItem(label=name, renderers=parts))
+            self.lines.append(drawn[-1])
+
+    def update(self, forecast: Forecast | None, what_if: Forecast | None, period: float, most: float) -> None:
+        """Draw both, at most `most` seconds ahead; `period` is the sampling period, s."""
+        self._forecast.data = _columns(forecast, period, most)
+        self._what_if.data = _columns(what_if, period, most)
+
+
+def _draw_band(chart: Any, of: str, source: ColumnDataSource, colour: str) -> list[Any]:
+    """Band and mean of one signal."""
+    band = chart.varea("t", f"{of}_low", f"{of}_high", source=source, fill_color=colour, fill_alpha=0.18)
+    mean = chart.line("t", of, source=source, color=colour, line_width=1.6)
+    mean.glyph.line_dash = [5, 2]
+    return [band, mean]
+
+
+def _columns(forecast: Forecast | None, period: float, most: float) -> dict[str, Any]:
+    if forecast is None:
+        return {name: [] for name in FORECAST_COLUMNS}
+    near = forecast.time <= most * (1 + 1e-9)
+    columns = {"t": forecast.sample * period + forecast.time[near], "reference": forecast.reference[near]}
+    for name, band in (("output", forecast.output), ("input", forecast.input)):
+        columns[name] = band.mean[near]
+        columns[f"{name}_low"], columns[f"{name}_high"] = band.low[near], band.high[near]
+    return {name: np.asarray(columns[name]) for name in FORECAST_COLUMNS}
 
 
 _NARROW = """
@@ -51,8 +161,8 @@ class TimeCharts:
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
         self.output = self._output()
         self.control = self._control()
-        self.fans = Fans(self.output, self.control)
-        self.time.renderers = [*self.time.renderers, *self.fans.lines]
+        self.forecasts = ForecastBands(self.output, self.control)
+        self.time.renderers = [*self.time.renderers, *self.forecasts.lines]
         self.residual = self._residual()
         self.control_residual = self._control_residual()
         self._stretches = ColumnDataSource({"left": [], "right": [], "lane": [], "colour": [], "level": []})
@@ -84,23 +194,24 @@ class TimeCharts:
         """Show the newest `seconds`."""
         self.time.follow_interval = seconds
 
-    def draw_events(self, stretches: list[Stretch], events: list[Event], period: float) -> None:
+    def draw_events(self, stretches: Iterable[LevelStretch], events: Iterable[Event], period: float) -> None:
         """Draw the trust level over time, and the events of this session."""
+        shown = list(stretches)
         self._stretches.data = {
-            "left": [s.first * period for s in stretches],
-            "right": [s.last * period for s in stretches],
-            "lane": [LANES[Lane.TRUST]] * len(stretches),
-            "colour": [LEVELS[s.level] for s in stretches],
-            "level": [s.level.value for s in stretches],
+            "left": [s.first * period for s in shown],
+            "right": [s.last * period for s in shown],
+            "lane": [TRUST] * len(shown),
+            "colour": [LEVELS[s.level] for s in shown],
+            "level": [s.level.value for s in shown],
         }
-        placed = [e for e in events if e.sample is not None]
+        placed = [(e.sample * period, e) for e in events if e.sample is not None]
         self._events.data = {
-            "t": [(e.sample or 0) * period for e in placed],
-            "lane": [LANES[e.lane] for e in placed],
-            "colour": [MARKS[e.mark] for e in placed],
-            "shape": [SHAPES[e.mark] for e in placed],
-            "title": [e.title for e in placed],
-            "text": [e.text for e in placed],
+            "t": [t for t, _ in placed],
+            "lane": [LANES[e.kind] for _, e in placed],
+            "colour": [MARKS[e.mark] for _, e in placed],
+            "shape": [SHAPES[e.mark] for _, e in placed],
+            "title": [e.title for _, e in placed],
+            "text": [e.why for _, e in placed],
         }
 
     def _figure(self, name: str, height: int, label: str, **options: Any) -> Any:
@@ -125,103 +236,63 @@ class TimeCharts:
         chart = self._figure("output", 320, self._described.output.label)
         plant = chart.line("t", "output", source=self._plant, color=PLANT, line_width=2)
         closed = chart.line("t", "closed_output", source=self._twin, color=CLOSED, line_width=1.6)
-        asked = chart.step(
-            "t", "reference", source=self._plant, mode="after", color=SET_POINT, line_width=1.4
-        )
+        steps: dict[str, Any] = {"source": self._plant, "mode": "after", "color": SET_POINT}
+        asked = chart.step("t", "reference", line_width=1.4, **steps)
         asked.glyph.line_dash = [6, 4]
         self.time.renderers = [plant]
         _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("output", self._described.output))])
+        _hover_value(chart, plant, "plant", "output", self._described.output)
         return chart
 
     def _control(self) -> Any:
         chart = self._figure("control", 210, self._described.input.label)
-        plant = chart.step("t", "input", source=self._plant, mode="after", color=PLANT, line_width=1.6)
-        closed = chart.step(
-            "t", "closed_input", source=self._twin, mode="after", color=CLOSED, line_width=1.2
+        plant, closed = (
+            chart.step("t", column, source=source, mode="after", color=colour, line_width=width)
+            for column, source, colour, width in (
+                ("input", self._plant, PLANT, 1.6),
+                ("closed_input", self._twin, CLOSED, 1.2),
+            )
         )
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover(chart, plant, [("time", "@t{0.0} s"), ("plant", _shown("input", self._described.input))])
+        _hover_value(chart, plant, "plant", "input", self._described.input)
         return chart
 
     def _residual(self) -> Any:
-        chart = self._figure("residual", 180, with_unit("plant − twin", self._described.output.unit))
-        band = chart.varea(
-            "t",
-            "driven_rms_y_low",
-            "driven_rms_y_high",
-            source=self._twin,
-            fill_color=DRIVEN,
-            fill_alpha=0.18,
-        )
+        output = self._described.output
+        chart, band = self._banded("residual", output, "driven_rms_y", DRIVEN, 0.18)
         driven = chart.line("t", "driven_residual_y", source=self._twin, color=DRIVEN, line_width=1.4)
         closed = chart.line("t", "closed_residual_y", source=self._twin, color=CLOSED, line_width=1.1)
-        names = {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed}
-        _legend(chart, names)
-        _hover(
-            chart,
-            driven,
-            [
-                ("time", "@t{0.0} s"),
-                ("plant − driven twin", _shown("driven_residual_y", self._described.output)),
-            ],
-        )
+        _legend(chart, {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed})
+        _hover_value(chart, driven, "plant − driven twin", "driven_residual_y", output)
         return chart
 
     def _control_residual(self) -> Any:
-        chart = self._figure("control_residual", 180, with_unit("plant − twin", self._described.input.unit))
-        band = chart.varea(
-            "t",
-            "closed_rms_u_low",
-            "closed_rms_u_high",
-            source=self._twin,
-            fill_color=CLOSED,
-            fill_alpha=0.15,
-        )
+        control = self._described.input
+        chart, band = self._banded("control_residual", control, "closed_rms_u", CLOSED, 0.15)
         line = chart.line("t", "closed_residual_u", source=self._twin, color=CLOSED, line_width=1.2)
         _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
-        _hover(
-            chart,
-            line,
-            [("time", "@t{0.0} s"), ("residual", _shown("closed_residual_u", self._described.input))],
-        )
+        _hover_value(chart, line, "residual", "closed_residual_u", control)
         return chart
 
+    def _banded(self, name: str, signal: Quantity, rms: str, colour: str, alpha: float) -> tuple[Any, Any]:
+        """A chart of residuals with their band."""
+        chart = self._figure(name, 180, with_unit("plant − twin", signal.unit))
+        filling: dict[str, Any] = {"fill_color": colour, "fill_alpha": alpha}
+        return chart, chart.varea("t", f"{rms}_low", f"{rms}_high", source=self._twin, **filling)
+
     def _happened(self) -> Any:
-        lanes = FactorRange(factors=list(reversed(LANES.values())))
+        lanes = FactorRange(factors=list(reversed(dict.fromkeys(LANES.values()))))
         chart = self._figure("happened", 185, "", y_range=lanes)
         chart.xaxis.axis_label = "time since the session began / s"
         chart.xaxis.major_label_text_font_size = "12px"
         chart.ygrid.grid_line_color = None
-        strips = chart.hbar(
-            y="lane",
-            left="left",
-            right="right",
-            height=0.6,
-            source=self._stretches,
-            fill_color="colour",
-            line_color=None,
-        )
-        marks = chart.scatter(
-            "t",
-            "lane",
-            source=self._events,
-            marker="shape",
-            size=12,
-            fill_color="colour",
-            line_color="colour",
-            line_width=2.5,
-            fill_alpha=0.85,
-        )
+        line: dict[str, Any] = {"fill_color": "colour", "line_color": None}
+        strips = chart.hbar("lane", 0.6, right="right", left="left", source=self._stretches, **line)
+        line = {"fill_color": "colour", "line_color": "colour", "line_width": 2.5, "fill_alpha": 0.85}
+        marks = chart.scatter("t", "lane", source=self._events, marker="shape", size=12, **line)
         _hover(chart, strips, [("trust", "@level"), ("from", "@left{0} s"), ("to", "@right{0} s")])
         _hover(chart, marks, [("at", "@t{0} s"), ("what", "@title"), ("why", "@text")])
         return chart
-
-
-def _shown(column: str, quantity: Quantity) -> str:
-    """Tooltip format of a column's value."""
-    places = "0" * quantity.decimals
-    return f"@{column}{{0.{places}}} {quantity.unit}".rstrip()
 
 
 def _legend(chart: Any, names: Mapping[str, Any]) -> None:
@@ -231,3 +302,9 @@ def _legend(chart: Any, names: Mapping[str, Any]) -> None:
 
 def _hover(chart: Any, renderer: Any, rows: list[tuple[str, str]]) -> None:
     chart.add_tools(HoverTool(renderers=[renderer], tooltips=rows, visible=False))
+
+
+def _hover_value(chart: Any, renderer: Any, name: str, column: str, quantity: Quantity) -> None:
+    """A tooltip with time and value of a line."""
+    value = f"@{column}{{0.{'0' * quantity.decimals}}} {quantity.unit}".rstrip()
+    _hover(chart, renderer, [("time", "@t{0.0} s"), (name, value)])

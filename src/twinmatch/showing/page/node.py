@@ -25,11 +25,10 @@ from twinmatch.parameters.declared import Parameter
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
-from twinmatch.showing.page.page import Page
 from twinmatch.showing.page.requests import Requests
-from twinmatch.showing.page.sentence import update_sentence
 from twinmatch.showing.page.server import PageServer
-from twinmatch.showing.page.state import DashboardState, Drive, TwinRow
+from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
+from twinmatch.showing.page.tab import Tab
 from twinmatch.showing.serving import is_loopback
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
@@ -133,7 +132,7 @@ class Dashboard(TwinmatchNode):
         return self._server is None or self._server.close()
 
     def _fill(self, document: Any) -> None:
-        Page(self.state, self._requests).build(document)
+        Tab(self.state, self._requests).build(document)
 
     def _subscribe(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe; an invalid message is reported and dropped."""
@@ -165,10 +164,10 @@ class Dashboard(TwinmatchNode):
         self.state.push_verdict(verdict_from(message))
 
     def _on_applied(self, message: PlantApplied) -> None:
-        self.state.push_drive(Drive(message.input, math.nan, message.fault))
+        self.state.push_drive(DriveReport(message.input, math.nan, message.fault))
 
     def _on_pwm(self, message: PwmApplied) -> None:
-        self.state.push_drive(Drive(message.pwm, message.current, message.fault))
+        self.state.push_drive(DriveReport(message.pwm, message.current, message.fault))
 
     def _on_health(self, message: DiagnosticArray) -> None:
         now = time.monotonic()

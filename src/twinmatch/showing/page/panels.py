@@ -1,33 +1,37 @@
-"""The page's texts and tables: status, verdict in detail, current values, family, events, nodes."""
+"""The page's texts and tables, as HTML: first screen, verdict in detail, values, family, events, nodes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from html import escape
+from itertools import islice
 
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.showing import COLUMNS, row
-from twinmatch.showing.criteria import computed, criterion_rows
-from twinmatch.showing.page.events import Event
-from twinmatch.showing.page.look import MARK_INKS, MARK_SIGNS, SIGNS, text
-from twinmatch.showing.page.roster import Roster
-from twinmatch.showing.page.state import Answered, DashboardState
-from twinmatch.showing.quantities import number, quantity
+from twinmatch.description import Quantity
+from twinmatch.showing.family import computed, criterion_rows
+from twinmatch.showing.page.health import NodeReports
+from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
+from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
+from twinmatch.showing.quantities import number, parameter_format, with_unit
 from twinmatch.showing.style import LEVELS
-from twinmatch.showing.words import with_unit
+from twinmatch.showing.summary import TrustRange
+from twinmatch.showing.verdicts import COLUMNS, LEVEL_WORDS, Event, row
 
 __all__ = [
     "NO_CANDIDATE",
     "NO_SAMPLE",
     "alarm",
-    "answer",
     "events_table",
     "family_table",
+    "first_screen",
     "nodes",
     "notice",
     "reasons",
     "status",
     "tiles",
+    "what_if",
+    "what_to_do",
 ]
 
 RECENT = 80
@@ -36,8 +40,6 @@ SILENCE = 5.0
 """Periods, but at least seconds, without a sample after which the page reports it."""
 IN_WORDS = ("level", "leader", "nominal", "why")
 """Columns of the terminal's table that the page shows elsewhere."""
-CALLED = {"t / s": "judged at / s", "gain": "gain / characters"}
-"""Names of columns that differ from those in the terminal."""
 DASH = "–"
 NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
 NO_SAMPLE = '<p class="quiet">No sample yet.</p>'
@@ -45,6 +47,103 @@ NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustL
 """Colours of the levels of REP 107."""
 NODE_WORDS = ("OK", "warning", "error", "silent")
 AT_REST = "has ended with the replay"
+_PLACE = ": look at "
+"""In a reason of the health monitor: what precedes the place to look at."""
+
+
+def first_screen(state: DashboardState) -> str:
+    """Five answers side by side, each below its question."""
+    level = TrustLevel.UNKNOWN if state.verdict is None else state.verdict.level
+    dark = " dark" if level in DARK else ""
+    badge = (
+        f'<div class="level{dark}" style="background:{LEVELS[level]}"><div class="sign">{SIGNS[level]}</div>'
+        f'<div><div class="word">{escape(level.value)}</div>'
+        f'<div class="meaning">{escape(LEVEL_WORDS[level])}</div></div></div>'
+    )
+    answers = f"{_leader(state)}{_forecast(state)}{_health(state)}"
+    to_do = f'<div class="label">what to do</div><p>{escape(what_to_do(state))}</p>'
+    return f'<div class="hero">{badge}{answers}<div class="answer to-do">{to_do}</div></div>'
+
+
+def what_to_do(state: DashboardState) -> str:
+    """The next thing for the operator to do."""
+    said = state.described
+    if state.fault:
+        return "The output is held at zero. Find the cause and fix it, then clear the fault."
+    if state.nodes.ended is not None:
+        return "Nothing: the replay has ended, and this page shows its final state."
+    if state.received_at is None:
+        return "Start the plant's nodes, or play a recorded session: its samples appear here automatically."
+    if state.verdict is None or state.verdict.level is TrustLevel.UNKNOWN:
+        return (
+            f"Step the {said.reference.name} and hold it for some minutes (in open loop the "
+            f"{said.input.name}): a twin is matched to the plant's response."
+        )
+    return _advice(state.verdict, said.output)
+
+
+def _advice(verdict: Verdict, output: Quantity) -> str:
+    """What to do after a verdict."""
+    if verdict.level is TrustLevel.FAULT:
+        _, found, where = verdict.reason.partition(_PLACE)
+        first = f"Look at {where}" if found else "Look at drive, sensor and cables"
+        return f"{first}. Do not rely on forecasts until the fault is fixed."
+    if verdict.level is TrustLevel.DOUBTFUL:
+        return (
+            "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
+            "matched again; if not, look at drive and sensor."
+        )
+    return f"Nothing. Ask the leader what comes next{_proven_range(verdict, output)}."
+
+
+def _proven_range(verdict: Verdict, output: Quantity) -> str:
+    if math.isnan(verdict.held_low):
+        return ""
+    places = max(0, output.decimals - 2)
+    proven = TrustRange(verdict.held_low, verdict.held_high, output.unit, places)
+    return f"; its forecasts have come true between {proven}"
+
+
+def _answer(question: str, answer: str, more: str) -> str:
+    return (
+        f'<div class="answer"><div class="label">{escape(question)}</div>'
+        f'<div class="name">{escape(answer)}</div><div class="label">{more}</div></div>'
+    )
+
+
+def _leader(state: DashboardState) -> str:
+    verdict = state.verdict
+    nominal = "none yet" if verdict is None or not verdict.nominal else verdict.nominal
+    name = state.leader or ("" if verdict is None else verdict.nominal or "")
+    more = f"nominal, the centre of the family: <b>{escape(nominal)}</b>"
+    return _answer("leader, the twin to ask what comes next", name or "none yet", more)
+
+
+def _forecast(state: DashboardState) -> str:
+    """The output at the end of the leader's forecast."""
+    forecast, output = state.current_forecast, state.described.output
+    if forecast is None or not forecast.time.size:
+        return _answer("forecast", "not known yet", "available once there is a leader")
+    band, places = forecast.output, max(0, output.decimals - 1)
+    mean, low, high = (number(float(v[-1]), places) for v in (band.mean, band.low, band.high))
+    share = f"{100 * forecast.confidence:.0f} %"
+    return _answer(
+        f"{output.name.replace('_', ' ')} in {forecast.time[-1]:g} s",
+        f"{mean} {output.unit}".rstrip(),
+        escape(f"{low} to {high} {output.unit}".rstrip() + f" in {share} of such cases"),
+    )
+
+
+def _health(state: DashboardState) -> str:
+    verdict = state.verdict
+    if verdict is None:
+        return _answer("plant health", "not known yet", "no verdict yet")
+    if not verdict.fault:
+        return _answer("plant health", "✓ no fault found", "drive and sensor behave as expected")
+    name = f"{SIGNS[TrustLevel.FAULT]} {verdict.fault.replace('-', ' ')}"
+    since = verdict.fault_since
+    at = "" if since is None else f"since {number(since * state.period, 0)} s: "
+    return _answer("plant health", name, escape(f"{at}{verdict.reason}"))
 
 
 def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
@@ -52,10 +151,12 @@ def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
     if verdict is None:
         return '<p class="quiet">no verdict yet</p>'
     cells = dict(zip(COLUMNS, row(verdict, period), strict=True))
-    more = f"<p><b>{text(sentence)}</b></p>" if sentence else ""
-    more += "".join(f"<p>{text(words)}</p>" for words in _more(verdict))
-    figures = _tiles([(CALLED.get(n, n), cell) for n, cell in cells.items() if n not in IN_WORDS])
-    why = f'<p><span class="label">newest verdict:</span> {text(verdict.reason)}</p>'
+    more = f"<p><b>{escape(sentence)}</b></p>" if sentence else ""
+    more += "".join(f"<p>{escape(words)}</p>" for words in _more(verdict))
+    figures = _tiles(
+        [("judged at / s" if n == COLUMNS[0] else n, cell) for n, cell in cells.items() if n not in IN_WORDS]
+    )
+    why = f'<p><span class="label">newest verdict:</span> {escape(verdict.reason)}</p>'
     return f'<div class="why">{figures}{why}{more}</div>'
 
 
@@ -81,18 +182,18 @@ def tiles(state: DashboardState) -> str:
 def status(state: DashboardState, now: float) -> str:
     """One line: newest sample, state of a player, state of the nodes."""
     pills = [_sample_pill(state, now)]
-    player, ended = state.roster.player, state.roster.ended
+    player, ended = state.nodes.player, state.nodes.ended
     if ended is not None:
         pills.append(_pill(None, f"the replay has ended: {ended.position}"))
     elif player is not None:
         rate = "as fast as possible" if player.rate == 0 else f"{player.rate:g} × recorded speed"
         pills.append(_pill(None, f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}"))
-    standing = state.roster.standing
-    worst = [n for n, s in standing.items() if not state.roster.at_rest(n) and state.roster.level(n, now)]
+    known = state.nodes.reports
+    worst = [n for n in known if not state.nodes.at_rest(n) and state.nodes.level(n, now)]
     if worst:
-        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(standing)} nodes need attention"))
-    elif standing and ended is None:
-        fine = "1 node is OK" if len(standing) == 1 else f"{len(standing)} nodes are OK"
+        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(worst)} of {len(known)} nodes need attention"))
+    elif known and ended is None:
+        fine = "1 node is OK" if len(known) == 1 else f"{len(known)} nodes are OK"
         pills.append(_pill(TrustLevel.TRUSTED, fine))
     return f'<div class="status">{"".join(pills)}</div>'
 
@@ -101,10 +202,10 @@ def _sample_pill(state: DashboardState, now: float) -> str:
     if state.received_at is None:
         return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
     quiet, patience = now - state.received_at, SILENCE * max(1.0, state.period)
-    if quiet > patience and state.roster.ended is None:
+    if quiet > patience and state.nodes.ended is None:
         return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s")
     at = (state.sample or 0) * state.period
-    return _pill(TrustLevel.TRUSTED, f"sample {state.sample}, {number(at, _digits(state.period))} s")
+    return _pill(TrustLevel.TRUSTED, f"sample {state.sample}, {number(at, 0 if state.period >= 1 else 1)} s")
 
 
 def alarm(state: DashboardState) -> str:
@@ -114,7 +215,7 @@ def alarm(state: DashboardState) -> str:
     kind, _, why = state.fault.partition(": ")
     return (
         f'<div class="alarm" role="alert"><b>{SIGNS[TrustLevel.FAULT]} Output held at zero: '
-        f"{text(kind.replace('_', ' '))}</b><br>{text(why)}</div>"
+        f"{escape(kind.replace('_', ' '))}</b><br>{escape(why)}</div>"
     )
 
 
@@ -126,7 +227,7 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
     head = [("candidate", ""), ("order", ""), *((c.name, c.unit) for c in criteria)]
     head += [("Σ ν-gap", ""), ("90 % of Σ", ""), ("P(nominal)", ""), ("ν-gap now", ""), ("margin", "b(P, C)")]
     of = verdict.candidates[0].parameters.model
-    matched = [quantity(of.plant, name) for name in of.structure.free]
+    matched = [parameter_format(of.plant, name) for name in of.structure.free]
     head += [(q.symbol, q.unit) for q in matched]
     lines = []
     for candidate in verdict.candidates:
@@ -143,58 +244,58 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
         for line in criterion_rows(candidate, criteria):
             if line.output != "total" or not (every or line.chosen):
                 continue
-            cells = [f"<td>{text(candidate.name)}{tag}</td>" if line.chosen else "<td></td>"]
-            cells.append(f'<td class="left">{text(line.order)}{" ✓" if line.chosen else ""}</td>')
+            cells = [f"<td>{escape(candidate.name)}{tag}</td>" if line.chosen else "<td></td>"]
+            cells.append(f'<td class="left">{escape(line.order)}{" ✓" if line.chosen else ""}</td>')
             cells += [
                 f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
             ]
-            cells += [f"<td>{text(value)}</td>" for value in (rest if line.chosen else [""] * len(rest))]
+            cells += [f"<td>{escape(value)}</td>" for value in (rest if line.chosen else [""] * len(rest))]
             kind = "nominal-row" if nominal and line.chosen else "" if line.chosen else "faded"
             lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
     return _table(head, lines)
 
 
-def events_table(events: Sequence[Event], session: int, period: float) -> str:
+def events_table(events: Iterable[Event], session: int, period: float) -> str:
     """The newest events, newest first."""
-    if not events:
-        return '<p class="quiet">Nothing has happened yet.</p>'
     lines = []
-    for event in events[:RECENT]:
-        at = DASH if event.sample is None else f"{event.sample * period:.0f}"
+    for event in islice(events, RECENT):
+        at = DASH if event.sample is None else number(event.sample * period, 0)
         if event.session != session:
             at = f"session {event.session}: {at}"
         lines.append(
-            f'<tr><td class="number">{text(at)}</td><td class="wide">'
+            f'<tr><td class="number">{escape(at)}</td><td class="wide">'
             f'<span class="mark" style="color:{MARK_INKS[event.mark]}">{MARK_SIGNS[event.mark]}</span>'
-            f"<b>{text(event.title)}</b>"
-            f'<div class="quiet">{text(event.text)}</div></td></tr>'
+            f"<b>{escape(event.title)}</b>"
+            f'<div class="quiet">{escape(event.why)}</div></td></tr>'
         )
+    if not lines:
+        return '<p class="quiet">Nothing has happened yet.</p>'
     return _table([("t", "s"), ("what and why", "")], lines, "events")
 
 
-def nodes(roster: Roster, now: float) -> str:
+def nodes(reports: NodeReports, now: float) -> str:
     """Every reporting node with its report."""
     shown = []
-    for name in sorted(roster.standing):
-        rest = roster.at_rest(name)
-        level = roster.level(name, now)
+    for name in sorted(reports.reports):
+        rest = reports.at_rest(name)
+        level = reports.level(name, now)
         colour = LEVELS[TrustLevel.UNKNOWN if rest else NODE_LEVELS[level]]
         shown.append(
             f'<div><span class="dot" style="background:{colour}"></span><b>'
-            f"{text(name.removesuffix(': health'))}</b> {AT_REST if rest else NODE_WORDS[level]}"
-            f'<div class="quiet">{text(roster.message(name))}</div></div>'
+            f"{escape(name.removesuffix(': health'))}</b> {AT_REST if rest else NODE_WORDS[level]}"
+            f'<div class="quiet">{escape(reports.message(name))}</div></div>'
         )
     if not shown:
         return '<p class="quiet">No node has reported yet.</p>'
     return f'<div class="roster">{"".join(shown)}</div>'
 
 
-def answer(answered: Answered | None) -> str:
+def what_if(answer: WhatIfAnswer | None) -> str:
     """The newest what-if question and its answer."""
-    if answered is None:
+    if answer is None:
         return ""
-    lines = "".join(f"<p>{text(line)}</p>" for line in answered.lines)
-    return f'<div class="answered"><b>{text(answered.question)}</b>{lines}</div>'
+    lines = "".join(f"<p>{escape(line)}</p>" for line in answer.lines)
+    return f'<div class="answered"><b>{escape(answer.question)}</b>{lines}</div>'
 
 
 def notice(state: DashboardState) -> str:
@@ -202,7 +303,7 @@ def notice(state: DashboardState) -> str:
     if state.notice is None:
         return ""
     kind = "good" if state.notice.done else "bad"
-    return f'<p class="{kind}">{text(state.notice.text)}</p>'
+    return f'<p class="{kind}">{escape(state.notice.text)}</p>'
 
 
 def _more(verdict: Verdict) -> list[str]:
@@ -225,7 +326,7 @@ def _span(low: float, high: float) -> str:
 def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:
     """Names with their units, each above its value."""
     shown = [
-        f'<div><div class="label">{text(name)}</div><div class="value">{text(value)}</div></div>'
+        f'<div><div class="label">{escape(name)}</div><div class="value">{escape(value)}</div></div>'
         for name, value in entries
     ]
     return f'<div class="{kind}">{"".join(shown)}</div>'
@@ -233,16 +334,12 @@ def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:
 
 def _pill(level: TrustLevel | None, words: str) -> str:
     dot = "" if level is None else f'<span class="dot" style="background:{LEVELS[level]}"></span>'
-    return f'<span class="pill">{dot}{text(words)}</span>'
-
-
-def _digits(period: float) -> int:
-    return 0 if period >= 1 else 1
+    return f'<span class="pill">{dot}{escape(words)}</span>'
 
 
 def _table(head: Sequence[tuple[str, str]], lines: Sequence[str], kind: str = "") -> str:
     names = "".join(
-        f"<th{' class=left' if k == 1 else ''}>{text(name)}<small>{text(unit)}</small></th>"
+        f"<th{' class=left' if k == 1 else ''}>{escape(name)}<small>{escape(unit)}</small></th>"
         for k, (name, unit) in enumerate(head)
     )
     body = "".join(lines)

@@ -17,8 +17,8 @@ from std_srvs.srv import SetBool, Trigger
 from twinmatch.dynamics import Plant
 from twinmatch.nodes.messages import forecast_from
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.showing.forecast import forecast_words
-from twinmatch.showing.page.state import Answered, DashboardState
+from twinmatch.showing.forecasts import forecast_words
+from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch_msgs.srv import WhatIf
 
 __all__ = ["Requests"]
@@ -47,7 +47,7 @@ class Requests:
         self._control = control
         self._pause = node.create_client(SetBool, "player/pause")
         self._rate = node.create_client(SetParameters, "player/set_parameters")
-        self._ahead = node.create_client(WhatIf, "twin/what_if")
+        self._what_if = node.create_client(WhatIf, "twin/what_if")
         if control:
             self._clear = node.create_client(Trigger, "plant/clear_fault")
             self._stop = node.create_client(Trigger, "plant/stop")
@@ -84,17 +84,17 @@ class Requests:
 
         def show(answer: WhatIf.Response) -> None:
             if not answer.success:
-                self._state.answer(Answered(question, (answer.message,)))
+                show_text(answer.message)
                 return
             forecast = forecast_from(answer.forecast)
             lines = (*forecast_words(forecast, self._plant()), *forecast.notes)
-            self._state.answer(Answered(question, lines, forecast))
+            self._state.answer(WhatIfAnswer(question, lines, forecast))
 
         def show_text(why: str) -> None:
-            self._state.answer(Answered(question, (why,)))
+            self._state.answer(WhatIfAnswer(question, (why,)))
 
         show_text("waiting for the forecast")
-        self._call(self._ahead, request, "the discriminator", show, show_text)
+        self._call(self._what_if, request, "the discriminator", show, show_text)
 
     def clear_fault(self) -> None:
         """Allow the output to be driven again after a fault."""
@@ -124,19 +124,15 @@ class Requests:
         unit = self._state.described.reference.unit
         low, high = found["profile.lowest"].double_value, found["profile.highest"].double_value
         if found["reference_source"].string_value != "topic":
-            self._state.notify(
-                False,
-                "the controller follows its own profile; start it with reference_source: topic",
-            )
+            why = "the controller follows its own profile; start it with reference_source: topic"
+            self._state.notify(False, why)
         elif not (math.isfinite(level) and low <= level <= high):
-            self._state.notify(
-                False, f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
-            )
+            why = f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
+            self._state.notify(False, why)
         else:
             self._reference.publish(Float64(data=level))
-            self._state.notify(
-                True, f"requested {level:g} {unit}; the set-point above follows with the next sample"
-            )
+            done = f"requested {level:g} {unit}; the set-point above follows with the next sample"
+            self._state.notify(True, done)
 
     def _call(
         self,

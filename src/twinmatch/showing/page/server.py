@@ -18,7 +18,7 @@ from bokeh.settings import settings
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 
-from twinmatch.showing.page.errors import DashboardError
+from twinmatch.showing.page import DashboardError
 from twinmatch.showing.serving import is_loopback
 
 __all__ = ["PageServer"]

@@ -2,26 +2,44 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.comparing import Verdict
 from twinmatch.description import UNDESCRIBED, Description
+from twinmatch.dynamics import PidGains
 from twinmatch.forecasting import Forecast
-from twinmatch.showing.events import Event as SessionEvent
-from twinmatch.showing.events import EventKind, Stretch, events
-from twinmatch.showing.page.events import Event, EventLog, Lane, Mark
-from twinmatch.showing.page.history import History
-from twinmatch.showing.page.roster import Roster
-from twinmatch.signals import Sample
+from twinmatch.showing.page.health import NodeReports
+from twinmatch.showing.summary import sentence, summarise
+from twinmatch.showing.verdicts import (
+    Event,
+    EventKind,
+    LevelStretch,
+    Mark,
+    events_since,
+    extend_stretches,
+)
+from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["CAPACITY", "Answered", "DashboardState", "Drive", "Notice", "TwinRow"]
+__all__ = [
+    "CAPACITY",
+    "DashboardState",
+    "DriveReport",
+    "Notice",
+    "RollingTable",
+    "TwinRow",
+    "WhatIfAnswer",
+    "envelope",
+    "update_sentence",
+]
 
 CAPACITY = 36_000
 """Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
@@ -48,7 +66,7 @@ class TwinRow(NamedTuple):
     driven_rms_y: float
 
 
-class Drive(NamedTuple):
+class DriveReport(NamedTuple):
     """The last report of the node that drives the plant."""
 
     input: float
@@ -59,7 +77,7 @@ class Drive(NamedTuple):
     """Why the output is held at zero; empty: no fault."""
 
 
-class Answered(NamedTuple):
+class WhatIfAnswer(NamedTuple):
     """A what-if question and its answer."""
 
     question: str
@@ -75,6 +93,85 @@ class Notice(NamedTuple):
     text: str
 
 
+class RollingTable:
+    """A table that forgets its oldest rows; each row belongs to one sample of the session.
+
+    Rows are counted from 0 since the last `clear`, so that a reader can ask for the rows after those it has.
+    Where samples are missing, a row of NaN breaks the drawn line.
+    """
+
+    def __init__(self, columns: Sequence[str], capacity: int) -> None:
+        """Allocate `capacity` rows of these columns."""
+        self.columns = ("index", *columns)
+        self.capacity = capacity
+        self.count = 0
+        """Rows since the last `clear`, including those dropped."""
+        self.epoch = 0
+        """How often the table was cleared."""
+        self.last: int | None = None
+        """Index of the newest sample."""
+        self._rows = np.full((capacity, len(self.columns)), np.nan)
+
+    def push(self, index: int, values: Sequence[float]) -> None:
+        """Append the row of a sample."""
+        if self.last is not None and index > self.last + 1:
+            self._append(self.last + 1, [np.nan] * len(values))
+        self._append(index, values)
+        self.last = index
+
+    def clear(self) -> None:
+        """Drop all rows."""
+        self.count = 0
+        self.epoch += 1
+        self.last = None
+
+    def newest(self) -> dict[str, float] | None:
+        """The newest row by column name; None while the table is empty."""
+        if self.count == 0:
+            return None
+        row = self._rows[(self.count - 1) % self.capacity]
+        return dict(zip(self.columns, row.tolist(), strict=True))
+
+    def since(self, row: int, stride: int = 1) -> tuple[dict[str, FloatArray], int]:
+        """The rows after the first `row` rows, and the row number to pass next time.
+
+        Args:
+            row: a number this method returned, or 0.
+            stride: rows that are drawn as one, see `envelope`; only full groups are returned, and a row
+                number is valid only for the stride it was returned for.
+        """
+        oldest = -(-max(0, self.count - self.capacity) // stride) * stride
+        first = max(row, oldest)
+        after = max(first, self.count // stride * stride)
+        rows = self._rows[np.arange(first, after) % self.capacity]
+        drawn = envelope(rows, stride)
+        return {name: drawn[:, k].copy() for k, name in enumerate(self.columns)}, after
+
+    def _append(self, index: int, values: Sequence[float]) -> None:
+        self._rows[self.count % self.capacity] = (index, *values)
+        self.count += 1
+
+
+def envelope(rows: FloatArray, stride: int) -> FloatArray:
+    """Every `stride` rows as two: minimum and maximum of each column, in the order in which they occurred.
+
+    A spike of one sample so keeps its height, however many samples share a pixel.
+
+    Args:
+        rows: shape (N, columns); N is a multiple of `stride`. A NaN makes both rows of its group NaN.
+        stride: 1 returns the rows as they are.
+    """
+    if stride == 1 or not rows.size:
+        return rows
+    groups = rows.reshape(-1, stride, rows.shape[1])
+    low, high = np.min(groups, axis=1), np.max(groups, axis=1)
+    rising = np.argmin(groups, axis=1) <= np.argmax(groups, axis=1)
+    drawn = np.empty((2 * len(groups), rows.shape[1]))
+    drawn[0::2] = np.where(rising, low, high)
+    drawn[1::2] = np.where(rising, high, low)
+    return drawn
+
+
 class DashboardState:
     """Filled by the node, read by the pages; hold `lock` around several reads.
 
@@ -87,8 +184,8 @@ class DashboardState:
         self.described = described
         """Names and units of the plant and its signals."""
         self.lock = threading.RLock()
-        self.plant = History(("reference", "output", "input"), capacity)
-        self.twin = History(TwinRow._fields, capacity)
+        self.plant = RollingTable(("reference", "output", "input"), capacity)
+        self.twin = RollingTable(TwinRow._fields, capacity)
         self.session = 1
         """Counted from 1."""
         self.period = 1.0
@@ -96,20 +193,22 @@ class DashboardState:
         self.received_at: float | None = None
         """When the newest sample was received, in seconds of the receiver's clock."""
         self.verdict: Verdict | None = None
-        self.trust: deque[Stretch] = deque(maxlen=STRETCHES)
+        self.trust: deque[LevelStretch] = deque(maxlen=STRETCHES)
         self.verdicts = 0
         """Changes of the two above, counted."""
         self.sentence = ""
         """The session so far in one sentence; empty: neither leader nor nominal yet."""
         self.forecast: Forecast | None = None
         """The leader's newest forecast."""
-        self.answered: Answered | None = None
+        self.what_if: WhatIfAnswer | None = None
         """The newest what-if question."""
         self.forecast_changes = 0
         """Changes of the two above, counted."""
-        self.drive: Drive | None = None
-        self.events = EventLog(EVENTS)
-        self.roster = Roster()
+        self.drive: DriveReport | None = None
+        self.events: deque[Event] = deque(maxlen=EVENTS)
+        self.event_count = 0
+        """Events so far, including those dropped."""
+        self.nodes = NodeReports()
         self.image: NDArray[np.float32] | None = None
         """Newest thermal image with values, °C, first row on top; NaN where a pixel has no value."""
         self.images = 0
@@ -130,7 +229,7 @@ class DashboardState:
         return self._fault
 
     @property
-    def ahead(self) -> Forecast | None:
+    def current_forecast(self) -> Forecast | None:
         """The newest forecast; None if it starts at a sample that this session has not reached."""
         last, forecast = self.plant.last, self.forecast
         return None if forecast is None or last is None or forecast.sample > last else forecast
@@ -151,7 +250,7 @@ class DashboardState:
         """Take a sample received at `now` (s)."""
         with self.lock:
             previous = self._previous
-            self.roster.begin(now)
+            self.nodes.begin(now)
             if previous is not None and sample.index <= previous.index:
                 self._begin(previous.index, sample.index)
             elif previous is not None:
@@ -169,13 +268,12 @@ class DashboardState:
     def push_verdict(self, verdict: Verdict) -> None:
         """Take a verdict."""
         with self.lock:
-            before = [] if self.verdict is None else [self.verdict]
-            known = len(events(before))
-            for event in events([*before, verdict])[known:]:
-                self._log_event(event, _mark_of(event, verdict))
+            for event in events_since(self.verdict, verdict):
+                self._log(event)
+            fault = "" if self.verdict is None else self.verdict.fault
+            extend_stretches(self.trust, verdict, fault, max(0, min(verdict.first, verdict.sample)))
             self.verdict = verdict
             self.verdicts += 1
-            self._stretch(verdict)
 
     def push_forecast(self, forecast: Forecast) -> None:
         """Take a forecast of the leader."""
@@ -183,13 +281,13 @@ class DashboardState:
             self.forecast = forecast
             self.forecast_changes += 1
 
-    def answer(self, answered: Answered) -> None:
+    def answer(self, answer: WhatIfAnswer) -> None:
         """Take a what-if question and its answer."""
         with self.lock:
-            self.answered = answered
+            self.what_if = answer
             self.forecast_changes += 1
 
-    def push_drive(self, drive: Drive) -> None:
+    def push_drive(self, drive: DriveReport) -> None:
         """Take a report of the node that drives the plant."""
         with self.lock:
             self.drive = drive
@@ -199,18 +297,18 @@ class DashboardState:
             if drive.fault:
                 kind, _, why = drive.fault.partition(": ")
                 title = f"output held at zero: {kind.replace('_', ' ')}"
-                self._log(Lane.FAULT, Mark.BAD, title, why)
+                self._note(EventKind.FAULT, Mark.BAD, title, why)
             else:
-                self._log(Lane.FAULT, Mark.GOOD, "fault cleared", "the output may be driven")
+                self._note(EventKind.FAULT, Mark.GOOD, "fault cleared", "the output may be driven")
 
     def push_health(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
         """Take a report from /diagnostics: name, level of REP 107, message and values."""
         with self.lock:
-            change, plain = self.roster.push(name, level, message, values, now), name.removesuffix(": health")
+            change, plain = self.nodes.push(name, level, message, values, now), name.removesuffix(": health")
             if change == "error":
-                self._log(Lane.NODES, Mark.BAD, f"{plain} reports an error", message)
+                self._note(EventKind.NODE, Mark.BAD, f"{plain} reports an error", message)
             elif change == "recovered":
-                self._log(Lane.NODES, Mark.GOOD, f"{plain} has recovered", message)
+                self._note(EventKind.NODE, Mark.GOOD, f"{plain} has recovered", message)
 
     def push_image(self, image: NDArray[np.float32]) -> None:
         """Take a thermal image in °C, shape (rows, columns); one without any value is ignored."""
@@ -229,15 +327,17 @@ class DashboardState:
         """Start a new session: drop what belongs to the previous one, except its events."""
         duration = (ended + 1) * self.period
         self.session += 1
-        self.roster.ended = None
+        self.nodes.ended = None
         self.plant.clear()
         if self.twin.last is not None and self.twin.last > first:
             self.twin.clear()
         self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
-        self.forecast, self.answered, self.forecast_changes = None, None, self.forecast_changes + 1
+        self.forecast, self.what_if, self.forecast_changes = None, None, self.forecast_changes + 1
         self.trust.clear()
         self._intervals.clear()
-        self._log(Lane.NODES, Mark.NOTE, "a new session began", f"the previous one lasted {duration:g} s")
+        self._note(
+            EventKind.NODE, Mark.NOTE, "a new session began", f"the previous one lasted {duration:g} s"
+        )
 
     def _note_interval(self, sample: Sample, previous: Sample) -> None:
         interval = (sample.stamp - previous.stamp) / 1e9 / (sample.index - previous.index)
@@ -245,44 +345,35 @@ class DashboardState:
             self._intervals.append(interval)
             self.period = float(f"{median(self._intervals):.2g}")
 
-    def _stretch(self, verdict: Verdict) -> None:
-        """Extend `trust` like `level_stretches`: a verdict's level covers the samples since the last one."""
-        begin = self.trust[-1].last + 1 if self.trust else max(0, min(verdict.first, verdict.sample))
-        if self.trust and self.trust[-1].level is verdict.level:
-            begin = self.trust.pop().first
-        self.trust.append(Stretch(begin, max(verdict.sample, begin), verdict.level))
+    def _note(self, kind: EventKind, mark: Mark, title: str, why: str) -> None:
+        self._log(Event(self.sample, kind, mark, title, why))
 
-    def _log_event(self, event: SessionEvent, mark: Mark) -> None:
-        lane = _LANES[event.kind]
-        self.events.add(Event(self.session, event.sample, lane, mark, event.title, event.why))
-
-    def _log(self, lane: Lane, mark: Mark, title: str, text: str) -> None:
-        self.events.add(Event(self.session, self.sample, lane, mark, title, text))
+    def _log(self, event: Event) -> None:
+        self.events.append(replace(event, session=self.session))
+        self.event_count += 1
 
 
-_LANES = {
-    EventKind.ADMITTED: Lane.MATCH,
-    EventKind.REFUSED: Lane.MATCH,
-    EventKind.DISMISSED: Lane.MATCH,
-    EventKind.LEADER: Lane.TRUST,
-    EventKind.NOMINAL: Lane.TRUST,
-    EventKind.LEVEL: Lane.TRUST,
-    EventKind.FAULT: Lane.FAULT,
-}
-_MARKS = {
-    EventKind.ADMITTED: Mark.GOOD,
-    EventKind.REFUSED: Mark.WARNING,
-    EventKind.DISMISSED: Mark.WARNING,
-    EventKind.LEADER: Mark.NOTE,
-    EventKind.NOMINAL: Mark.NOTE,
-}
-_LEVEL_MARKS = {
-    TrustLevel.UNKNOWN: Mark.NOTE,
-    TrustLevel.TRUSTED: Mark.GOOD,
-    TrustLevel.DOUBTFUL: Mark.WARNING,
-    TrustLevel.FAULT: Mark.BAD,
-}
+def update_sentence(state: DashboardState, gains: PidGains | None) -> None:
+    """Summarise the samples that are kept, with the newest verdict, into `state.sentence`.
+
+    Takes a few milliseconds; call it for a new verdict, not for every sample. `gains` are those of the
+    running controller; None where the controller is not known.
+    """
+    with state.lock:
+        verdict, period = state.verdict, state.period
+        columns, _ = state.plant.since(0)
+    summed_up = ""
+    if verdict is not None and (verdict.leader or verdict.nominal):
+        samples = _samples(columns)
+        if samples:
+            summed_up = sentence(
+                summarise(samples, [verdict], gains and replace(gains, period=period), period=period)
+            )
+    with state.lock:
+        if state.verdict is verdict:
+            state.sentence = summed_up
 
 
-def _mark_of(event: SessionEvent, verdict: Verdict) -> Mark:
-    return _MARKS.get(event.kind) or _LEVEL_MARKS[verdict.level]
+def _samples(columns: dict[str, FloatArray]) -> list[Sample]:
+    rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
+    return [Sample(int(k), 0, r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap

@@ -2,19 +2,49 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 from bokeh.models import Button, NumericInput, RadioButtonGroup, Row
 
-from twinmatch.showing.page.actions import RATES, Actions
-from twinmatch.showing.page.look import BUTTONS
-from twinmatch.showing.page.roster import Player
+from twinmatch.showing.page.health import PlayerState
+from twinmatch.showing.page.style import BUTTONS
 
-__all__ = ["PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
+__all__ = ["RATES", "Actions", "PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
 
 SPANS = (("5 min", 300.0), ("20 min", 1200.0), ("1 h", 3600.0), ("all", 0.0))
 """Labels and seconds; 0: everything that is kept."""
 DEFAULT_SPAN = 1
+RATES = (1.0, 10.0, 50.0, 200.0, 0.0)
+"""Speeds on the page, recorded seconds per second; 0: as fast as possible."""
+
+
+class Actions(Protocol):
+    """The actions; each may be called from any thread and returns at once."""
+
+    @property
+    def control(self) -> bool:
+        """Whether the page may set the set-point, clear faults and stop."""
+
+    def pause(self, paused: bool) -> None:
+        """Pause the player of a session, or continue."""
+
+    def rate(self, rate: float) -> None:
+        """Set its speed in recorded seconds per second; 0: as fast as possible."""
+
+    def what_if(self, level: float, hold: float | None) -> None:
+        """Ask for a forecast with the set-point at a level, and back after a time (s; None: it stays)."""
+
+    def set_point(self, level: float) -> None:
+        """Send the controller a set-point."""
+
+    def clear_fault(self) -> None:
+        """Allow the output to be driven again after a fault."""
+
+    def stop(self) -> None:
+        """Hold the output at zero."""
+
+
+_AT_END = {"align-items": "flex-end", "flex-wrap": "wrap"}
 
 
 class SpanButtons:
@@ -37,7 +67,7 @@ class PlayerButtons:
     def __init__(self, actions: Actions) -> None:
         """Pass clicks on to `actions`."""
         self._actions = actions
-        self._player: Player | None = None
+        self._player: PlayerState | None = None
         self._pause = Button(label="Pause", width=100, button_type="primary", stylesheets=[BUTTONS])
         self._pause.on_click(self._on_pause)
         names = ["max" if rate == 0 else f"{rate:g} ×" for rate in RATES]
@@ -46,7 +76,7 @@ class PlayerButtons:
         styles = {"flex-wrap": "wrap"}
         self.root = Row(self._pause, self._rate, name="player", spacing=8, visible=False, styles=styles)
 
-    def update(self, player: Player | None) -> None:
+    def update(self, player: PlayerState | None) -> None:
         """Show the state that the player reports."""
         if player == self._player and self.root.visible == (player is not None):
             return
@@ -77,8 +107,7 @@ class QuestionForm:
         )
         ask = Button(label="Ask", width=70, button_type="primary", stylesheets=[BUTTONS])
         ask.on_click(self._on_ask)
-        styles = {"align-items": "flex-end", "flex-wrap": "wrap"}
-        self.root = Row(self._level, self._hold, ask, name="question", spacing=8, styles=styles)
+        self.root = Row(self._level, self._hold, ask, name="question", spacing=8, styles=_AT_END)
 
     def _on_ask(self) -> None:
         if self._level.value is not None:
@@ -99,8 +128,7 @@ class RigButtons:
         clear.on_click(actions.clear_fault)
         stop = Button(label="Output off", width=110, button_type="danger", stylesheets=[BUTTONS])
         stop.on_click(actions.stop)
-        styles = {"align-items": "flex-end", "flex-wrap": "wrap"}
-        self.root = Row(self._input, ask, clear, stop, name="rig", spacing=8, styles=styles)
+        self.root = Row(self._input, ask, clear, stop, name="rig", spacing=8, styles=_AT_END)
 
     def _on_ask(self) -> None:
         if self._input.value is not None:

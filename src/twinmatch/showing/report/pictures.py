@@ -8,36 +8,38 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twinmatch.comparing import REFUSED
 from twinmatch.errors import TwinmatchError
+from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest import Backtest, draw_backtest, sentences
 from twinmatch.offline.judgement import Judgement
-from twinmatch.showing.events import admitted, level_stretches
 from twinmatch.showing.family import Member
-from twinmatch.showing.fan import Fan
-from twinmatch.showing.figures import (
+from twinmatch.showing.figures.drawing import save, svg
+from twinmatch.showing.figures.family import (
     draw_criteria,
-    draw_forecasts,
-    draw_health,
     draw_matrix,
     draw_parameters,
     draw_responses,
-    draw_session,
     draw_uncertainty,
-    save,
-    svg,
 )
-from twinmatch.showing.report.leader_forecasts import fans_of
-from twinmatch.showing.standing import last_verdict, shown_twin
-from twinmatch.showing.words import words_of
+from twinmatch.showing.figures.forecasts import draw_forecasts
+from twinmatch.showing.figures.session import draw_health, draw_session
+from twinmatch.showing.forecasts import asked
+from twinmatch.showing.quantities import signal_names
+from twinmatch.showing.series import Fan, fan
+from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches, shown_twin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "Picture", "pictures", "write_pictures"]
+__all__ = ["FORMATS", "Picture", "fans_of", "pictures", "write_pictures"]
 
 FORMATS = ("png", "pdf")
 """File formats of `write_pictures`."""
+_SHOWN = 6
+"""Forecasts of the leader that fit into one figure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,82 +60,66 @@ class Picture:
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode("ascii")
 
 
-def pictures(
-    judgement: Judgement, members: Sequence[Member], tested: Backtest | None = None
-) -> dict[str, Picture]:
+def pictures(judgement: Judgement, members: Sequence[Member], tested: Backtest) -> dict[str, Picture]:
     """All figures of a session, by name and in the order of the report."""
-    j, last = judgement, last_verdict(judgement.verdicts)
-    found = [
-        _picture(
-            "session",
-            "Plant and leading twin over the whole session",
-            _session_alt(j),
-            draw_session(j.samples, j.verdicts, j.settings),
-        ),
-        _picture(
-            "health",
-            "Health over time",
-            _health_alt(j),
-            draw_health(j.samples, j.matches, j.verdicts, j.settings),
-        ),
-    ]
-    if tested is not None and tested.marked:
-        found.append(
-            _picture(
-                "forecasts",
-                "Forecasts compared with measurements",
-                _forecasts_alt(tested),
-                draw_backtest(tested),
-            )
-        )
+    j, last, found = judgement, last_verdict(judgement.verdicts), {}
+
+    def add(name: str, title: str, alt: str, figure: Figure) -> None:
+        found[name] = Picture(name, title, alt, figure, svg(figure))
+
+    title = "Plant and leading twin over the whole session"
+    add("session", title, _session_alt(j), draw_session(j.samples, j.verdicts, j.settings))
+    figure = draw_health(j.samples, j.matches, j.verdicts, j.settings)
+    add("health", "Health over time", _health_alt(j), figure)
+    if tested.marked:
+        title = "Forecasts compared with measurements"
+        add("forecasts", title, _forecasts_alt(tested), draw_backtest(tested))
         fans = fans_of(tested, j)
         if fans:
             figure = draw_forecasts(fans, j.settings.plant)
-            found.append(_picture("leader_forecasts", "Forecasts of the leader", _fans_alt(fans), figure))
+            add("leader_forecasts", "Forecasts of the leader", _fans_alt(fans), figure)
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
         figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
-        found.append(_picture("parameters", "Parameters of every match", _parameters_alt(j), figure))
+        add("parameters", "Parameters of every match", _parameters_alt(j), figure)
     if members:
-        names, words = ", ".join(m.score.name for m in members), words_of(j.settings.plant)
-        found += [
-            _picture(
-                "responses",
-                "The family on the measured data",
-                f"One panel for each candidate ({names}): set-point, measured {words.output} and control, "
-                "the response of the twin and that of its Box–Jenkins model.",
-                draw_responses(members),
-            ),
-            _picture(
-                "uncertainty",
-                "Uncertainty of the twin",
-                f"The twins of all candidates ({names}) on the window of the nominal one, and the "
-                f"differences from the nominal twin in {words.output} and control.",
-                draw_uncertainty(members),
-            ),
-        ]
+        names, output = ", ".join(m.score.name for m in members), signal_names(j.settings.plant).output
+        alt = (
+            f"One panel for each candidate ({names}): set-point, measured {output} and control, the response "
+            "of the twin and that of its Box–Jenkins model."
+        )
+        add("responses", "The family on the measured data", alt, draw_responses(members))
+        alt = (
+            f"The twins of all candidates ({names}) on the window of the nominal one, and the differences "
+            f"from the nominal twin in {output} and control."
+        )
+        add("uncertainty", "Uncertainty of the twin", alt, draw_uncertainty(members))
     if last is not None:
         gains = ", ".join(
             f"{c.name}: order {c.chosen_order}, gain "
             f"{next(o.total.gain for o in c.orders if o.order == c.chosen_order)} characters"
             for c in last.modelled
         )
+        alt = f"Bars for every candidate and order. {gains}."
+        add("criteria", "Criteria of the orders", alt, draw_criteria(last))
         sums = ", ".join(f"{c.name} {c.nu_gap_sum:.2f}" for c in last.candidates)
-        found += [
-            _picture(
-                "criteria",
-                "Criteria of the orders",
-                f"Bars for every candidate and order. {gains}.",
-                draw_criteria(last),
-            ),
-            _picture(
-                "nu_gap",
-                "ν-gap between the plants of the family",
-                f"Shaded matrix of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}.",
-                draw_matrix(last),
-            ),
-        ]
-    return {picture.name: picture for picture in found}
+        alt = f"Shaded matrix of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}."
+        add("nu_gap", "ν-gap between the plants of the family", alt, draw_matrix(last))
+    return found
+
+
+def fans_of(tested: Backtest, judgement: Judgement) -> tuple[Fan, ...]:
+    """The leader's forecasts during which the set-point (or the input) moved most, in order of time."""
+
+    def moved(forecast: Forecast) -> float:
+        values = asked(forecast)
+        return float(np.ptp(values)) if values.size else 0.0
+
+    hardest = sorted(tested.shown, key=moved, reverse=True)[:_SHOWN]
+    return tuple(
+        fan(forecast, judgement.samples, judgement.settings.period)
+        for forecast in sorted(hardest, key=lambda f: f.sample)
+    )
 
 
 def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
@@ -155,17 +141,12 @@ def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list
     return paths
 
 
-def _picture(name: str, title: str, alt: str, figure: Figure) -> Picture:
-    return Picture(name, title, alt, figure, svg(figure))
-
-
 def _session_alt(j: Judgement) -> str:
     low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
-    words = words_of(j.settings.plant)
-    span = f"{low:.{words.output_decimals}f} to {high:.{words.output_decimals}f} {words.output_unit}"
+    signals = signal_names(j.settings.plant)
     closed = j.settings.gains is not None
     set_point = "set-point, " if closed else ""
-    base = f"Time series of {set_point}measured {words.output} ({span}) and {words.input}"
+    base = f"Time series of {set_point}measured {signals.output} ({signals.y(low, high)}) and {signals.input}"
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
     if shown is None:
         return f"{base}; there is no twin to compare them with."
@@ -174,7 +155,7 @@ def _session_alt(j: Judgement) -> str:
         twins, fitted = "the closed-loop and the driven twin", "closed-loop"
     return (
         f"{base}, with {twins} of {shown.name}; below, the residuals between plant and twin. "
-        f"The {fitted} twin fits the {words.output} to {100 * j.summary.fit_y:.1f} %."
+        f"The {fitted} twin fits the {signals.output} to {100 * j.summary.fit_y:.1f} %."
     )
 
 

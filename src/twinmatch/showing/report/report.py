@@ -1,4 +1,4 @@
-"""The report: the content for its template, and the file."""
+"""The report of a session: judged again, its content for the template, and the file."""
 
 from __future__ import annotations
 
@@ -6,45 +6,111 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from twinmatch.errors import TwinmatchError
-from twinmatch.offline.backtest import sentences
-from twinmatch.offline.judgement import Watch
-from twinmatch.sessions.files import ProgressCallback
-from twinmatch.showing import sentence
-from twinmatch.showing.family import Member, family
-from twinmatch.showing.report.forecast_tables import forecast_tables
-from twinmatch.showing.report.judging import Judged, judge
-from twinmatch.showing.report.leader_forecasts import fans_of, leader_forecast_table
-from twinmatch.showing.report.match_tables import (
-    event_table,
-    family_table,
-    match_table,
-    nominal_table,
-    structure_table,
-)
-from twinmatch.showing.report.model_tables import (
-    coefficient_table,
-    criterion_tables,
-    gap_table,
-    identified_table,
-    order_table,
-)
-from twinmatch.showing.report.page import render
-from twinmatch.showing.report.pictures import Picture, pictures
-from twinmatch.showing.report.provenance import Provenance, provenance
-from twinmatch.showing.report.words import plain_words, session_facts
-from twinmatch.showing.standing import last_verdict
-from twinmatch.showing.style import LEVEL_WORDS, LEVELS
-from twinmatch.showing.words import words_of
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
-__all__ = ["Report", "build_report", "make_report"]
+from twinmatch.errors import TwinmatchError
+from twinmatch.offline.backtest import Backtest, Choices, Listener, graded, sentences
+from twinmatch.offline.judgement import Judgement, Watch
+from twinmatch.offline.judgement import judge as judge_on
+from twinmatch.offline.terms import Terms, recorded_terms, terms_from_files
+from twinmatch.offline.verification import compare, holds_verdicts
+from twinmatch.sessions import Session, open_any
+from twinmatch.sessions.files import ProgressCallback, part_of
+from twinmatch.showing.family import Member, family
+from twinmatch.showing.quantities import signal_names
+from twinmatch.showing.report import tables
+from twinmatch.showing.report.pictures import Picture, fans_of, pictures
+from twinmatch.showing.report.provenance import Provenance, provenance
+from twinmatch.showing.report.words import as_sentence, plain_words, session_facts
+from twinmatch.showing.style import LEVELS
+from twinmatch.showing.summary import sentence
+from twinmatch.showing.verdicts import LEVEL_WORDS, last_verdict
+
+__all__ = ["JudgedSession", "SessionReport", "build_report", "judge_for_report", "make_report"]
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class JudgedSession:
+    """A session, its judgement, and the origin of its parameters and verdicts."""
+
+    session: Session
+    judgement: Judgement
+    tested: Backtest
+    """The forecasts made during the judgement, compared with the measurements."""
+    parameters: str
+    """Where the parameters came from, in words."""
+    recorded: str
+    """How the verdicts in the session compare with those of the judgement, in a sentence."""
+    identical: bool | None
+    """Whether they are the same bit for bit; None if there are none, or they cannot be compared."""
+
+
+def judge_for_report(
+    path: Path,
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
+) -> JudgedSession:
+    """Judge a session, an `.mcap` file or a recording for a report.
+
+    Without `config` the parameters are those recorded with the session, otherwise the defaults; the same
+    applies to the initial candidates.
+
+    Raises:
+        TwinmatchError: one of the files cannot be used.
+    """
+    session = open_any(path, progress=progress, plant=plant)
+    terms, unlike = _terms(session, config, candidates)
+    choices = Choices()
+    listener = Listener.to(session.samples, terms.settings.period, choices)
+    judgement = judge_on(session, terms, watch=part_of(watch, 0, 2), beside=listener)
+    tested = graded(judgement, listener, choices, watch=part_of(watch, 1, 2))
+    recorded, identical = _compared(session, judgement, unlike)
+    return JudgedSession(session, judgement, tested, terms.source, recorded, identical)
+
+
+def _terms(session: Session, config: Path | None, candidates: Path | None) -> tuple[Terms, str]:
+    """The terms, and why they differ from those of the recorded verdicts; empty: they do not."""
+    try:
+        return recorded_terms(session, config, candidates), ""
+    except TwinmatchError as error:
+        return terms_from_files(session, config, candidates), str(error)
+
+
+def _compared(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
+    count = holds_verdicts(session)
+    if not count:
+        return "The session has no recorded verdicts; all of them were computed for this report.", None
+    try:
+        found = None if unlike else compare(session, judgement)
+    except TwinmatchError as error:
+        found, unlike = None, str(error)
+    if found is None:
+        return (
+            f"The session has {count} recorded verdicts. They were computed again for this report and could "
+            f"not be compared with the recorded ones: {unlike}."
+        ), None
+    held = f"The session has {found.verdicts} recorded verdicts and {_matches(found.matches)}."
+    if found.identical:
+        return f"{held} They were computed again for this report and are the same, bit for bit.", True
+    return (
+        f"{held} They were computed again for this report and differ from the recorded ones. "
+        f"First difference: {found.difference}."
+    ), False
+
+
+def _matches(count: int) -> str:
+    return f"{count} match{'' if count == 1 else 'es'}"
+
+
+@dataclass(frozen=True, eq=False)
+class SessionReport:
     """The content of a report, ready for layout."""
 
-    judged: Judged
+    judged: JudgedSession
     members: tuple[Member, ...]
     pictures: dict[str, Picture]
     provenance: Provenance
@@ -66,7 +132,15 @@ class Report:
 
     def html(self) -> str:
         """The report as one HTML document that loads nothing else."""
-        return render(self._content())
+        environment = Environment(  # all text is escaped; a name the template does not know is an error
+            loader=PackageLoader("twinmatch.showing.report", "."),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.filters |= {"sentence": as_sentence, "short": lambda value: f"{value:g}"}
+        return environment.get_template("report.html").render(self._content())
 
     def write(self, path: Path) -> None:
         """Write the document.
@@ -93,9 +167,9 @@ class Report:
             "level_colour": LEVELS[level],
             "level_words": LEVEL_WORDS[level],
             "words": [*plain_words(judgement), *sentences(judged.tested)[-1:]],
-            "forecasts": forecast_tables(judged.tested),
+            "forecasts": tables.forecast_tables(judged.tested),
             "forecast_sentences": sentences(judged.tested),
-            "fans": leader_forecast_table(fans_of(judged.tested, judgement), plant),
+            "fans": tables.leader_forecast_table(fans_of(judged.tested, judgement), plant),
             "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
             "confidence": f"{100 * judged.tested.confidence:.0f}",
             "forecast_notes": [
@@ -105,26 +179,26 @@ class Report:
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
-            "events": event_table(judgement.verdicts, period),
+            "events": tables.event_table(judgement.verdicts, period),
             "match": nominal.match if nominal else None,
-            "nominal_parameters": nominal_table(nominal.score, nominal.match) if nominal else None,
-            "family": family_table(self.members) if self.members else None,
-            "matches": match_table(judgement.matches, judgement.verdicts, period, closed=closed)
+            "nominal_parameters": tables.nominal_table(nominal.score, nominal.match) if nominal else None,
+            "family": tables.family_table(self.members) if self.members else None,
+            "matches": tables.match_table(judgement.matches, judgement.verdicts, period, closed=closed)
             if judgement.matches
             else None,
             "verdict": last,
-            "criteria": criterion_tables(last) if last else [],
-            "weights": order_table(last) if last else None,
-            "structure": structure_table(last) if last else None,
-            "gaps": gap_table(last) if last else None,
-            "identified": identified_table(last) if last else None,
-            "coefficients": coefficient_table(nominal) if nominal else None,
-            "other_coefficients": [coefficient_table(m) for m in self.members if not m.nominal],
+            "criteria": tables.criterion_tables(last) if last else [],
+            "weights": tables.order_table(last) if last else None,
+            "structure": tables.structure_table(last) if last else None,
+            "gaps": tables.gap_table(last) if last else None,
+            "identified": tables.identified_table(last) if last else None,
+            "coefficients": tables.coefficient_table(nominal) if nominal else None,
+            "other_coefficients": [tables.coefficient_table(m) for m in self.members if not m.nominal],
             "limits": judgement.settings.limits,
             "schedule": judgement.settings.schedule,
             "judged": self.judged,
             "plant": plant,
-            "called": words_of(plant),
+            "called": signal_names(plant),
             "closed": closed,
             "asked": "set-point" if closed else "input",
             "others": ", ".join(n for n in plant.structures if n != matched),
@@ -133,15 +207,15 @@ class Report:
 
 
 def build_report(
-    judged: Judged, path: Path, *, command: str = "from Python", made: datetime | None = None
-) -> Report:
+    judged: JudgedSession, path: Path, *, command: str = "from Python", made: datetime | None = None
+) -> SessionReport:
     """Build the report of a judged session; `path` is where the session was read from."""
     judgement = judged.judgement
     members = family(
         judgement.samples, judgement.matches, last_verdict(judgement.verdicts), judgement.settings
     )
     made = made or datetime.now().astimezone()
-    return Report(
+    return SessionReport(
         judged=judged,
         members=members,
         pictures=pictures(judgement, members, judged.tested),
@@ -158,7 +232,7 @@ def make_report(
     watch: Watch | None = None,
     progress: ProgressCallback | None = None,
     command: str = "from Python",
-) -> Report:
+) -> SessionReport:
     """Judge a session, an `.mcap` file or a recording and build a report on it.
 
     Args:
@@ -173,5 +247,7 @@ def make_report(
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    judged = judge(path, config=config, candidates=candidates, plant=plant, watch=watch, progress=progress)
+    judged = judge_for_report(
+        path, config=config, candidates=candidates, plant=plant, watch=watch, progress=progress
+    )
     return build_report(judged, path, command=command)

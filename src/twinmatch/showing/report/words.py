@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
-from twinmatch.dynamics import Plant
 from twinmatch.offline.judgement import Judgement
-from twinmatch.showing.comparison import Comparison, compare, root_mean_square
-from twinmatch.showing.events import admitted, level_stretches
-from twinmatch.showing.quantities import number
-from twinmatch.showing.standing import Shown, last_verdict, nominal_score, shown_twin
+from twinmatch.showing.quantities import SignalNames, number, percent, signal_names
+from twinmatch.showing.series import compare, root_mean_square
 from twinmatch.showing.summary import UNEXPLAINED
-from twinmatch.showing.words import Words, words_of
+from twinmatch.showing.verdicts import (
+    LevelStretch,
+    ShownTwin,
+    admitted,
+    last_verdict,
+    level_stretches,
+    nominal_score,
+    shown_twin,
+)
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
@@ -32,27 +37,16 @@ def duration(seconds: float) -> str:
 
 def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     """The session in numbers: pairs of name and value."""
-    samples, period = judgement.samples, judgement.settings.period
-    reference = [s.reference for s in samples]
-    measured = [s.output for s in samples]
-    given = [s.input for s in samples]
-    y, u = _words(judgement), _plant(judgement).drive
-    a, b = y.output_decimals, y.input_decimals
-    asked = f"{number(min(reference), a)} to {number(max(reference), a)} {y.output_unit}"
+    samples, settings, signals = judgement.samples, judgement.settings, _signals(judgement)
+    closed = settings.gains is not None
+    limits = " to ".join(number(edge, signals.input_decimals) for edge in settings.plant.drive.limits)
     facts = [
-        ("samples", f"{len(samples)}, one every {period:g} s"),
-        ("duration", duration((samples[-1].index - samples[0].index + 1) * period)),
-        *([("set-point", asked)] if judgement.settings.gains is not None else []),
-        (y.output, f"{number(min(measured), a)} to {number(max(measured), a)} {y.output_unit}"),
-        (
-            y.input,
-            f"{number(min(given), b)} to {number(max(given), b)} {y.input_unit} "
-            f"(limits {number(u.limits[0], b)} to {number(u.limits[1], b)})",
-        ),
-        (
-            "control steps" if judgement.settings.gains is None else "set-point steps",
-            _steps(samples, judgement.settings),
-        ),
+        ("samples", f"{len(samples)}, one every {settings.period:g} s"),
+        ("duration", _duration(judgement)),
+        *([("set-point", signals.y(*_ends(s.reference for s in samples)))] if closed else []),
+        (signals.output, signals.y(*_ends(s.output for s in samples))),
+        (signals.input, f"{signals.u(*_ends(s.input for s in samples))} (limits {limits})"),
+        ("set-point steps" if closed else "control steps", _steps(samples, settings)),
         ("matches", _matches(judgement)),
         ("verdicts", f"{len(judgement.verdicts)}, of which {judgement.summary.identified} identified models"),
     ]
@@ -60,6 +54,16 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     if shown is not None:
         facts += _fit_facts(judgement, shown)
     return facts
+
+
+def _ends(values: Iterable[float]) -> tuple[float, float]:
+    known = list(values)
+    return min(known), max(known)
+
+
+def _duration(judgement: Judgement) -> str:
+    samples = judgement.samples
+    return duration((samples[-1].index - samples[0].index + 1) * judgement.settings.period)
 
 
 def plain_words(judgement: Judgement) -> list[str]:
@@ -87,29 +91,21 @@ def plain_words(judgement: Judgement) -> list[str]:
 
 def _what(judgement: Judgement) -> str:
     samples, period = judgement.samples, judgement.settings.period
-    plant, words = _plant(judgement), _words(judgement)
+    plant, signals = judgement.settings.plant, _signals(judgement)
+    control = f"control ({plant.drive.text or plant.drive.name})"
+    recorded = f"were recorded every {period:g} s, {len(samples)} samples in total"
     if judgement.settings.gains is None:
-        return _what_without_loop(judgement)
-    low, high = min(s.reference for s in samples), max(s.reference for s in samples)
-    unit = words.output_unit
-    asked = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
-    time = duration((samples[-1].index - samples[0].index + 1) * period)
+        beside = "".join(f" and {d.text or d.name}" for d in plant.disturbances.values())
+        return (
+            f"For {_duration(judgement)} the {signals.output} of a plant ({plant.title}), its "
+            f"{control}{beside} {recorded}; its controller is not known."
+        )
+    low, high = _ends(s.reference for s in samples)
+    unit = signals.output_unit
+    levels = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     return (
-        f"For {time} a plant ({plant.title}) was controlled to {asked}; its {words.output} and the control "
-        f"({plant.drive.text or plant.drive.name}) were recorded every {period:g} s, {len(samples)} samples "
-        "in total."
-    )
-
-
-def _what_without_loop(judgement: Judgement) -> str:
-    """The same where the loop is not known."""
-    samples, period, plant = judgement.samples, judgement.settings.period, _plant(judgement)
-    time = duration((samples[-1].index - samples[0].index + 1) * period)
-    beside = "".join(f" and {d.text or d.name}" for d in plant.disturbances.values())
-    return (
-        f"For {time} the {_words(judgement).output} of a plant ({plant.title}), its control "
-        f"({plant.drive.text or plant.drive.name}){beside} were recorded every {period:g} s, {len(samples)} "
-        "samples in total; its controller is not known."
+        f"For {_duration(judgement)} a plant ({plant.title}) was controlled to {levels}; its "
+        f"{signals.output} and the {control} {recorded}."
     )
 
 
@@ -136,17 +132,17 @@ def _nothing(judgement: Judgement) -> str:
     if any(v.match for v in judgement.verdicts):
         return "There is no valid match, so there is no twin to trust."
     if judgement.settings.gains is None:
-        unit, least = _plant(judgement).drive.unit, judgement.settings.least_movement
+        unit, least = judgement.settings.plant.drive.unit, judgement.settings.least_movement
         step = f"{least:g} {unit}".rstrip()
         return f"The control has to move by {step} or more, for some minutes in total."
     return (
         f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} "
-        f"{_words(judgement).output_unit} or more, some "
+        f"{_signals(judgement).output_unit} or more, some "
         "minutes apart; a recording of one or two set-points held for a few minutes each is enough."
     )
 
 
-def _leader(last: Verdict, shown: Shown) -> str:
+def _leader(last: Verdict, shown: ShownTwin) -> str:
     count = len(last.forecasts)
     what = f"structure “{shown.name}”" if shown.is_structure else f"match at {shown.name}"
     if count <= 1:
@@ -176,36 +172,29 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
     )
 
 
-def _compared(judgement: Judgement, shown: Shown) -> tuple[Comparison, ...]:
+def _residuals(judgement: Judgement, shown: ShownTwin) -> tuple[float, float, float]:
+    """RMS residuals of the closed-loop twin's output and input and of the driven twin's output; NaN without
+    values."""
     settings = judgement.settings
-    return compare(judgement.samples, shown.parameters, settings.gains, settings.period)
-
-
-def _driven_fit(judgement: Judgement, shown: Shown) -> str:
-    s, words = judgement.summary, _words(judgement)
-    y = root_mean_square([p.driven_residual_y for p in _compared(judgement, shown)])
-    faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
-    return (
-        f"Driven by the recorded control, {shown.name} follows the measured {words.output} over the whole "
-        f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
-        f"{number(y, words.output_decimals + 1)} {words.output_unit} RMS)"
-        f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
-    )
-
-
-def _fit(judgement: Judgement, shown: Shown) -> str:
-    if judgement.settings.gains is None:
-        return _driven_fit(judgement, shown)
-    s, words = judgement.summary, _words(judgement)
-    parts = _compared(judgement, shown)
+    parts = compare(judgement.samples, shown.parameters, settings.gains, settings.period)
     y = root_mean_square([p.closed_residual_y for p in parts])
     u = root_mean_square([p.closed_residual_u for p in parts])
+    return y, u, root_mean_square([p.driven_residual_y for p in parts])
+
+
+def _fit(judgement: Judgement, shown: ShownTwin) -> str:
+    s, signals = judgement.summary, _signals(judgement)
+    y, u, driven = _residuals(judgement, shown)
+    closed = judgement.settings.gains is not None
+    by = "only by the set-points" if closed else "by the recorded control"
+    off = signals.y(y if closed else driven, finer=1)
+    control = (
+        f" and the {signals.input} to {percent(s.fit_u)} % ({signals.u(u, finer=1)} RMS)" if closed else ""
+    )
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
-        f"Driven only by the set-points, {shown.name} follows the measured {words.output} over the whole "
-        f"session to {number(100 * s.fit_y, 1)} % (100 % is perfect, 0 % no better than a constant; "
-        f"{number(y, words.output_decimals + 1)} {words.output_unit} RMS) and the {words.input} to "
-        f"{number(100 * s.fit_u, 1)} % ({number(u, words.input_decimals + 1)} {words.input_unit} RMS)"
+        f"Driven {by}, {shown.name} follows the measured {signals.output} over the whole session to "
+        f"{percent(s.fit_y)} % (100 % is perfect, 0 % no better than a constant; {off} RMS){control}"
         f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
     )
 
@@ -213,7 +202,7 @@ def _fit(judgement: Judgement, shown: Shown) -> str:
 def _trust(judgement: Judgement) -> str:
     s = judgement.summary
     if s.range is None:
-        return f"There is no range of the {_words(judgement).output} in which its forecasts have held."
+        return f"There is no range of the {_signals(judgement).output} in which its forecasts have held."
     held = f"Its forecasts have held between {s.range}"
     if s.level is TrustLevel.TRUSTED:
         return f"{held}, and at the end of the session the twin can be trusted there."
@@ -223,46 +212,39 @@ def _trust(judgement: Judgement) -> str:
 
 
 def _health(judgement: Judgement) -> str:
-    period = judgement.settings.period
     stretches = level_stretches(judgement.verdicts, judgement.samples[0].index)
-    faults = [s for s in stretches if s.level is TrustLevel.FAULT]
-    doubts = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
-    named = sorted({v.fault for v in judgement.verdicts} - {"", UNEXPLAINED})
+    faults, doubts = (
+        [s for s in stretches if s.level is level] for level in (TrustLevel.FAULT, TrustLevel.DOUBTFUL)
+    )
     if faults:
-        when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in faults)
+        named = sorted({v.fault for v in judgement.verdicts} - {"", UNEXPLAINED})
         what = f" ({', '.join(named)})" if named else ""
         return (
-            f"The plant had a fault{what}: {when}. Look at the plant (drive, sensor, cables) before anything "
-            "else."
+            f"The plant had a fault{what}: {_times(faults, judgement)}. Look at the plant (drive, sensor, "
+            "cables) before anything else."
         )
     if doubts:
-        when = ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in doubts)
-        return f"No fault was found; the twin was doubtful: {when}."
+        return f"No fault was found; the twin was doubtful: {_times(doubts, judgement)}."
     return "No fault was found: plant and twin never differed by more than is normal for a healthy plant."
 
 
-def _fit_facts(judgement: Judgement, shown: Shown) -> list[tuple[str, str]]:
-    parts = _compared(judgement, shown)
-    s, words = judgement.summary, _words(judgement)
-    fine = words.output_decimals + 1
-    driven = root_mean_square([p.driven_residual_y for p in parts])
-    range_ = ("trusted between", str(s.range) if s.range else "–")
+def _times(stretches: Sequence[LevelStretch], judgement: Judgement) -> str:
+    period = judgement.settings.period
+    return ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in stretches)
+
+
+def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
+    s, signals = judgement.summary, _signals(judgement)
+    y, u, driven = _residuals(judgement, shown)
+    loop, open_loop = f"closed-loop twin of {shown.name}, ", f"driven twin of {shown.name}, {signals.output}"
+    trusted = ("trusted between", str(s.range) if s.range else "–")
     if judgement.settings.gains is None:
-        of_driven = f"fit {number(100 * s.fit_y, 1)} %, {number(driven, fine + 1)} {words.output_unit} RMS"
-        return [(f"driven twin of {shown.name}, {words.output}", of_driven), range_]
-    y = root_mean_square([p.closed_residual_y for p in parts])
-    u = root_mean_square([p.closed_residual_u for p in parts])
+        return [(open_loop, f"fit {percent(s.fit_y)} %, {signals.y(driven, finer=2)} RMS"), trusted]
     return [
-        (
-            f"closed-loop twin of {shown.name}, {words.output}",
-            f"fit {number(100 * s.fit_y, 1)} %, {number(y, fine + 1)} {words.output_unit} RMS",
-        ),
-        (
-            f"closed-loop twin of {shown.name}, {words.input}",
-            f"fit {number(100 * s.fit_u, 1)} %, {number(u, words.input_decimals + 1)} {words.input_unit} RMS",
-        ),
-        (f"driven twin of {shown.name}, {words.output}", f"{number(driven, fine)} {words.output_unit} RMS"),
-        range_,
+        (f"{loop}{signals.output}", f"fit {percent(s.fit_y)} %, {signals.y(y, finer=2)} RMS"),
+        (f"{loop}{signals.input}", f"fit {percent(s.fit_u)} %, {signals.u(u, finer=1)} RMS"),
+        (open_loop, f"{signals.y(driven, finer=1)} RMS"),
+        trusted,
     ]
 
 
@@ -283,16 +265,8 @@ def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
     return f"{count} of {least:g} {unit} or more"
 
 
-def _plant(judgement: Judgement) -> type[Plant]:
-    return judgement.settings.plant
-
-
-def _words(judgement: Judgement) -> Words:
-    return words_of(judgement.settings.plant)
-
-
-def _s(count: int) -> str:
-    return "" if count == 1 else "s"
+def _signals(judgement: Judgement) -> SignalNames:
+    return signal_names(judgement.settings.plant)
 
 
 def as_sentence(text: str) -> str:

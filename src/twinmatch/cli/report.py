@@ -14,7 +14,7 @@ from twinmatch.offline.outputs import check_writable
 from twinmatch.offline.progress import Progress
 
 if TYPE_CHECKING:
-    from twinmatch.showing.report.report import Report
+    from twinmatch.showing.report.report import SessionReport
 
 __all__ = ["add_arguments", "run"]
 
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _make(options: argparse.Namespace) -> Report:
+def _make(options: argparse.Namespace) -> SessionReport:
     from twinmatch.showing.report.report import make_report  # noqa: PLC0415 — keeps --help fast
 
     with Progress() as progress:

@@ -1,4 +1,4 @@
-"""The ν-gap between the candidates as a heat map, with each candidate's sum below it."""
+"""The two heat maps of the page: ν-gaps between the candidates, and the thermal image."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import ColumnDataSource, FactorRange, HoverTool, LinearColorMapper
-from bokeh.palettes import Cividis256
+from bokeh.models import ColorBar, Column, ColumnDataSource, FactorRange, HoverTool, LinearColorMapper
+from bokeh.palettes import Cividis256, Inferno256
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 
 from twinmatch.comparing import CandidateScore, Verdict
-from twinmatch.showing.page.look import FONT
+from twinmatch.showing.page.style import FONT, panel
 from twinmatch.showing.quantities import number
 from twinmatch.showing.style import TEXT
 
-__all__ = ["Matrix"]
+__all__ = ["GapMatrix", "ThermalImage"]
 
 SUM = "Σ"
 _LINE = 20
@@ -29,7 +30,7 @@ _PALETTE = list(reversed(Cividis256))
 _NAMES = ("column", "row", "gap", "shown", "interval", "ink", "pair")
 
 
-class Matrix:
+class GapMatrix:
     """The heat map of one tab."""
 
     def __init__(self) -> None:
@@ -90,29 +91,17 @@ class Matrix:
         chart.grid.grid_line_color = None
         chart.axis.axis_line_color = None
         chart.axis.major_tick_line_color = None
-        cells = chart.rect(
-            "column",
-            "row",
-            width=0.96,
-            height=0.96,
-            source=self._cells,
-            fill_color={"field": "gap", "transform": self._colours},
-            line_color=None,
-        )
-        lettering = {"text_align": "center", "text_baseline": "middle", "text_font": value(FONT)}
-        chart.text(
-            "column", "row", "shown", source=self._cells, text_color="ink", text_font_size="12px", **lettering
-        )
-        chart.text(
-            "column",
-            "row",
-            "shown",
-            source=self._sums,
-            text_color="ink",
-            text_font_size="13px",
-            text_font_style="style",
-            **lettering,
-        )
+        filling = {"fill_color": {"field": "gap", "transform": self._colours}, "line_color": None}
+        cells = chart.rect("column", "row", width=0.96, height=0.96, source=self._cells, **filling)
+        font = {
+            "text_align": "center",
+            "text_baseline": "middle",
+            "text_font": value(FONT),
+            "text_color": "ink",
+        }
+        chart.text("column", "row", "shown", source=self._cells, text_font_size="12px", **font)
+        font |= {"text_font_style": "style"}
+        chart.text("column", "row", "shown", source=self._sums, text_font_size="13px", **font)
         rows = [("between", "@pair"), ("ν-gap", "@gap{0.0000}"), ("90 %", "@interval")]
         chart.add_tools(HoverTool(renderers=[cells], tooltips=rows, visible=False))
         return chart
@@ -139,3 +128,56 @@ def _interval(candidate: CandidateScore, other: int) -> str:
     if not (other < len(candidate.nu_gap_low) and other < len(candidate.nu_gap_high)):
         return "not computed"
     return f"{number(candidate.nu_gap_low[other], 3)} to {number(candidate.nu_gap_high[other], 3)}"
+
+
+LEAST_SPAN = 4.0
+"""Smallest span of the colours, K: less would show the camera's noise as a picture."""
+
+
+class ThermalImage:
+    """The thermal image of one tab."""
+
+    def __init__(self) -> None:
+        """Start without an image; the card is hidden."""
+        self._source = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+        self._colours = LinearColorMapper(palette=Inferno256, low=20.0, high=30.0, nan_color="#8C8C8C")
+        self.figure = self._draw()
+        heading = panel("thermal_heading", "<h2>Thermal image / °C</h2>")
+        self.root = Column(
+            heading,
+            self.figure,
+            name="thermal_card",
+            css_classes=["card"],
+            visible=False,
+            sizing_mode="stretch_width",
+        )
+        """The whole card; hidden for a plant without a camera."""
+
+    def update(self, image: NDArray[np.float32]) -> None:
+        """Show an image in °C, first row on top."""
+        self.root.visible = True
+        rows, columns = image.shape
+        low, high = float(np.nanmin(image)), float(np.nanmax(image))
+        wider = max(0.0, LEAST_SPAN - (high - low)) / 2
+        self._colours.low, self._colours.high = round(low - wider, 1), round(high + wider, 1)
+        self._source.data = {"image": [image[::-1]], "x": [0], "y": [0], "dw": [columns], "dh": [rows]}
+
+    def _draw(self) -> Any:
+        chart = figure(
+            name="thermal",
+            height=260,
+            sizing_mode="stretch_width",
+            match_aspect=True,
+            tools="",
+            toolbar_location=None,
+            x_axis_type=None,
+            y_axis_type=None,
+            min_border_left=4,
+            min_border_right=56,  # room for labels such as 22.5
+        )
+        chart.grid.grid_line_color = None
+        chart.x_range.range_padding = chart.y_range.range_padding = 0
+        chart.image("image", "x", "y", "dw", "dh", source=self._source, color_mapper=self._colours)
+        bar = ColorBar(color_mapper=self._colours, width=10, padding=6)
+        chart.add_layout(bar, "right")
+        return chart

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["ERROR", "PATIENCE", "Player", "Roster", "Standing"]
+__all__ = ["ERROR", "PATIENCE", "NodeReport", "NodeReports", "PlayerState"]
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of REP 107, as on /diagnostics."""
@@ -23,7 +23,7 @@ _SILENCE = re.compile(r"no sample for \d+ s(?:; )?")
 
 
 @dataclass(frozen=True)
-class Standing:
+class NodeReport:
     """A node's last report."""
 
     level: int
@@ -33,7 +33,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Player:
+class PlayerState:
     """State of a player: how far its session has been played."""
 
     name: str
@@ -46,12 +46,12 @@ class Player:
 
 
 @dataclass
-class Roster:
+class NodeReports:
     """The nodes that report on /diagnostics."""
 
-    standing: dict[str, Standing] = field(default_factory=dict)
-    player: Player | None = None
-    ended: Player | None = None
+    reports: dict[str, NodeReport] = field(default_factory=dict)
+    player: PlayerState | None = None
+    ended: PlayerState | None = None
     """The player that has reached the end of its session, until another session is seen."""
     ended_at: float = 0.0
     _errors: dict[str, str] = field(default_factory=dict)
@@ -62,9 +62,9 @@ class Roster:
 
         An error in which only figures change is the same error.
         """
-        if name not in self.standing and len(self.standing) >= MOST:
+        if name not in self.reports and len(self.reports) >= MOST:
             return None
-        self.standing[name] = Standing(level, message, now)
+        self.reports[name] = NodeReport(level, message, now)
         if {"rate", "paused", "position"} <= values.keys():
             self._take_player(_player(name, values), now, over=values.get("ended") == "True")
         if level < ERROR:
@@ -82,8 +82,8 @@ class Roster:
         """
         if self.ended is not None:
             return
-        for name in [n for n, s in self.standing.items() if now - s.at > FORGET]:
-            del self.standing[name]
+        for name in [n for n, s in self.reports.items() if now - s.at > FORGET]:
+            del self.reports[name]
             self._errors.pop(name, None)
         if self.player is not None and self.silent(self.player.name, now):
             self._take_player(self.player, now, over=_at_its_end(self.player))
@@ -96,20 +96,20 @@ class Roster:
 
     def at_rest(self, name: str) -> bool:
         """Whether a node is idle because the replay has ended; one that reports an error is not."""
-        return self.ended is not None and self.standing[name].level < ERROR
+        return self.ended is not None and self.reports[name].level < ERROR
 
     def message(self, name: str) -> str:
         """The last message of a node; once a replay has ended, without the missing samples."""
-        said = self.standing[name].message
+        said = self.reports[name].message
         return _SILENCE.sub("", said) if self.at_rest(name) else said
 
     def level(self, name: str, now: float) -> int:
         """A node's level of REP 107; a silent node is stale, unless a replay has ended."""
         if self.ended is None and self.silent(name, now):
             return STALE
-        return min(self.standing[name].level, STALE)
+        return min(self.reports[name].level, STALE)
 
-    def _take_player(self, player: Player | None, now: float, *, over: bool) -> None:
+    def _take_player(self, player: PlayerState | None, now: float, *, over: bool) -> None:
         if not over:
             self.player, self.ended = player, None
         elif self.ended is None:
@@ -117,19 +117,19 @@ class Roster:
 
     def silent(self, name: str, now: float) -> bool:
         """Whether a node has not reported for more than `PATIENCE` seconds."""
-        found = self.standing.get(name)
+        found = self.reports.get(name)
         return found is None or now - found.at > PATIENCE
 
 
-def _at_its_end(player: Player) -> bool:
+def _at_its_end(player: PlayerState) -> bool:
     """Whether nothing was left to play, in case the player's last report was lost."""
     place, _, whole = player.position.partition(" of ")
     return place == whole
 
 
-def _player(name: str, values: Mapping[str, str]) -> Player | None:
+def _player(name: str, values: Mapping[str, str]) -> PlayerState | None:
     try:
         rate = float(values["rate"])
     except ValueError:  # not a player of twinmatch
         return None
-    return Player(name, values["paused"] == "True", rate, values["position"])
+    return PlayerState(name, values["paused"] == "True", rate, values["position"])

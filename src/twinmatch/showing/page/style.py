@@ -1,16 +1,15 @@
-"""Appearance of the page: colours and fonts from `twinmatch.showing.style`, sizes for a screen."""
+"""The style of the page: colours and fonts from `twinmatch.showing.style`, sizes for a screen."""
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 
 from bokeh.models import Div
 from bokeh.themes import Theme
 
 from twinmatch.comparing import TrustLevel
-from twinmatch.showing.page.events import Mark
 from twinmatch.showing.style import GRID, LEVELS, SET_POINT, TEXT
+from twinmatch.showing.verdicts import Mark
 
 __all__ = [
     "BUTTONS",
@@ -23,7 +22,6 @@ __all__ = [
     "SIGNS",
     "THEME",
     "panel",
-    "text",
 ]
 
 FONT = "system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'DejaVu Sans', sans-serif"
@@ -110,8 +108,3 @@ _STYLE = Path(__file__).with_name("panel.css").read_text(encoding="utf-8")
 def panel(name: str, html: str = "") -> Div:
     """An HTML element that fills its card; `name` is its place in the template."""
     return Div(name=name, text=html, margin=0, sizing_mode="stretch_width", stylesheets=[_STYLE])
-
-
-def text(words: object) -> str:
-    """Escape text from the graph for HTML."""
-    return escape(str(words))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twinmatch.showing.page.errors import DashboardError
+from twinmatch.showing.page import DashboardError
 from twinmatch.showing.serving import add_serving_arguments, check_serving, namespace_words
 
 __all__ = ["add_arguments", "run"]

@@ -1,4 +1,4 @@
-"""A forecast in words, and as a dictionary for JSON."""
+"""Forecasts in words, also beside what was measured, and as dictionaries for JSON."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from twinmatch.forecasting import (
     settling_time,
     time_to_reach,
 )
-from twinmatch.showing.fan import Fan
-from twinmatch.showing.quantities import number
-from twinmatch.showing.words import words_of
+from twinmatch.showing.quantities import number, signal_names
+from twinmatch.showing.series import Fan, root_mean_square
+from twinmatch.signals import FloatArray
 
-__all__ = ["came_words", "forecast_document", "forecast_words"]
+__all__ = ["asked", "comparison_words", "forecast_document", "forecast_words", "levels_words"]
 
 _MOST_LEVELS: Final = 4
 """With more set-points in a row, only the last is described."""
@@ -48,29 +48,39 @@ def forecast_words(forecast: Forecast, plant: type[Plant]) -> list[str]:
     for prescribed inputs only final output and widths."""
     if not forecast.closed:
         return [_end(forecast, plant), _widths(forecast, plant)]
-    parts = _asked(forecast)
+    parts = _parts(forecast)
     if len(parts) > _MOST_LEVELS:
         parts = parts[-1:]
     arrivals = [_arrival(part, plant, only=len(parts) == 1) for part in parts]
-    return [_end(forecast, plant), *arrivals, _work(forecast, plant), _widths(forecast, plant)]
+    return [_end(forecast, plant), *arrivals, _largest(forecast, plant), _widths(forecast, plant)]
 
 
-def came_words(fan: Fan, plant: type[Plant]) -> list[str]:
+def asked(forecast: Forecast) -> FloatArray:
+    """The set-points (or inputs) that the forecast is made for."""
+    return forecast.reference if forecast.closed else forecast.input.mean
+
+
+def levels_words(forecast: Forecast) -> str:
+    """The set-points or inputs in order; of more than four, the first and the last."""
+    values = asked(forecast)
+    levels = [values[0], *values[1:][np.diff(values) != 0]]
+    if len(levels) > _MOST_LEVELS:
+        return f"{levels[0]:g} … {levels[-1]:g}"
+    return " → ".join(f"{level:g}" for level in levels)
+
+
+def comparison_words(fan: Fan, plant: type[Plant]) -> list[str]:
     """How it compares with the measurements, in one line; empty where there are none to compare with."""
     if not fan.judged:
         return []
-    words, error = words_of(plant), float(np.sqrt(np.mean(np.square(fan.error))))
-    shares = [f"{100 * np.mean(held):.0f} % of the" for held in fan.held if held.size]
-    held = " and ".join(f"{s} {w}" for s, w in zip(shares, (words.output, words.input), strict=False))
-    off = _with(number(error, plant.output.decimals + 1), words.output_unit)
-    same = (
-        ""
-        if fan.judged == fan.forecast.time.size
-        else f", under the same {'set-points' if fan.forecast.closed else 'inputs'}"
-    )
+    signals = signal_names(plant)
+    shares = [f"{100 * np.mean(inside):.0f} % of the" for inside in fan.in_band if inside.size]
+    inside = " and ".join(f"{s} {w}" for s, w in zip(shares, (signals.output, signals.input), strict=False))
+    moves = "set-points" if fan.forecast.closed else "inputs"
+    same = "" if fan.judged == fan.forecast.time.size else f", under the same {moves}"
     return [
-        f"compared with the next {fan.judged * fan.past.period:g} s of measurements{same}: error {off} RMS; "
-        f"the band contained {held}"
+        f"compared with the next {fan.judged * fan.past.period:g} s of measurements{same}: error "
+        f"{signals.y(root_mean_square([fan.error]), finer=1)} RMS; the band contained {inside}"
     ]
 
 
@@ -79,17 +89,15 @@ def _band(band: Band) -> dict[str, list[float]]:
 
 
 def _end(forecast: Forecast, plant: type[Plant]) -> str:
-    words, band = words_of(plant), forecast.output
-    decimals = plant.output.decimals
-    low, mean, high = (number(float(v[-1]), decimals) for v in (band.low, band.mean, band.high))
+    signals, band = signal_names(plant), forecast.output
+    low, mean, high = (float(edge[-1]) for edge in (band.low, band.mean, band.high))
     return (
-        f"{words.output} after {forecast.time[-1]:g} s: "
-        f"{_with(mean, words.output_unit)}, within {_with(f'{low} to {high}', words.output_unit)} in "
-        f"{100 * forecast.confidence:.0f} % of such cases"
+        f"{signals.output} after {forecast.time[-1]:g} s: {signals.y(mean)}, within {signals.y(low, high)} "
+        f"in {100 * forecast.confidence:.0f} % of such cases"
     )
 
 
-def _asked(forecast: Forecast) -> list[Forecast]:
+def _parts(forecast: Forecast) -> list[Forecast]:
     """The forecast in parts with a constant set-point."""
     steps = np.flatnonzero(np.diff(forecast.reference)) + 1
     ends = [*steps.tolist(), forecast.time.size]
@@ -106,9 +114,9 @@ def _part(forecast: Forecast, first: int, end: int) -> Forecast:
 
 def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     """When the output reaches one set-point, and whether it stays there."""
-    words, level = words_of(plant), float(part.reference[0])
+    unit, level = plant.output.unit, float(part.reference[0])
     near = NEAR * plant.output.noise
-    goal = f"within {_with(f'{near:g}', words.output_unit)} of {_with(f'{level:g}', words.output_unit)}"
+    goal = f"within {_with(f'{near:g}', unit)} of {_with(f'{level:g}', unit)}"
     if not only:
         goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
     reached, held = time_to_reach(part, level, near), settling_time(part, level, near)
@@ -124,28 +132,27 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     return f"{first}, permanently after {held.expected:g} s{_range(held)}"
 
 
-def _work(forecast: Forecast, plant: type[Plant]) -> str:
-    words, peak = words_of(plant), largest_input(forecast)
-    decimals = plant.drive.decimals
-    least, most = number(peak.least, decimals), number(peak.most, decimals)
-    size = _with(number(peak.expected, decimals), words.input_unit)
-    return f"largest {words.input}: {size} after {peak.time:g} s ({least} to {most})"
+def _largest(forecast: Forecast, plant: type[Plant]) -> str:
+    signals, peak = signal_names(plant), largest_input(forecast)
+    least, most = (number(edge, signals.input_decimals) for edge in (peak.least, peak.most))
+    return f"largest {signals.input}: {signals.u(peak.expected)} after {peak.time:g} s ({least} to {most})"
 
 
 def _widths(forecast: Forecast, plant: type[Plant]) -> str:
-    words, widths = words_of(plant), []
+    signals, widths = signal_names(plant), []
+
+    def width(k: int) -> str:
+        y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
+        return f"{signals.y(y)} and {signals.u(u)}" if forecast.closed else signals.y(y)
+
     for horizon in horizons_for(float(forecast.time[0])):
         if horizon > forecast.time[-1] + 1e-9 * horizon or horizon < forecast.time[0]:
             continue
         k = int((forecast.time <= horizon * (1 + 1e-9)).sum()) - 1
-        y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
-        wide = _with(number(y, plant.output.decimals), words.output_unit)
-        also = _with(number(u, plant.drive.decimals), words.input_unit)
-        both = f"{wide} and {also}" if forecast.closed else wide
-        widths.append(f"{both} at {horizon:g} s")
+        widths.append(f"{width(k)} at {horizon:g} s")
     if not widths:
         y = float(forecast.output.high[-1] - forecast.output.low[-1])
-        widths.append(f"{_with(number(y, plant.output.decimals), words.output_unit)} at the end")
+        widths.append(f"{signals.y(y)} at the end")
     return f"width of the band: {'; '.join(widths)}"
 
 

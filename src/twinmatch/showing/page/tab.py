@@ -11,20 +11,14 @@ from bokeh.models import CustomJS, Div, Toggle
 
 from twinmatch.comparing import TrustLevel
 from twinmatch.showing.page import panels
-from twinmatch.showing.page.actions import Actions
-from twinmatch.showing.page.ahead import seconds_ahead
-from twinmatch.showing.page.charts import TimeCharts, bands
-from twinmatch.showing.page.feed import Feed
-from twinmatch.showing.page.first import first_screen
-from twinmatch.showing.page.help import HELP
-from twinmatch.showing.page.look import FONT, THEME, panel
-from twinmatch.showing.page.matrix import Matrix
+from twinmatch.showing.page.charts import ChartFeed, TimeCharts, bands, seconds_ahead
+from twinmatch.showing.page.heatmaps import GapMatrix, ThermalImage
 from twinmatch.showing.page.state import DashboardState
-from twinmatch.showing.page.thermal import Thermal
-from twinmatch.showing.page.widgets import PlayerButtons, QuestionForm, RigButtons, SpanButtons
+from twinmatch.showing.page.style import FONT, THEME, panel
+from twinmatch.showing.page.widgets import Actions, PlayerButtons, QuestionForm, RigButtons, SpanButtons
 from twinmatch.showing.style import LEVELS, TEXT
 
-__all__ = ["REFRESH", "Page"]
+__all__ = ["REFRESH", "Tab"]
 
 REFRESH = 350
 """Milliseconds between two updates of a tab."""
@@ -41,7 +35,7 @@ setTimeout(come_back, 1000)
 _TEMPLATE = Path(__file__).with_name("page.html")
 
 
-class Page:
+class Tab:
     """One tab. Nothing in it grows: charts drop their oldest points, texts are replaced."""
 
     def __init__(
@@ -49,23 +43,14 @@ class Page:
     ) -> None:
         """Show a state; `clock` is the one that its times are taken from."""
         self._state, self._clock = state, clock
-        self._plant = Feed(state.plant)
-        self._twin = Feed(state.twin, bands)
+        self._plant = ChartFeed(state.plant)
+        self._twin = ChartFeed(state.twin, bands)
         self._described = described = state.described
         self._charts = TimeCharts(self._plant.source, self._twin.source, described)
-        self._matrix, self._thermal = Matrix(), Thermal()
+        self._matrix, self._thermal = GapMatrix(), ThermalImage()
         names = (
-            "status",
-            "alarm",
-            "first",
-            "reasons",
-            "tiles",
-            "family",
-            "events",
-            "nodes",
-            "matrix_note",
-            "chart_note",
-            "answer",
+            *("status", "alarm", "first", "reasons", "tiles", "family", "events", "nodes"),
+            *("matrix_note", "chart_note", "answer"),
         )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
         self._every = Toggle(label="all orders", name="every", width=110)
@@ -102,7 +87,6 @@ class Page:
         document.template_variables.update(
             control=self._rig is not None,
             plant_title=title,
-            help=HELP,
             font=FONT,
             ink=TEXT,
             good=LEVELS[TrustLevel.TRUSTED],
@@ -118,18 +102,17 @@ class Page:
         """Update whatever has changed."""
         state, now = self._state, self._clock()
         with state.lock:
-            state.roster.expire(now)
+            state.nodes.expire(now)
             span = self._span.samples(state.period, state.plant.capacity)
             self._plant.update(state.period, span)
             self._twin.update(state.period, span)
             self._draw_forecast(span * state.period)
             self._update_texts(now)
-            happened = (state.verdicts, state.events.count, state.period)
-            if self._changed("happened", happened):
-                events = state.events.newest_first()
-                mine = [e for e in events if e.session == state.session]
-                self._charts.draw_events(list(state.trust), mine, state.period)
-                self._show("events", panels.events_table(events, state.session, state.period))
+            if self._changed("happened", (state.verdicts, state.event_count, state.period)):
+                mine = [e for e in reversed(state.events) if e.session == state.session]
+                self._charts.draw_events(state.trust, mine, state.period)
+                events = panels.events_table(reversed(state.events), state.session, state.period)
+                self._show("events", events)
             if self._changed("family", (state.verdicts, self._every.active)):
                 self._matrix.update(state.verdict)
                 none_yet = state.verdict is None or not state.verdict.candidates
@@ -138,28 +121,28 @@ class Page:
                 self._show("family", panels.family_table(state.verdict, every=bool(self._every.active)))
             if self._changed("image", state.images) and state.image is not None:
                 self._thermal.update(state.image)
-            self._player.update(state.roster.player)
+            self._player.update(state.nodes.player)
             if self._changed("described", state.described) and state.described != self._described:
                 self._texts["status"].tags = [state.described.plant]  # reloads the page, with these names
 
     def _draw_forecast(self, span: float) -> None:
         """Show the newest `span` seconds, and the forecast after them."""
-        state, forecast = self._state, self._state.ahead
-        if self._changed("ahead", (span, state.forecast_changes, state.period, forecast is None)):
+        state, forecast = self._state, self._state.current_forecast
+        if self._changed("forecast", (span, state.forecast_changes, state.period, forecast is None)):
             most = seconds_ahead(span)
-            answer = None if state.answered is None else state.answered.forecast
-            self._charts.fans.update(forecast, answer, state.period, most)
+            what_if = None if state.what_if is None else state.what_if.forecast
+            self._charts.forecasts.update(forecast, what_if, state.period, most)
             self._charts.span(span if forecast is None else span + most)
-            self._show("answer", panels.answer(state.answered))
+            self._show("answer", panels.what_if(state.what_if))
 
     def _update_texts(self, now: float) -> None:
         state = self._state
         self._show("status", panels.status(state, now))
         self._show("alarm", panels.alarm(state))
-        self._show("first", first_screen(state))
+        self._show("first", panels.first_screen(state))
         self._show("reasons", panels.reasons(state.verdict, state.period, state.sentence))
         self._show("tiles", panels.tiles(state))
-        self._show("nodes", panels.nodes(state.roster, now))
+        self._show("nodes", panels.nodes(state.nodes, now))
         self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)
         self._show("chart_note", "" if state.plant.count else panels.NO_SAMPLE)
         if self._rig is not None:

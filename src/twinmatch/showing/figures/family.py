@@ -1,0 +1,293 @@
+"""The family: criteria, ν-gaps, parameters of every match, and responses of twins and models."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twinmatch.comparing import Verdict
+from twinmatch.dynamics.simulation import SKIPPED
+from twinmatch.fitting import Match
+from twinmatch.showing.family import Member, interval, value_of
+from twinmatch.showing.figures.drawing import (
+    draw_inputs,
+    draw_outputs,
+    empty,
+    new_figure,
+    stack,
+    styled,
+)
+from twinmatch.showing.quantities import ParameterFormat, parameter_format, signal_names, with_unit
+from twinmatch.showing.style import CLOSED, FAMILY_MAP, MATRIX_MAP, MODEL, ORDERS, PLANT, SET_POINT, TEXT
+from twinmatch.signals import FloatArray
+from twinmatch.twin import MatchReport, response_on
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "draw_criteria",
+    "draw_gains",
+    "draw_matrix",
+    "draw_parameters",
+    "draw_responses",
+    "draw_uncertainty",
+    "fill_matrix",
+]
+
+_CROWDED = 6
+"""With more candidates, the numbers in the cells are smaller."""
+
+_PANELS = (
+    ("gain", "information gain / characters", "larger is better"),
+    ("naic", "nAIC above the best", "0 is best"),
+    ("bic", "BIC above the best", "0 is best"),
+    ("mdl", "MDL over the best − 1", "0 is best"),
+)
+
+
+@styled
+def draw_criteria(verdict: Verdict) -> Figure:
+    """The four criteria, both outputs together, for every candidate and order."""
+    figure = new_figure(10, 4.8)
+    grid = figure.add_gridspec(2, 2)
+    for k, (attribute, name, hint) in enumerate(_PANELS):
+        axes = figure.add_subplot(grid[k // 2, k % 2])
+        _draw_bars(axes, verdict, attribute)
+        axes.set_title(f"{name} ({hint})")
+        if k == 0:
+            named, title = axes.get_legend_handles_labels(), "order; a black frame marks the chosen one"
+            figure.legend(*named, loc="outside upper right", ncols=len(ORDERS), title=title, title_fontsize=8)
+    return figure
+
+
+def draw_gains(axes: Axes, verdict: Verdict) -> None:
+    """Information gain of every candidate and order."""
+    _draw_bars(axes, verdict, "gain")
+    axes.set_ylabel("information gain / characters")
+    axes.set_title("Family and orders (framed: chosen)")
+    axes.legend(ncols=4, loc="upper left")
+    axes.margins(y=0.2)
+
+
+def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
+    candidates = verdict.modelled
+    orders = [o.order for o in candidates[0].orders]
+    places = np.arange(len(candidates))
+    width = 0.8 / len(orders)
+    table = np.array([[getattr(o.total, attribute) for o in c.orders] for c in candidates], dtype=float)
+    for k, order in enumerate(orders):
+        values, shifted = _above_best(table, attribute)[:, k], places + (k - (len(orders) - 1) / 2) * width
+        bars = axes.bar(shifted, values, width, label=order, color=ORDERS[k % len(ORDERS)])
+        for bar, candidate in zip(bars, candidates, strict=True):
+            if candidate.chosen_order == order:
+                bar.set_edgecolor("black")
+                bar.set_linewidth(1.6)
+    axes.set_xticks(places, [c.name for c in candidates])
+    axes.grid(visible=False, axis="x")
+
+
+def _above_best(table: FloatArray, attribute: str) -> FloatArray:
+    """Gains unchanged; other criteria, which are only comparable, relative to the candidate's best."""
+    if attribute == "gain":
+        return table
+    best = np.min(table, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        above = table / best - 1 if attribute == "mdl" else table - best
+    return np.asarray(np.nan_to_num(above, nan=0.0, posinf=0.0, neginf=0.0), dtype=np.float64)
+
+
+@styled
+def draw_matrix(verdict: Verdict) -> Figure:
+    """The ν-gaps between all candidates as a heat map, and their sums."""
+    count = len(verdict.candidates)
+    size = 1.2 + 0.55 * count
+    figure = new_figure(size + 2.6, size)
+    fill_matrix(figure.add_subplot(), verdict)
+    return figure
+
+
+def fill_matrix(axes: Axes, verdict: Verdict) -> None:
+    """The heat map itself."""
+    matrix = np.array(verdict.nu_gap)
+    top = max(float(matrix.max()), 1e-12)
+    image: Any = axes.imshow(matrix, cmap=MATRIX_MAP, vmin=0, vmax=top)
+    small = len(matrix) > _CROWDED
+    for i, j in np.ndindex(*matrix.shape):
+        red, green, blue, _ = image.cmap(image.norm(matrix[i, j]))
+        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        font: dict[str, Any] = {"fontsize": 7 if small else 8, "color": "white" if dark else TEXT}
+        axes.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", **font)
+    names = [c.name for c in verdict.candidates]
+    rows = [f"{c.name}  Σ {c.nu_gap_sum:.2f}" for c in verdict.candidates]
+    axes.set_xticks(range(len(names)), names, rotation=45 if len(names) > 4 else 0)
+    axes.set_yticks(range(len(names)), rows)
+    for label, name in zip(axes.get_yticklabels(), names, strict=True):
+        label.set_fontweight("bold" if name == verdict.nominal else "normal")
+    axes.set_title("ν-gap between the plants\n(smallest Σ: nominal, bold)")
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.figure.colorbar(image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: entirely different)")
+
+
+@styled
+def draw_parameters(
+    matches: Sequence[MatchReport], joined: Collection[int], nominal: Match | None, period: float
+) -> Figure:
+    """Value and 95 % interval of every parameter over the session; refused matches hollow.
+
+    `joined` holds the samples of the matches admitted to the family.
+    """
+    fitted = [m for m in matches if np.isfinite(m.match.chi2)]
+    names = fitted[0].match.free if fitted else ()
+    figure = new_figure(10, max(1.75 * len(names), 1.5) + 0.4)
+    if not names:
+        empty(figure.add_subplot(), "no match was made")
+        return figure
+    plant = fitted[0].match.parameters.model.plant
+    axes = stack(figure, [1.0] * len(names))
+    groups = {
+        "refused": [m for m in fitted if m.sample not in joined],
+        "admitted": [m for m in fitted if m.sample in joined and m.match is not nominal],
+        "nominal": [m for m in fitted if m.match is nominal],
+    }
+    for each, name in zip(axes, names, strict=True):
+        _draw_parameter(each, groups, parameter_format(plant, name), period)
+    axes[-1].set_xlabel("time since the session began / s")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def _draw_parameter(
+    axes: Axes, groups: Mapping[str, Sequence[MatchReport]], shown: ParameterFormat, period: float
+) -> None:
+    axes.set_ylabel(shown.label)
+    styles: dict[str, dict[str, Any]] = {
+        "refused": {"color": SET_POINT, "marker": "o", "mfc": "white", "ms": 4},
+        "admitted": {"color": PLANT, "marker": "o", "ms": 4},
+        "nominal": {"color": CLOSED, "marker": "D", "ms": 7},
+    }
+    everything: list[float] = []
+    for name, group in groups.items():
+        points = [(m.sample * period, m.match) for m in group if shown.name in m.match.free]
+        if not points:
+            continue
+        values = np.array([_value(match, shown) for _, match in points])
+        ends = np.array([_ends(match, shown) for _, match in points])
+        spread, times = np.abs(ends.T - values), [t for t, _ in points]
+        axes.errorbar(times, values, spread, ls="", lw=1, capsize=2, label=name, **styles[name])
+        everything += values.tolist()
+    low, high = min(everything), max(everything)
+    margin = 0.25 * (high - low) + 0.05 * abs(high) + 1e-9
+    axes.set_ylim(max(low - margin, 0.0) if low >= 0 else low - margin, high + margin)
+
+
+def _value(match: Match, shown: ParameterFormat) -> float:
+    return shown.shown(value_of(match, shown.name))
+
+
+def _ends(match: Match, shown: ParameterFormat) -> tuple[float, float]:
+    """The interval's ends; an unbounded or unknown end equals the value, so that no bar is drawn there."""
+    found = interval(match, shown.name)
+    value = _value(match, shown)
+    low, high = shown.shown(found.low), shown.shown(found.high)
+    return (low if np.isfinite(low) else value), (high if np.isfinite(high) else value)
+
+
+@styled
+def draw_responses(members: Sequence[Member]) -> Figure:
+    """For every candidate its measured window, and the responses of its twin and Box–Jenkins model."""
+    columns = 2
+    rows = -(-len(members) // columns)
+    figure = new_figure(10, 2.7 * rows + 0.3)
+    grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
+    for k, member in enumerate(members):
+        inner = grids[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 2))
+        upper = figure.add_subplot(inner[0])
+        control = figure.add_subplot(inner[1], sharex=upper)
+        _draw_member(upper, control, member)
+        if k % columns == 0:
+            signals = signal_names(member.settings.plant)
+            upper.set_ylabel(signals.output_label)
+            control.set_ylabel(signals.input_label)
+        if k // columns == rows - 1 or k + columns >= len(members):
+            control.set_xlabel("time / s")
+        if k == 0:
+            named = upper.get_legend_handles_labels()
+            figure.legend(*named, loc="outside upper right", ncols=4, borderaxespad=0)
+    return figure
+
+
+def _draw_member(upper: Axes, control: Axes, member: Member) -> None:
+    window, order = member.window, member.score.chosen_order
+    twin, model = member.quiet_twin, member.simulated(order)
+    time = window.time[SKIPPED:]
+    closed = member.settings.gains is not None
+    draw_outputs(upper, window, closed=closed, lw=1.4)
+    upper.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
+    upper.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
+    draw_inputs(control, window, 0.9)
+    if closed:
+        control.plot(time, twin.input, color=CLOSED, lw=0.9)
+        control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
+    mark = ", nominal" if member.nominal else ""
+    upper.set_title(f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None)
+    upper.tick_params(labelbottom=False)
+    upper.margins(x=0.01)
+
+
+@styled
+def draw_uncertainty(members: Sequence[Member]) -> Figure:
+    """The twins of all candidates on the nominal one's window; their spread is the uncertainty."""
+    nominal = next((m for m in members if m.nominal), members[0])
+    window = nominal.window
+    answers = [response_on(m.score.parameters, window, m.settings.gains) for m in members]
+    figure = new_figure(10, 6.2)
+    axes = stack(figure, (3, 2, 1.5, 1.5))
+    time = window.time[SKIPPED:]
+    draw_outputs(axes[0], window, closed=nominal.settings.gains is not None, lw=2)
+    draw_inputs(axes[1], window, 1.6)
+    for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):
+        line: dict[str, Any] = {"color": colour, "lw": 0.9, "zorder": 2}
+        if member.nominal:
+            line = {"color": CLOSED, "lw": 1.4, "zorder": 3}
+        name = f"twin of {member.score.name}{' (nominal)' if member.nominal else ''}"
+        axes[0].plot(time, answer.output, label=name, **line)
+        axes[1].plot(time, answer.input, **line)
+    for place, name in ((2, "output"), (3, "input")):
+        table = np.stack([getattr(answer, name) for answer in answers])
+        _draw_spread(axes[place], time, table, members)
+    signals = signal_names(nominal.settings.plant)
+    for each, unit in zip(axes[2:], (signals.output_unit, signals.input_unit), strict=True):
+        each.set_ylabel(with_unit("minus nominal", unit))
+    axes[0].set_ylabel(signals.output_label)
+    axes[1].set_ylabel(signals.input_label)
+    axes[-1].set_xlabel("time since the session began / s")
+    axes[0].margins(x=0.005)
+    figure.align_ylabels(axes)
+    named = axes[0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside upper center", ncols=min(5, len(members) + 2))
+    return figure
+
+
+def _draw_spread(axes: Axes, time: FloatArray, table: FloatArray, members: Sequence[Member]) -> None:
+    """Difference of every twin of the family from the nominal one, and the band they span."""
+    nominal = next((k for k, m in enumerate(members) if m.nominal), 0)
+    difference = table - table[nominal]
+    low, high = np.min(difference, axis=0), np.max(difference, axis=0)
+    axes.fill_between(time, low, high, color=CLOSED, alpha=0.2, lw=0)
+    for k, colour in enumerate(family_colours(len(members))):
+        if k != nominal:
+            axes.plot(time, difference[k], color=colour, lw=0.9)
+    axes.axhline(0, color=CLOSED, lw=1.2)
+
+
+def family_colours(count: int) -> list[tuple[float, ...]]:
+    """A colour for every candidate, coldest operating point first."""
+    from matplotlib import colormaps  # noqa: PLC0415
+
+    return [tuple(c) for c in colormaps[FAMILY_MAP](np.linspace(0.0, 0.9, max(count, 1)))[:count]]

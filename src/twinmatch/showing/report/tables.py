@@ -1,0 +1,404 @@
+"""The tables of a report, as cells of text ready for layout."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+from twinmatch.comparing import REFUSED, CandidateScore, SimoModel, Verdict
+from twinmatch.dynamics import Plant
+from twinmatch.fitting import BoxJenkins, Match
+from twinmatch.offline.backtest import Backtest
+from twinmatch.offline.backtest.result import LEADER, TWINS
+from twinmatch.offline.backtest.table import at_horizon, cells, columns
+from twinmatch.showing.family import Member, computed, criterion_rows, interval, outputs_of, value_of
+from twinmatch.showing.forecasts import levels_words
+from twinmatch.showing.quantities import (
+    ParameterFormat,
+    in_order,
+    number,
+    parameter_format,
+    percent,
+    signal_names,
+    with_unit,
+)
+from twinmatch.showing.series import Fan, root_mean_square
+from twinmatch.showing.verdicts import events, match_word, refusal
+from twinmatch.signals import FloatArray
+from twinmatch.twin import MatchReport
+
+__all__ = [
+    "Cell",
+    "ReportTable",
+    "coefficient_table",
+    "criterion_tables",
+    "event_table",
+    "family_table",
+    "forecast_tables",
+    "gap_table",
+    "identified_table",
+    "leader_forecast_table",
+    "match_table",
+    "nominal_table",
+    "order_table",
+    "structure_table",
+]
+
+Item = TypeVar("Item")
+
+
+class Cell(NamedTuple):
+    """One cell."""
+
+    text: str
+    best: bool = False
+    """Set in bold."""
+    head: bool = False
+    """Heads its row."""
+    number: bool = True
+    """Aligned right."""
+    rows: int = 1
+    """Number of rows it spans."""
+    mark: str = ""
+    """CSS class."""
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """One table; the template explains it."""
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    marked: frozenset[int] = frozenset()
+    """Highlighted rows."""
+
+    @property
+    def right(self) -> tuple[bool, ...]:
+        """Whether each column name is aligned right, like the numbers below it."""
+        first = self.rows[0] if self.rows else ()
+        return tuple(cell.number for cell in first) or (False,) * len(self.columns)
+
+
+def _words(text: str, *, mark: str = "") -> Cell:
+    return Cell(text, number=False, mark=mark)
+
+
+def _head(text: str, rows: int = 1) -> Cell:
+    """A cell that heads its row, or several rows."""
+    return Cell(text, head=True, number=False, rows=rows)
+
+
+def _table(
+    caption: str,
+    items: Iterable[Item],
+    shown: Sequence[tuple[str, Callable[[Item], Cell]]],
+    marked: Collection[int] = (),
+) -> ReportTable:
+    """A row per item, from the names of the columns and what they show of an item."""
+    rows = tuple(tuple(cell(item) for _, cell in shown) for item in items)
+    return ReportTable(caption, tuple(name for name, _ in shown), rows, frozenset(marked))
+
+
+def event_table(verdicts: Sequence[Verdict], period: float) -> ReportTable:
+    """The events of the session, in order of time."""
+    return _table(
+        "What happened",
+        events(verdicts),
+        (
+            ("t / s", lambda event: Cell(number((event.sample or 0) * period, 0))),
+            ("kind", lambda event: _words(event.kind.value, mark=event.kind.name.lower())),
+            ("what", lambda event: _words(event.title)),
+            ("why", lambda event: _words(event.why)),
+        ),
+    )
+
+
+def nominal_table(score: CandidateScore, match: Match | None) -> ReportTable:
+    """The nominal twin's parameters with their intervals."""
+    plant, free = score.parameters.model.plant, match.free if match is not None else ()
+    rows = []
+    for name in in_order(plant, (*score.parameters, *free)):
+        q = parameter_format(plant, name)
+        if match is not None and name in free:
+            ends = _ends(match, q) or "–"
+            error = q.error_text(interval(match, name).error)
+            value, *rest = Cell(q.text(value_of(match, name)), best=True), Cell(error), Cell(ends)
+            origin = _origin(match, name)
+        else:
+            value, *rest = Cell(q.text(score.parameters[name])), Cell("–"), Cell("–")
+            origin = "candidate file" if match is None else "not fitted"
+        rows.append((_head(q.symbol), _words(q.words), value, _words(q.unit), *rest, _words(origin)))
+    names = ("symbol", "meaning", "value", "unit", "standard error", "95 % interval", "from")
+    return ReportTable(f"Parameters of the nominal twin, {score.name}", names, tuple(rows))
+
+
+def _ends(match: Match, q: ParameterFormat) -> str:
+    """The ends of a free parameter's interval; empty where they are not known."""
+    known = interval(match, q.name)
+    return f"{q.text(known.low)} to {q.text(known.high)}" if known.known else ""
+
+
+def _origin(match: Match, name: str) -> str:
+    if not match.believed:
+        return "fitted"
+    return "fitted, well determined" if name in match.believed else "fitted, poorly determined"
+
+
+def structure_table(verdict: Verdict) -> ReportTable | None:
+    """Parameters of the structure that the data support; None before structures were compared."""
+    parameters = verdict.structure_parameters
+    if parameters is None:
+        return None
+    plant = parameters.model.plant
+    return _table(
+        f"{plant.title} with the structure “{verdict.structure}”",
+        [(parameter_format(plant, name), value) for name, value in parameters.items()],
+        (
+            ("symbol", lambda shown: _head(shown[0].symbol)),
+            ("meaning", lambda shown: _words(shown[0].words)),
+            ("value", lambda shown: Cell(shown[0].text(shown[1]))),
+            ("unit", lambda shown: _words(shown[0].unit)),
+        ),
+    )
+
+
+def family_table(members: Sequence[Member]) -> ReportTable:
+    """Parameters of every candidate with their 95 % intervals."""
+    closed = any(m.settings.gains is not None for m in members)
+
+    def parameter(m: Member, q: ParameterFormat) -> Cell:
+        if m.match is None or q.name not in m.match.free:
+            return Cell(q.text(m.score.parameters.get(q.name, math.nan)))
+        ends = _ends(m.match, q)
+        return Cell(q.text(value_of(m.match, q.name)) + (f" ({ends})" if ends else ""))
+
+    shown: list[tuple[str, Callable[[Member], Cell]]] = [
+        ("candidate", lambda m: _head(m.score.name)),
+        ("samples", lambda m: Cell(f"{m.score.first} to {m.score.last}" if m.match else "candidate file")),
+        *((q.label, lambda m, q=q: parameter(m, q)) for q in _formats(members)),
+        ("fit of y / %", lambda m: Cell(percent(m.match.fit.y) if m.match else "–")),
+        *([("fit of u / %", lambda m: Cell(percent(m.match.fit.u) if m.match else "–"))] if closed else []),
+    ]
+    marked = {k for k, m in enumerate(members) if m.nominal}
+    return _table("Parameters of the family, with 95 % intervals", members, shown, marked)
+
+
+def _formats(members: Sequence[Member]) -> list[ParameterFormat]:
+    """The free parameters of all matches; without matches those of the structures."""
+    free = [m.match.free for m in members if m.match is not None]
+    free = free or [m.score.parameters.model.structure.free for m in members]
+    if not members:
+        return []
+    plant = members[0].score.parameters.model.plant
+    return [parameter_format(plant, name) for name in in_order(plant, {n for names in free for n in names})]
+
+
+def match_table(
+    matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float, *, closed: bool = True
+) -> ReportTable:
+    """Every match, admitted or refused, and why; `closed`: whether the loop is known."""
+    reasons = {v.sample: refusal(v) for v in verdicts if v.match == REFUSED}
+    shown = []
+    if matches:
+        plant = matches[0].match.parameters.model.plant
+        names = in_order(plant, {name for m in matches for name in m.match.free})
+        shown = [parameter_format(plant, name) for name in names]
+
+    def parameter(report: MatchReport, q: ParameterFormat) -> Cell:
+        fitted = math.isfinite(report.match.chi2) and q.name in report.match.free
+        return Cell(q.text(value_of(report.match, q.name)) if fitted else "–")
+
+    def result(report: MatchReport) -> Cell:
+        word = match_word(report, verdicts)
+        return _words(word, mark=word.partition(":")[0])
+
+    of_match: list[tuple[str, Callable[[MatchReport], Cell]]] = [
+        ("t / s", lambda m: Cell(number(m.sample * period, 0))),
+        ("set-point" if closed else "operating point", lambda m: Cell(f"{m.operating_point:g}")),
+        ("match", result),
+        *((q.label, lambda m, q=q: parameter(m, q)) for q in shown),
+        ("fit y / %", lambda m: Cell(percent(m.match.fit.y))),
+        *([("fit u / %", lambda m: Cell(percent(m.match.fit.u)))] if closed else []),
+        ("why", lambda m: _words(reasons.get(m.sample, m.match.reason))),
+    ]
+    return _table("Every match of the session", matches, of_match)
+
+
+def criterion_tables(verdict: Verdict) -> list[ReportTable]:
+    """One table per candidate; the best order by each criterion and output is bold."""
+    shown = computed(verdict.candidates)
+    names = ("output", "order", *(with_unit(c.name, c.unit) for c in shown))
+    tables = []
+    for candidate in verdict.modelled:
+        titles, count = dict(outputs_of(candidate.orders)), len(candidate.orders)
+        found = criterion_rows(candidate, shown)
+        rows = tuple(
+            (
+                *((_head(titles[row.output], count),) if k % count == 0 else ()),
+                Cell(row.order, best=row.chosen, number=False),
+                *(Cell(c.text, best=c.best) for c in row.cells),
+            )
+            for k, row in enumerate(found)
+        )
+        caption = f"Candidate {_named(candidate, verdict)}: order {candidate.chosen_order} chosen"
+        chosen = frozenset(k for k, row in enumerate(found) if row.chosen)
+        tables.append(ReportTable(caption, names, rows, chosen))
+    return tables
+
+
+def _named(candidate: CandidateScore, verdict: Verdict) -> str:
+    return f"{candidate.name}{', nominal' if candidate.name == verdict.nominal else ''}"
+
+
+def order_table(verdict: Verdict) -> ReportTable | None:
+    """Akaike weights of the orders, for both outputs together; None where they were not computed."""
+    if not any(math.isfinite(o.weight) for c in verdict.candidates for o in c.orders):
+        return None
+    names = [o.order for o in verdict.modelled[0].orders]
+    rows = []
+    for c in verdict.modelled:
+        best = max(o.weight for o in c.orders)
+        weights = (Cell(number(o.weight, 3), best=o.weight == best) for o in c.orders)
+        differences = (Cell(number(o.aic_difference, 1), best=o.weight == best) for o in c.orders)
+        rows.append((_head(c.name), *weights, *differences))
+    called = ("candidate", *(f"weight {n}" for n in names), *(f"ΔAIC {n}" for n in names))
+    return ReportTable("Akaike weights of the orders", called, tuple(rows))
+
+
+_Extra = tuple[str, Callable[[CandidateScore], str]]
+"""Name of a column, and its text for a candidate."""
+
+_GAP_FIGURES: tuple[_Extra, ...] = (
+    ("90 % interval of Σ", lambda c: _span(c.nu_gap_sum_low, c.nu_gap_sum_high)),
+    ("P(nominal)", lambda c: number(c.nominal_probability)),
+    ("to the current plant", lambda c: number(c.nu_gap_to_plant, 3)),
+    ("margin b(P, C)", lambda c: number(c.margin, 3)),
+    ("to the nominal, scaled like the margin", lambda c: number(c.plant_gap_to_nominal, 3)),
+)
+
+
+def gap_table(verdict: Verdict) -> ReportTable:
+    """The ν-gaps, their sums, and the further distances and probabilities that a candidate has."""
+    extra = [e for e in _GAP_FIGURES if any(e[1](c) != number(None) for c in verdict.candidates)]
+    sums = [c.nu_gap_sum for c in verdict.candidates]
+    nominal = verdict.nominal
+    title = "ν-gap between the plants"
+    return _distances(title, verdict.candidates, verdict.nu_gap, sums, extra, nominal=nominal)
+
+
+def identified_table(verdict: Verdict) -> ReportTable:
+    """The ν-gaps between the models identified on the twins, as in the paper."""
+    sums = [c.identified_gap_sum for c in verdict.modelled]
+    extra: list[_Extra] = [("to the newest window's model", lambda c: number(c.identified_gap_to_plant, 3))]
+    title = f"ν-gap between the models of order {verdict.order}"
+    gaps = verdict.identified_gap
+    return _distances(title, verdict.modelled, gaps, sums, extra, nominal=verdict.nominal)
+
+
+def _distances(
+    title: str,
+    candidates: Sequence[CandidateScore],
+    matrix: Sequence[Sequence[float]],
+    sums: Sequence[float],
+    extra: Sequence[_Extra],
+    *,
+    nominal: str | None,
+) -> ReportTable:
+    """A matrix of distances with its column sums, followed by more columns."""
+    rows = []
+    for c, gaps, total in zip(candidates, matrix, sums, strict=True):
+        more = (Cell(text(c)) for _, text in extra)
+        total_cell = Cell(number(total, 3), best=total == min(sums))
+        rows.append((_head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *more))
+    names = [c.name for c in candidates]
+    marked = frozenset(k for k, name in enumerate(names) if name == nominal)
+    return ReportTable(title, ("candidate", *names, "Σ", *(name for name, _ in extra)), tuple(rows), marked)
+
+
+def _span(low: float, high: float) -> str:
+    return number(None) if math.isnan(low) else f"{number(low, 3)} to {number(high, 3)}"
+
+
+def coefficient_table(member: Member) -> ReportTable:
+    """B, C, D and F of every order as in the paper's table: set-point to output and input, or, where the
+    loop is not known, input to output."""
+    models = member.models
+    rows = []
+    for output, title in outputs_of(member.score.orders)[:2]:
+        for k, polynomial in enumerate("BCDF"):
+            first = (_head(title, 4),) if k == 0 else ()
+            found = (_model(m, output) for m in models)
+            texts = (_coefficients(getattr(m, polynomial)) for m in found if m is not None)
+            rows.append((*first, _head(polynomial), *(_words(text, mark="poly") for text in texts)))
+    names = ("output", "", *(f"order {m.order}" for m in models))
+    mark = ", nominal" if member.nominal else ""
+    return ReportTable(f"Box–Jenkins models of candidate {member.score.name}{mark}", names, tuple(rows))
+
+
+def _coefficients(values: FloatArray) -> str:
+    """A polynomial in q⁻¹, constant term first, to six significant digits."""
+    return "  ".join(f"{v:.6g}".replace("-", "−") for v in values.tolist())
+
+
+def _model(model: SimoModel, output: str) -> BoxJenkins | None:
+    return model.y if output == "y" else model.u
+
+
+def forecast_tables(tested: Backtest) -> list[ReportTable]:
+    """One table per horizon: errors and bands of every forecaster; the smallest error of those that can be
+    used live is bold."""
+    found = []
+    names = columns(tested.plant, driven=tested.driven)
+    error = names.index("error")
+    for horizon in tested.horizons:
+        cards = at_horizon(tested.cards, horizon)
+        if not cards:
+            continue
+        live = [card.median for card in cards if card.who not in TWINS or card.who == LEADER]
+        rows = []
+        for card in cards:
+            who, *rest = cells(card, tested.plant, driven=tested.driven)
+            best = card.who not in TWINS[1:] and card.median == min(live, default=card.median)
+            texts = (Cell(text, best=best and k == error) for k, text in enumerate(rest, 1))
+            rows.append((_head(who), *texts))
+        marked = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
+        caption = f"{horizon:g} s ahead, {cards[0].count} forecasts"
+        found.append(ReportTable(caption, names, tuple(rows), marked))
+    return found
+
+
+def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTable | None:
+    """Forecasts of the leader in numbers, beside the measurements; None without forecasts."""
+    if not fans:
+        return None
+    signals, closed, decimals = signal_names(plant), fans[0].forecast.closed, plant.output.decimals
+    moves = ("set-points", signals.output_unit) if closed else ("inputs", signals.input_unit)
+
+    def ends(one: Fan) -> Cell:
+        low, high = (float(edge[-1]) for edge in (one.forecast.output.low, one.forecast.output.high))
+        return Cell(f"{number(low, decimals)} to {number(high, decimals)}")
+
+    def share(one: Fan, signal: int) -> Cell:
+        inside = one.in_band[signal]
+        return Cell(f"{100 * float(inside.mean()):.0f} %" if inside.size else "–")
+
+    shown: list[tuple[str, Callable[[Fan], Cell]]] = [
+        ("made at / s", lambda one: _head(number(one.forecast.sample * one.past.period, 0))),
+        ("by", lambda one: _words(one.forecast.candidate)),
+        (with_unit(*moves), lambda one: _words(levels_words(one.forecast))),
+        (with_unit("forecast at its end", signals.output_unit), ends),
+        (
+            with_unit("measured", signals.output_unit),
+            lambda one: Cell(number(None if one.measured is None else one.measured.output[-1], decimals)),
+        ),
+        (
+            with_unit("RMS error", signals.output_unit),
+            lambda one: Cell(number(root_mean_square([one.error]), decimals + 1)),
+        ),
+        (f"{signals.output} within band", lambda one: share(one, 0)),
+        *([(f"{signals.input} within band", lambda one: share(one, 1))] if closed else []),
+    ]
+    return _table("Forecasts of the leader, and the measurements", fans, shown)

@@ -1,0 +1,323 @@
+"""What verdicts say: rows, words, events and trust over time, computed once for every display."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, MutableSequence, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final, NamedTuple
+
+from twinmatch.comparing import ADMITTED, REFUSED, CandidateScore, TrustLevel, Verdict
+from twinmatch.dynamics import Parameters
+from twinmatch.fitting import Status
+from twinmatch.showing.quantities import number, signal_names
+from twinmatch.twin import MatchReport
+
+__all__ = [
+    "COLUMNS",
+    "LEVEL_WORDS",
+    "STATUS_WORDS",
+    "Event",
+    "EventKind",
+    "LevelStretch",
+    "Mark",
+    "News",
+    "ShownTwin",
+    "admitted",
+    "events",
+    "events_since",
+    "extend_stretches",
+    "last_verdict",
+    "leader_words",
+    "level_stretches",
+    "match_word",
+    "missed",
+    "news",
+    "nominal_score",
+    "refusal",
+    "row",
+    "shown_twin",
+]
+
+LEVEL_WORDS: Final = {
+    TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
+    TrustLevel.TRUSTED: "measurements lie within the forecast bands",
+    TrustLevel.DOUBTFUL: "measurements lie outside the forecast bands",
+    TrustLevel.FAULT: "no twin explains the plant's behaviour",
+}
+
+STATUS_WORDS: Final = {
+    Status.NOT_EXPLAINED: "the twin cannot explain it",
+    Status.NO_EXCITATION: "too little moved in its window",
+    Status.DID_NOT_CONVERGE: "the fit did not converge",
+    Status.BOUNDS_HIT: "a parameter reached its bound",
+    Status.NOT_IDENTIFIABLE: "the window does not determine the parameters",
+    Status.NOT_BETTER: "no better than the candidate it would replace",
+}
+"""Why the gate refused a match, in words."""
+
+COLUMNS: Final = (
+    *("t / s", "level", "leader", "nominal", "order", "gain / characters"),
+    *("ν-gap sum", "ν-gap to plant", "miss y / half band", "miss u / half band", "why"),
+)
+"""Names of the cells of `row`."""
+
+
+class ShownTwin(NamedTuple):
+    """The twin that displays show."""
+
+    name: str
+    parameters: Parameters
+
+    @property
+    def is_structure(self) -> bool:
+        """Whether it is a structure under its own name, and not a match named after an operating point."""
+        return self.name == self.parameters.model.structure_name
+
+
+def last_verdict(verdicts: Sequence[Verdict]) -> Verdict | None:
+    """The last verdict; None without one, or if it has no candidate."""
+    return verdicts[-1] if verdicts and verdicts[-1].candidates else None
+
+
+def nominal_score(verdict: Verdict | None) -> CandidateScore | None:
+    """The nominal candidate of a verdict; None without one."""
+    candidates = verdict.candidates if verdict is not None else ()
+    return next((c for c in candidates if verdict and c.name == verdict.nominal), None)
+
+
+def shown_twin(verdict: Verdict | None) -> ShownTwin | None:
+    """The leader, or the nominal candidate in old recordings without leaders; None without both."""
+    if verdict is None:
+        return None
+    known = {c.name: c.parameters for c in verdict.candidates}
+    known |= {f.name: f.parameters for f in verdict.forecasts}
+    name = verdict.leader or verdict.nominal
+    return ShownTwin(name, known[name]) if name in known else None
+
+
+def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
+    """The cells of one verdict, in the order of `COLUMNS`; `period` is the sample time, s.
+
+    The misses are those of the leader, in half widths of its bands; order, gain and ν-gaps those of the
+    nominal candidate.
+    """
+    nominal = nominal_score(verdict)
+    order = gain = total = now = "–"
+    if nominal is not None:
+        score = next((o for o in nominal.orders if o.order == nominal.chosen_order), None)
+        if score is not None:  # a structure has no Box–Jenkins models
+            order, gain = score.order, number(score.total.gain, 0)
+        total, now = number(nominal.nu_gap_sum, 3), number(nominal.nu_gap_to_plant, 3)
+    names = (verdict.level.value, verdict.leader or "–", verdict.nominal or "–")
+    misses = (number(verdict.miss_y), number(verdict.miss_u))
+    return (number(verdict.sample * period, 0), *names, order, gain, total, now, *misses, verdict.reason)
+
+
+def missed(verdict: Verdict) -> str:
+    """How far the newest samples are from the forecast, in half widths of the band."""
+    if math.isnan(verdict.miss_y):
+        return LEVEL_WORDS[TrustLevel.UNKNOWN]
+    of = verdict.forecasts[0].parameters if verdict.forecasts else None
+    signals = signal_names(of.model.plant) if of else None
+    names = (signals.output, signals.input) if signals else ("output", "control")
+    misses = zip(names, (verdict.miss_y, verdict.miss_u), strict=True)
+    parts = " and ".join(f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss))
+    return f"{parts} half band widths from the forecast"
+
+
+def leader_words(verdict: Verdict) -> str:
+    """The leader, its confidence, and the characters its forecasts have saved."""
+    if verdict.leader is None:
+        return "none yet"
+    gain = next((s.gain for s in verdict.forecasts if s.name == verdict.leader), math.nan)
+    saved = "" if math.isnan(gain) else f", its forecasts save {number(gain, 1)} characters each"
+    return f"{verdict.leader} (confidence {number(verdict.leader_confidence)}){saved}"
+
+
+def admitted(verdicts: Iterable[Verdict]) -> frozenset[int]:
+    """Samples whose match was admitted to the family, including candidates dropped since."""
+    return frozenset(v.sample for v in verdicts if v.match == ADMITTED)
+
+
+def match_word(report: MatchReport, verdicts: Sequence[Verdict]) -> str:
+    """The result of a match, in words; empty before its verdict."""
+    verdict = next((v for v in verdicts if v.sample == report.sample and v.match), None)
+    if verdict is None:
+        return ""
+    why = STATUS_WORDS.get(report.match.status) if verdict.match == REFUSED else None
+    return f"{verdict.match}: {why}" if why else verdict.match
+
+
+def refusal(verdict: Verdict) -> str:
+    """Why a match was refused, or admitted."""
+    return verdict.reason.removeprefix("match refused: ")
+
+
+class News:
+    """Distinguishes verdicts that say something new from those that repeat the last one."""
+
+    def __init__(self) -> None:
+        """Start before the first verdict."""
+        self._last: tuple[TrustLevel, str, str | None, str | None, bool] | None = None
+
+    def is_new(self, verdict: Verdict) -> bool:
+        """True if models were identified, a match was refused, or level, fault, leader, nominal or `decided`
+        changed."""
+        content = (verdict.level, verdict.fault, verdict.leader, verdict.nominal, verdict.decided)
+        changed = content != self._last
+        self._last = content
+        return changed or not verdict.stands or bool(verdict.match)
+
+
+def news(verdicts: Iterable[Verdict]) -> list[Verdict]:
+    """The verdicts that say something new."""
+    so_far = News()
+    return [v for v in verdicts if so_far.is_new(v)]
+
+
+class EventKind(Enum):
+    """Kind of an event."""
+
+    ADMITTED = "match admitted"
+    REFUSED = "match refused"
+    DISMISSED = "candidate dismissed"
+    LEADER = "leader"
+    NOMINAL = "nominal"
+    LEVEL = "trust"
+    FAULT = "fault"
+    NODE = "node"
+
+
+class Mark(Enum):
+    """How good or bad an event is."""
+
+    GOOD = "good"
+    NOTE = "note"
+    WARNING = "warning"
+    BAD = "bad"
+
+
+_LEVEL_MARKS: Final = {
+    TrustLevel.UNKNOWN: Mark.NOTE,
+    TrustLevel.TRUSTED: Mark.GOOD,
+    TrustLevel.DOUBTFUL: Mark.WARNING,
+    TrustLevel.FAULT: Mark.BAD,
+}
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at one sample."""
+
+    sample: int | None
+    """None: before the first sample of a live graph."""
+    kind: EventKind
+    mark: Mark
+    title: str
+    """A few words."""
+    why: str
+    """One sentence; may be empty."""
+    session: int = 1
+    """Which of a live page's sessions it belongs to."""
+
+
+def events(verdicts: Iterable[Verdict]) -> list[Event]:
+    """All events of the verdicts, in order of time."""
+    found: list[Event] = []
+    before: Verdict | None = None
+    for verdict in verdicts:
+        found += events_since(before, verdict)
+        before = verdict
+    return found
+
+
+def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
+    """The events of one verdict, given the one before it."""
+    found: list[Event] = []
+
+    def add(kind: EventKind, mark: Mark, title: str, why: str) -> None:
+        found.append(Event(verdict.sample, kind, mark, title, why))
+
+    if verdict.match == ADMITTED:
+        add(EventKind.ADMITTED, Mark.GOOD, f"match {verdict.match}", refusal(verdict))
+    elif verdict.match == REFUSED:
+        add(EventKind.REFUSED, Mark.WARNING, f"match {verdict.match}", refusal(verdict))
+    for name in verdict.dismissed:
+        why = "the fault was present in its window"
+        add(EventKind.DISMISSED, Mark.WARNING, f"{name} dismissed", why)
+    leader, nominal = (before.leader, before.nominal) if before else (None, None)
+    if verdict.leader not in {leader, None}:
+        why = f"its forecasts are better than those of {leader}" if leader else "the first with forecasts"
+        add(EventKind.LEADER, Mark.NOTE, f"{verdict.leader} leads", why)
+    if verdict.nominal not in {nominal, None}:
+        why = f"previously {nominal}" if nominal else "the first candidate"
+        add(EventKind.NOMINAL, Mark.NOTE, f"{verdict.nominal} is nominal", why)
+    if (verdict.level, verdict.fault) != (
+        (before.level, before.fault) if before else (TrustLevel.UNKNOWN, "")
+    ):
+        faulty = verdict.fault or verdict.level is TrustLevel.FAULT
+        kind = EventKind.FAULT if faulty else EventKind.LEVEL
+        add(kind, _LEVEL_MARKS[verdict.level], *_level_words(verdict))
+    return found
+
+
+def _level_words(verdict: Verdict) -> tuple[str, str]:
+    """Title and reason of a change of level or fault."""
+    if verdict.fault:
+        since = "" if verdict.fault_since is None else f" (since sample {verdict.fault_since})"
+        return f"fault: {verdict.fault}", f"{verdict.reason}{since}"
+    more = f": {missed(verdict)}" if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT} else ""
+    return verdict.level.value, f"{LEVEL_WORDS[verdict.level]}{more}"
+
+
+@dataclass(frozen=True)
+class LevelStretch:
+    """Samples with the same trust level, both ends included."""
+
+    first: int
+    last: int
+    level: TrustLevel
+
+
+def level_stretches(verdicts: Iterable[Verdict], first: int = 0) -> list[LevelStretch]:
+    """The trust level over time; `first` is the index of the session's first sample."""
+    stretches: list[LevelStretch] = []
+    fault = ""
+    for verdict in verdicts:
+        extend_stretches(stretches, verdict, fault, first)
+        fault = verdict.fault
+    return stretches
+
+
+def extend_stretches(
+    stretches: MutableSequence[LevelStretch], verdict: Verdict, fault: str, first: int
+) -> None:
+    """Extend the trust level over time: a verdict's level covers the samples since the last verdict.
+
+    A fault begins at `fault_since`, even if there was a verdict since, and lasts until the first verdict
+    without it.
+
+    Args:
+        stretches: of the verdicts before.
+        verdict: the next one.
+        fault: name of the fault in the last verdict; empty for none.
+        first: index of the session's first sample.
+    """
+    sample, since = max(verdict.sample, first), verdict.fault_since
+    if not stretches:
+        stretches.append(LevelStretch(first, sample, verdict.level))
+        return
+    last = stretches[-1]
+    if last.level is verdict.level:
+        stretches[-1] = replace(last, last=sample)
+        return
+    if fault and not verdict.fault:
+        last = replace(last, last=max(sample - 1, last.last))
+    begin = last.last + 1
+    if verdict.fault != fault and since is not None and since <= verdict.sample:
+        begin = max(since, last.first + 1)
+        last = replace(last, last=begin - 1)
+    stretches[-1] = last
+    stretches.append(LevelStretch(begin, max(sample, begin), verdict.level))
