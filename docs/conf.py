@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twinmatch import __version__, reporting
+from twinmatch import __version__
 
 project = "twinmatch"
 author = "The twinmatch authors"
@@ -36,10 +36,6 @@ def _read_docstring(_app: Any, what: str, _name: str, _object: Any, _options: An
         lines[number] = "`".join(parts)
     if what in {"attribute", "data", "property"}:
         lines[:0] = ["..", ""]  # an empty comment: napoleon takes the first line up to a colon for a type
-
-
-for _name in reporting.__all__:  # which it fetches when they are used; autodoc only looks at what is there
-    setattr(reporting, _name, getattr(reporting, _name))
 
 
 def setup(app: Any) -> None:

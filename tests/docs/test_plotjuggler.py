@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
-from twinmatch.showing.foxglove.topics import TOPICS
+from twinmatch.showing.foxglove.layout import TOPICS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "plotjuggler.md").read_text("utf-8")
 NAMES = sorted(set(re.findall(r"(?<![\w.])(/(?:plant|twin)/[\w\[\]/]+)", PAGE)))

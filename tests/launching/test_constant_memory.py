@@ -22,10 +22,9 @@ from twinmatch.offline.judgement import judge_session
 from twinmatch.sessions import Recording, read_session
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.topics import SAMPLE
-from twinmatch.showing import summarise
-from twinmatch.showing.events import events
-from twinmatch.showing.summary import Tally, conclude
+from twinmatch.showing.summary import Tally, conclude, summarise
 from twinmatch.showing.terminal import MOST_EVENTS, Screen
+from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample
 
 SESSION = Path(__file__).resolve().parents[2] / "bags" / "four_setpoints"

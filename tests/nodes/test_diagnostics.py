@@ -12,7 +12,7 @@ from tests.support.waiting import wait_for
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.node import Health, Level, Report, Worker, status_message
 from twinmatch.nodes.samples import SampleWatch
-from twinmatch.showing.page.roster import Player, Roster, Standing
+from twinmatch.showing.page.health import NodeReport, NodeReports, PlayerState
 
 
 def test_nothing_to_warn_about() -> None:
@@ -73,8 +73,9 @@ def test_watch_of_gaps_and_silence() -> None:
     watch.look(10.1)
     assert "no sample for 5 s" in health.report().message
     # The dashboard leaves this out once a replay has ended, so it must know the words.
-    roster = Roster(
-        {"matcher": Standing(Level.WARN, health.report().message, 0.0)}, ended=Player("", False, 1.0, "")
+    roster = NodeReports(
+        {"matcher": NodeReport(Level.WARN, health.report().message, 0.0)},
+        ended=PlayerState("", False, 1.0, ""),
     )
     assert "no sample" not in roster.message("matcher")
     watch.push(4, 10.2)

@@ -28,7 +28,7 @@ from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.installed import schema_of
 from twinmatch.sessions.settings import CANDIDATES, parameters_of, parameters_record
 from twinmatch.sessions.topics import SAMPLE
-from twinmatch.showing import summarise
+from twinmatch.showing.summary import summarise
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
 

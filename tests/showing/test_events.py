@@ -9,8 +9,7 @@ import numpy as np
 from tests.support.rig import rig
 from twinmatch.comparing import ADMITTED, REFUSED, CandidateScore, TrustLevel, Verdict
 from twinmatch.fitting import Match, Status
-from twinmatch.showing import Event, EventKind, admitted, events, level_stretches
-from twinmatch.showing.events import match_word
+from twinmatch.showing.verdicts import Event, EventKind, Mark, admitted, events, level_stretches, match_word
 from twinmatch.twin import MatchReport
 
 CANDIDATE = CandidateScore("50 °C", 50.0, rig(), 0, 99, (), "22221", 0.0, None, None)
@@ -95,7 +94,9 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
     assert (found[3].title, found[3].why) == ("match refused", "on its bound")
     assert found[7].title == "50 °C dismissed"
     assert "output 3.0 and control 0.5 half band widths from the forecast" in found[5].why
-    assert found[6] == Event(260, EventKind.FAULT, "fault: drive-lost", "why it is so (since sample 255)")
+    assert found[6] == Event(
+        260, EventKind.FAULT, "fault: drive-lost", "why it is so (since sample 255)", Mark.BAD
+    )
 
 
 def test_the_fate_of_a_match_is_the_verdicts_word() -> None:

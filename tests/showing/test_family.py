@@ -11,8 +11,10 @@ from tests.support.rig import rig, run
 from twinmatch.comparing import Candidate, Verdict, score
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
-from twinmatch.showing import Member, document, family, sentence, summarise
-from twinmatch.showing.figures import draw_criteria, draw_matrix, draw_responses, draw_uncertainty, png, svg
+from twinmatch.showing.family import Member, family
+from twinmatch.showing.figures.drawing import png, svg
+from twinmatch.showing.figures.family import draw_criteria, draw_matrix, draw_responses, draw_uncertainty
+from twinmatch.showing.summary import document, sentence, summarise
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, Twin, TwinSettings
 

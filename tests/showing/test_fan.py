@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.plants import Peltier
-from twinmatch.showing.fan import Fan, fan
-from twinmatch.showing.figures import draw_forecasts
-from twinmatch.showing.forecast import came_words, forecast_words
+from twinmatch.showing.figures.forecasts import draw_forecasts
+from twinmatch.showing.forecasts import comparison_words, forecast_words
+from twinmatch.showing.series import Fan, fan
 from twinmatch.signals import Sample
 
 
@@ -47,9 +47,9 @@ def around(*, reference: Sequence[float], missing: int | None = None) -> Fan:
 
 def test_it_is_compared_with_the_measurements() -> None:
     found = around(reference=[60.0] * 40)
-    assert (found.past.last, found.came.first, found.came.last) == (10, 11, 20)  # type: ignore[union-attr]
+    assert (found.past.last, found.measured.first, found.measured.last) == (10, 11, 20)  # type: ignore[union-attr]
     np.testing.assert_allclose(found.error, 0, atol=1e-12)
-    y, u = found.held
+    y, u = found.in_band
     assert y.tolist() == [1.0] * 10
     assert u.tolist() == [float(abs(5 * k - (-200 + 300 * (k - 11) / 9)) <= 10) for k in range(11, 21)]
 
@@ -59,13 +59,13 @@ def test_it_is_so_up_to_another_set_point_a_missing_sample_or_the_end(step: int,
     reference = [60.0 if k < step else 70.0 for k in range(end)]
     found = around(reference=reference, missing=gone)
     assert found.judged == max(0, min(step, gone, end, 21) - 11)
-    assert found.error.size == found.held[0].size == found.held[1].size == found.judged
+    assert found.error.size == found.in_band[0].size == found.in_band[1].size == found.judged
 
 
 def test_nothing_recorded_behind_it_is_nothing_to_say() -> None:
     found = around(reference=[60.0] * 11)
-    assert found.came is None
-    assert came_words(found, Peltier) == []
+    assert found.measured is None
+    assert comparison_words(found, Peltier) == []
     assert draw_forecasts([found], Peltier).axes
 
 

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from tests.support.rig import rig
 from twinmatch.comparing import CandidateScore, Criteria, ForecastScore, OrderScore, TrustLevel, Verdict
-from twinmatch.showing import Summary, sentence
-from twinmatch.showing.line import Lines, closing_lines, header_text, line_text, redraws
+from twinmatch.showing.lines import Lines, header_text, line_text, redraws
+from twinmatch.showing.summary import SessionSummary, closing_lines, sentence
 
 SCORE = Criteria(1000, 400, 600, 0.6, 1.5, 900.0, 40.0)
 CANDIDATE = CandidateScore(
@@ -129,7 +129,7 @@ def test_only_news_are_reported_and_without_wrapping_or_colours(capsys: pytest.C
 
 
 def test_the_end_is_notes_leader_nominal_structure_and_the_sentence() -> None:
-    summary = Summary("50 °C", TrustLevel.TRUSTED, None, 0.98, 0.9, 5, 2, {}, notes=("cut short",))
+    summary = SessionSummary("50 °C", TrustLevel.TRUSTED, None, 0.98, 0.9, 5, 2, {}, notes=("cut short",))
     lines = closing_lines(summary, VERDICT)
     assert lines[0] == "Note: cut short"
     assert (

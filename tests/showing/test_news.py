@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict
-from twinmatch.showing import news
 from twinmatch.showing.summary import Tally
+from twinmatch.showing.verdicts import news
 
 STANDS = Verdict(
     sample=0,

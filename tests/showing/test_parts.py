@@ -14,7 +14,9 @@ from tests.support.rig import GAINS, rig, run
 from twinmatch.comparing import CandidateScore, Criteria, OrderScore
 from twinmatch.dynamics import Plant
 from twinmatch.plants import PLANTS, Peltier
-from twinmatch.showing import compare, criterion_rows, in_order, number, quantity, rolling_rms
+from twinmatch.showing.family import criterion_rows
+from twinmatch.showing.quantities import in_order, number, parameter_format
+from twinmatch.showing.series import compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, ORDERS, PLANT, SET_POINT, TEXT
 from twinmatch.signals import KELVIN, Sample
 
@@ -22,7 +24,7 @@ from twinmatch.signals import KELVIN, Sample
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=str)
 def test_every_parameter_has_a_symbol_a_unit_and_words(plant: type[Plant]) -> None:
     for name in plant.parameters:
-        shown = quantity(plant, name)
+        shown = parameter_format(plant, name)
         assert shown.name == name
         assert shown.symbol != name, f"{name} has no symbol"
         assert shown.unit
@@ -30,21 +32,21 @@ def test_every_parameter_has_a_symbol_a_unit_and_words(plant: type[Plant]) -> No
 
 
 def test_parameters_are_shown_in_units_that_read_well() -> None:
-    alpha, slope, room = (quantity(Peltier, name) for name in ("seebeck", "seebeck_slope", "ambient"))
+    alpha, slope, room = (parameter_format(Peltier, name) for name in ("seebeck", "seebeck_slope", "ambient"))
     assert (alpha.text(0.06), alpha.label) == ("60.0", "α / (mV/K)")
     assert (slope.text(1.2e-4), slope.unit) == ("120", "µV/K²")
     assert (room.text(KELVIN + 22.5), room.unit, room.error_text(0.5)) == ("22.5", "°C", "0.50")
-    assert quantity(Peltier, "conductance").text(0.7) == "0.700"
-    sink = quantity(Peltier, "sink")
+    assert parameter_format(Peltier, "conductance").text(0.7) == "0.700"
+    sink = parameter_format(Peltier, "sink")
     assert (sink.symbol, sink.text(KELVIN + 30.0)) == ("T_B(0)", "30.0")
-    assert quantity(Peltier, "new_thing").text(1.0) == "1.0000"
+    assert parameter_format(Peltier, "new_thing").text(1.0) == "1.0000"
 
 
 def test_another_plant_is_shown_as_it_declares_itself() -> None:
-    inertia, friction = quantity(Motor, "j"), quantity(Motor, "b")
+    inertia, friction = parameter_format(Motor, "j"), parameter_format(Motor, "b")
     assert (inertia.text(4e-4), inertia.unit) == ("0.000400", "kg m²"), "kilograms take no prefix"
     assert (friction.symbol, friction.words) == ("b", "viscous friction")
-    assert quantity(Motor, "omega").unit == "rad/s"
+    assert parameter_format(Motor, "omega").unit == "rad/s"
 
 
 def test_names_come_in_the_plants_order() -> None:

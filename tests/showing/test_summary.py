@@ -10,10 +10,10 @@ import pytest
 from tests.support.rig import rig
 from twinmatch.comparing import TrustLevel
 from twinmatch.plants import Peltier
-from twinmatch.showing import Summary, TrustRange, sentence
+from twinmatch.showing.summary import SessionSummary, TrustRange, sentence
 
 SINK = Peltier.model("sink with mass").parameters()
-SUMMARY = Summary(
+SUMMARY = SessionSummary(
     nominal="70 °C",
     level=TrustLevel.TRUSTED,
     parameters=rig(),

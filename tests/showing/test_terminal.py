@@ -12,9 +12,10 @@ from rich.console import Console
 from tests.support.steps import drive_lost
 from twinmatch.offline.judgement import Judgement, judge_samples
 from twinmatch.plants import Peltier
-from twinmatch.showing import nominal_score, number, quantity
-from twinmatch.showing.line import Lines
+from twinmatch.showing.lines import Lines
+from twinmatch.showing.quantities import number, parameter_format
 from twinmatch.showing.terminal import Screen, view_on
+from twinmatch.showing.verdicts import nominal_score
 from twinmatch.twin import TwinSettings
 
 LOST = 640
@@ -71,7 +72,7 @@ def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement
         assert table[score.name] == [
             number(score.operating_point, 1),
             *(
-                quantity(Peltier, name).text(score.parameters[name])
+                parameter_format(Peltier, name).text(score.parameters[name])
                 + ("*" if name in believed(judged, score.first) else "")
                 for name in ("seebeck", "conductance", "heat_capacity")
             ),

@@ -13,18 +13,10 @@ from rich.console import Console
 from tests.support.rig import rig
 from twinmatch.comparing import CandidateScore, Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.errors import TwinmatchError
-from twinmatch.showing import (
-    COLUMNS,
-    News,
-    document,
-    news,
-    print_header,
-    print_line,
-    row,
-    sentence,
-    summarise,
-)
-from twinmatch.showing.figures import draw_verdict
+from twinmatch.showing.figures.session import draw_verdict
+from twinmatch.showing.lines import Lines
+from twinmatch.showing.summary import document, sentence, summarise
+from twinmatch.showing.verdicts import COLUMNS, News, news, row
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
@@ -90,8 +82,9 @@ def test_news_are_what_was_identified_or_changed() -> None:
 def test_lines_have_no_colour_in_a_pipe() -> None:
     stream = io.StringIO()
     console = Console(file=stream, width=80)
-    print_header(console)
-    print_line(console, verdict(TrustLevel.FAULT, stands=False))
+    lines = Lines(1.0, console)
+    lines.open()
+    lines.take_verdict(verdict(TrustLevel.FAULT, stands=False))
     header, line = stream.getvalue().splitlines()
     assert "\x1b" not in stream.getvalue()
     assert header.index("level") == line.index("fault")

@@ -24,9 +24,8 @@ from twinmatch.offline.terms import terms_from_files
 from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session
 from twinmatch.showing.foxglove.layout import layout
-from twinmatch.showing.page import DashboardState, TwinRow
-from twinmatch.showing.page.page import Page
-from twinmatch.showing.page.sentence import update_sentence
+from twinmatch.showing.page.state import DashboardState, TwinRow, update_sentence
+from twinmatch.showing.page.tab import Tab
 from twinmatch.twin import Mirror
 
 Capture = pytest.CaptureFixture[str]
@@ -97,10 +96,10 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
     judged = judge(session, terms_from_files(session, shown.config))
     state = DashboardState()
     bare = Document()
-    Page(state, Nothing(), clock=lambda: 0.0).build(bare)
+    Tab(state, Nothing(), clock=lambda: 0.0).build(bare)
     shown.speaks_of_itself(lettering(bare), "set-point")
     state.describe(description_of(shown.plant))
-    page, document = Page(state, Nothing(), clock=lambda: 0.0), Document()
+    page, document = Tab(state, Nothing(), clock=lambda: 0.0), Document()
     page.build(document)
     mirror = Mirror(judged.settings.start, judged.settings.gains)
     for sample in judged.samples:

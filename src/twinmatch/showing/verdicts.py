@@ -214,11 +214,11 @@ class Event:
     sample: int | None
     """None: before the first sample of a live graph."""
     kind: EventKind
-    mark: Mark
     title: str
     """A few words."""
     why: str
     """One sentence; may be empty."""
+    mark: Mark
     session: int = 1
     """Which of a live page's sessions it belongs to."""
 
@@ -238,7 +238,7 @@ def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
     found: list[Event] = []
 
     def add(kind: EventKind, mark: Mark, title: str, why: str) -> None:
-        found.append(Event(verdict.sample, kind, mark, title, why))
+        found.append(Event(verdict.sample, kind, title, why, mark))
 
     if verdict.match == ADMITTED:
         add(EventKind.ADMITTED, Mark.GOOD, f"match {verdict.match}", refusal(verdict))

@@ -19,7 +19,7 @@ from twinmatch.offline.archive.fingerprint import content_of
 from twinmatch.offline.archive.job import Job, Terms, judge
 from twinmatch.offline.archive.processes import judge_in_processes
 from twinmatch.offline.judgement import judge_session
-from twinmatch.showing import document
+from twinmatch.showing.summary import document
 from twinmatch.twin import TwinSettings
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -21,7 +21,7 @@ from twinmatch.offline.backtest.table import columns
 from twinmatch.offline.judgement import judge_samples
 from twinmatch.offline.terms import terms_from_files
 from twinmatch.sessions import open_any, samples_of, write_session
-from twinmatch.showing.figures import save
+from twinmatch.showing.figures.drawing import save
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings
 

@@ -20,7 +20,7 @@ from twinmatch.offline.backtest.scoring import Marks, SignalMarks
 from twinmatch.offline.backtest.summary import HINDSIGHT, Marked
 from twinmatch.offline.backtest.table import cells, columns, sentences, tables
 from twinmatch.plants import Peltier
-from twinmatch.showing.figures import save
+from twinmatch.showing.figures.drawing import save
 
 HORIZONS = (10.0, 60.0)
 

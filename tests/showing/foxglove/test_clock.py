@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from twinmatch.showing.foxglove import StreamTime
+from twinmatch.showing.foxglove.server import StreamTime
 
 
 def test_without_a_clock_it_is_that_of_the_wall() -> None:

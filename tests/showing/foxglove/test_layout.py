@@ -15,13 +15,12 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
-from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, layout
-from twinmatch.showing.foxglove.topics import ELSEWHERE, TOPICS
+from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout
 
 PROJECT = Path(__file__).resolve().parents[3]
 LAYOUT = json.loads((PROJECT / "config" / "foxglove_layout.json").read_text("utf-8"))
 PANELS: dict[str, Any] = LAYOUT["configById"]
-KINDS = {f"/{name}": kind for name, kind in TOPICS.items()} | ELSEWHERE
+KINDS = {f"/{name}": kind for name, kind in TOPICS.items()} | OUTSIDE
 NUMBER = re.compile(r"double|float|u?int(8|16|32|64)|boolean")
 
 
@@ -117,7 +116,7 @@ def test_the_light_knows_every_level() -> None:
 def test_the_topics_are_those_of_the_subscribers_page() -> None:
     page = (PROJECT / "docs" / "subscribing.md").read_text("utf-8")
     told = dict(re.findall(r"^\| `(\S+)` \| `(\w+/\w+)` \|", page, re.MULTILINE))
-    offered = {name: kind.replace("/msg/", "/") for name, kind in (TOPICS | ELSEWHERE).items()}
+    offered = {name: kind.replace("/msg/", "/") for name, kind in (TOPICS | OUTSIDE).items()}
     assert told.items() - {("/clock", "rosgraph_msgs/Clock")} == offered.items() - {
         ("/rosout", "rcl_interfaces/Log")
     }

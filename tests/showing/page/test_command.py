@@ -14,8 +14,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
 
+from twinmatch.cli.dashboard import add_arguments, run
 from twinmatch.showing.page import DashboardError
-from twinmatch.showing.page.command import add_arguments, run
 
 pytestmark = pytest.mark.ros
 

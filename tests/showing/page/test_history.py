@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.showing.page.history import History, envelope
+from twinmatch.showing.page.state import RollingTable, envelope
 
 
-def filled(number: int, capacity: int) -> History:
-    history = History(("value",), capacity)
+def filled(number: int, capacity: int) -> RollingTable:
+    history = RollingTable(("value",), capacity)
     for k in range(number):
         history.push(k, (10.0 * k,))
     return history
@@ -52,7 +52,7 @@ def test_clear_starts_over() -> None:
 
 
 def test_a_spike_of_one_sample_stays_as_high_as_it_was() -> None:
-    history = History(("value",), 5000)
+    history = RollingTable(("value",), 5000)
     for k in range(4000):
         history.push(k, (100.0 if k == 1234 else -7.0 if k == 2345 else 0.0,))
     columns, _ = history.since(0, stride=50)
@@ -81,7 +81,7 @@ def test_envelope_shows_what_is_missing() -> None:
 )
 def test_reading_piece_by_piece_is_reading_all(pushes: list[int], stride: int, capacity: int) -> None:
     """A reader that looks before rows are forgotten sees every group once, in order."""
-    history, row, seen, total = History(("value",), capacity), 0, [], 0
+    history, row, seen, total = RollingTable(("value",), capacity), 0, [], 0
     for number in pushes:
         for _ in range(number):
             history.push(total, (float(total % 11),))

@@ -17,11 +17,9 @@ from bokeh.models import ColumnDataSource
 
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.judgement import Judgement
-from twinmatch.showing.page import DashboardState, TwinRow
-from twinmatch.showing.page.feed import POINTS, Feed, stride_for
-from twinmatch.showing.page.history import History
-from twinmatch.showing.page.page import Page
-from twinmatch.showing.page.state import Answered
+from twinmatch.showing.page.charts import POINTS, ChartFeed, stride_for
+from twinmatch.showing.page.state import DashboardState, RollingTable, TwinRow, WhatIfAnswer
+from twinmatch.showing.page.tab import Tab
 from twinmatch.showing.page.widgets import QuestionForm
 from twinmatch.signals import Sample
 
@@ -57,8 +55,8 @@ def fill(state: DashboardState, first: int, number: int, period: float = 0.1) ->
         state.push_twin(k, TwinRow(*[float(k % 13)] * len(TwinRow._fields)))
 
 
-def opened(state: DashboardState, now: float = 0.0) -> tuple[Page, Document]:
-    page, document = Page(state, Nothing(), clock=lambda: now), Document()
+def opened(state: DashboardState, now: float = 0.0) -> tuple[Tab, Document]:
+    page, document = Tab(state, Nothing(), clock=lambda: now), Document()
     page.build(document)
     return page, document
 
@@ -70,8 +68,8 @@ def source(document: Document, chart: str, renderer: int = 0) -> ColumnDataSourc
 
 @pytest.mark.parametrize("samples", [1, 300, POINTS, POINTS + 1, 12_000, 36_000])
 def test_no_line_has_more_points_than_a_screen(samples: int) -> None:
-    history = History(("value",), 36_000)
-    feed = Feed(history)
+    history = RollingTable(("value",), 36_000)
+    feed = ChartFeed(history)
     for k in range(2 * samples):
         history.push(k, (float(k),))
         if k % max(1, samples // 5) == 0:
@@ -87,8 +85,8 @@ def test_no_line_has_more_points_than_a_screen(samples: int) -> None:
 
 
 def test_only_what_is_new_is_sent() -> None:
-    history = History(("value",), 1000)
-    feed, sent = Feed(history), []
+    history = RollingTable(("value",), 1000)
+    feed, sent = ChartFeed(history), []
     document = Document()
     document.add_root(feed.source)
     document.on_change(sent.append)
@@ -103,8 +101,8 @@ def test_only_what_is_new_is_sent() -> None:
 
 
 def test_a_new_session_or_period_is_drawn_again() -> None:
-    history = History(("value",), 1000)
-    feed = Feed(history)
+    history = RollingTable(("value",), 1000)
+    feed = ChartFeed(history)
     for k in range(50):
         history.push(k, (1.0,))
     feed.update(1.0, 500)
@@ -212,24 +210,24 @@ def test_an_answer_stays_until_the_next_and_goes_with_the_session() -> None:
     state = DashboardState()
     page, document = opened(state)
     fill(state, 0, 400, period=1.0)
-    state.answer(Answered("set-point <b>60</b> °C", ("so <i>it</i> is",), forecast(350)))
+    state.answer(WhatIfAnswer("set-point <b>60</b> °C", ("so <i>it</i> is",), forecast(350)))
     page.update()
     text = document.get_model_by_name("answer").text
     assert "set-point &lt;b&gt;60&lt;/b&gt; °C" in text
     assert "so &lt;i&gt;it&lt;/i&gt; is" in text
     assert source(document, "output", 6).data["t"][0] == 351.0
-    state.answer(Answered("set-point 400 °C", ("no",)))
+    state.answer(WhatIfAnswer("set-point 400 °C", ("no",)))
     page.update()
     assert len(source(document, "output", 6).data["t"]) == 0
     state.push_forecast(forecast(399))
-    assert state.ahead is not None
+    assert state.current_forecast is not None
     assert state.leader == "50 °C"
     fill(state, 0, 2, period=1.0)
     page.update()
     assert document.get_model_by_name("answer").visible is False
     state.push_forecast(forecast(400))  # one of the session before that came late
     page.update()
-    assert state.ahead is None
+    assert state.current_forecast is None
     assert len(source(document, "output", 3).data["t"]) == 0
 
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from html import unescape
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
 
+from tests.support.places import PROJECT
 from twinmatch.comparing import TrustLevel
 from twinmatch.offline.judgement import Judgement
-from twinmatch.showing import COLUMNS, row
-from twinmatch.showing.criteria import computed, criterion_rows
-from twinmatch.showing.page import DashboardState, Event, Lane, Mark, panels
-from twinmatch.showing.page.first import first_screen, what_to_do
-from twinmatch.showing.page.help import HELP
-from twinmatch.showing.page.state import Drive
+from twinmatch.showing.family import computed, criterion_rows
+from twinmatch.showing.page import panels
+from twinmatch.showing.page.panels import first_screen, what_to_do
+from twinmatch.showing.page.state import DashboardState, DriveReport
+from twinmatch.showing.verdicts import COLUMNS, Event, EventKind, Mark, row
 from twinmatch.signals import Sample
 
 
@@ -83,7 +82,7 @@ def test_before_anything_came_it_says_so() -> None:
         "There is no candidate yet: no match has been admitted."
     ]
     assert words(panels.events_table([], 1, 1.0)) == ["Nothing has happened yet."]
-    assert words(panels.nodes(state.roster, 0.0)) == ["No node has reported yet."]
+    assert words(panels.nodes(state.nodes, 0.0)) == ["No node has reported yet."]
     assert panels.alarm(state) == ""
 
 
@@ -95,13 +94,13 @@ def test_silence_and_trouble_are_in_the_first_line() -> None:
     assert words(panels.status(state, 160.0)) == ["no sample for 60 s", "1 of 1 nodes need attention"]
     state.push_health("matcher: health", 2, "trouble", {}, 160.0)
     assert "1 of 1 nodes need attention" in words(panels.status(state, 160.0))
-    assert words(panels.nodes(state.roster, 160.0)) == ["matcher", "error", "trouble"]
+    assert words(panels.nodes(state.nodes, 160.0)) == ["matcher", "error", "trouble"]
 
 
 @pytest.mark.parametrize("evil", ["<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "a & b"])
 def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None:
     state = DashboardState()
-    state.push_drive(Drive(0.0, 0.0, f"stopped: {evil}"))
+    state.push_drive(DriveReport(0.0, 0.0, f"stopped: {evil}"))
     state.push_health(f"{evil}: health", 2, evil, {"rate": "1", "paused": "no", "position": evil}, 0.0)
     state.notify(False, evil)
     last = judged.verdicts[-1]
@@ -109,12 +108,12 @@ def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None
     verdict = replace(last, reason=evil, nominal=evil, candidates=(named,), fault=evil, certainty=evil)
     pages = [
         panels.alarm(state),
-        panels.nodes(state.roster, 0.0),
+        panels.nodes(state.nodes, 0.0),
         panels.status(state, 0.0),
         panels.notice(state),
         panels.reasons(verdict, 1.0),
         panels.family_table(verdict, every=True),
-        panels.events_table([Event(1, 3, Lane.FAULT, Mark.BAD, evil, evil)], 1, 1.0),
+        panels.events_table([Event(3, EventKind.FAULT, evil, evil, Mark.BAD)], 1, 1.0),
     ]
     for page in pages:
         assert not re.search(r"<(script|img)", page)
@@ -124,8 +123,8 @@ def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None
 
 def test_events_of_the_session_before_are_distinguished() -> None:
     events = [
-        Event(2, 7, Lane.MATCH, Mark.GOOD, "new", "why"),
-        Event(1, 900, Lane.MATCH, Mark.GOOD, "old", "why"),
+        Event(7, EventKind.ADMITTED, "new", "why", Mark.GOOD, session=2),
+        Event(900, EventKind.ADMITTED, "old", "why", Mark.GOOD, session=1),
     ]
     assert words(panels.events_table(events, 2, 0.5)) == [
         *("t", "s", "what and why"),
@@ -153,7 +152,7 @@ def test_the_first_screen_says_what_to_do(judged: Judgement) -> None:
     assert "no fault found" in " ".join(words(first_screen(state)))
     state.push_verdict(replace(last, level=TrustLevel.FAULT, fault="drive-lost", fault_since=600))
     assert "✕ drive lost" in words(first_screen(state))
-    state.push_drive(Drive(0.0, 0.0, "board: gone"))
+    state.push_drive(DriveReport(0.0, 0.0, "board: gone"))
     assert "clear the fault" in what_to_do(state)
 
 
@@ -168,12 +167,12 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
     state.push_health("player", 0, "ended: all 13 messages were taken", {**player, "ended": "True"}, 101.0)
     state.push_health("matcher", 1, "no sample for 6 s", {}, 106.0)
     for now in (107.0, 400.0):
-        state.roster.expire(now)
+        state.nodes.expire(now)
         assert words(panels.status(state, now)) == [
             "sample 12, 12 s",
             "the replay has ended: 13.0 s of 13.0 s",
         ]
-        told = " ".join(words(panels.nodes(state.roster, now)))
+        told = " ".join(words(panels.nodes(state.nodes, now)))
         assert told.count("has ended with the replay") == 2
         assert "no sample" not in told
         assert "the replay has ended" in what_to_do(state)
@@ -188,12 +187,16 @@ def test_a_player_whose_last_word_was_lost_has_ended_at_the_end_only() -> None:
         state = DashboardState()
         values = {"rate": "50", "paused": "False", "position": position, "ended": "False"}
         state.push_health("player", 0, "playing", values, 100.0)
-        state.roster.expire(110.0)
-        assert state.roster.player is None
-        assert (state.roster.ended is not None) is ended
+        state.nodes.expire(110.0)
+        assert state.nodes.player is None
+        assert (state.nodes.ended is not None) is ended
 
 
 def test_the_help_of_the_page_and_its_document_are_the_same() -> None:
-    document = (Path(__file__).parents[2] / "docs" / "dashboard.md").read_text("utf-8")
-    for part, meaning, to_do in HELP:
+    document = (PROJECT / "docs" / "dashboard.md").read_text("utf-8")
+    page = (PROJECT / "src" / "twinmatch" / "showing" / "page" / "page.html").read_text("utf-8")
+    help_ = page[page.index('<details class="help"') : page.index("</details>")]
+    rows = re.findall(r'<th scope="row">(.*?)</th><td>(.*?)</td>\s*<td>(.*?)</td>', help_)
+    assert len(rows) == 12
+    for part, meaning, to_do in rows:
         assert f"| {part} | {meaning} | {to_do} |" in document, part

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from twinmatch.offline.judgement import Judgement
-from twinmatch.showing import sentence
-from twinmatch.showing.page import DashboardState
-from twinmatch.showing.page.sentence import update_sentence
+from twinmatch.showing.page.state import DashboardState, update_sentence
+from twinmatch.showing.summary import sentence
 from twinmatch.twin import TwinSettings
 
 

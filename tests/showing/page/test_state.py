@@ -11,9 +11,8 @@ import pytest
 
 from twinmatch.comparing import ADMITTED, TrustLevel
 from twinmatch.offline.judgement import Judgement
-from twinmatch.showing.events import events, level_stretches
-from twinmatch.showing.page import DashboardState, Lane, Mark, TwinRow
-from twinmatch.showing.page.state import CAPACITY, EVENTS, STRETCHES, Drive
+from twinmatch.showing.page.state import CAPACITY, EVENTS, STRETCHES, DashboardState, DriveReport, TwinRow
+from twinmatch.showing.verdicts import EventKind, Mark, events, level_stretches
 from twinmatch.signals import Sample
 
 SECOND = 1_000_000_000
@@ -55,10 +54,10 @@ def test_indices_that_start_over_are_a_new_session(judged: Judgement) -> None:
     assert (state.session, state.sample, state.plant.count, state.twin.count) == (2, 0, 1, 0)
     assert state.verdict is None
     assert not state.trust
-    newest = state.events.newest_first()[0]
+    newest = state.events[-1]
     assert newest.title == "a new session began"
     assert newest.session == 2
-    assert {e.session for e in state.events.newest_first()[1:]} == {1}
+    assert {e.session for e in list(state.events)[:-1]} == {1}
 
 
 def test_the_twins_rows_may_come_before_the_sample_of_a_new_session() -> None:
@@ -88,10 +87,10 @@ def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None
     state = DashboardState()
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
-    told = {(e.sample, e.title, e.text) for e in state.events.newest_first()}
+    told = {(e.sample, e.title, e.why) for e in state.events}
     expected = events(judged.verdicts)
     assert told == {(e.sample, e.title, e.why) for e in expected}
-    assert len(state.events.newest_first()) == len(expected)
+    assert len(state.events) == len(expected)
     assert list(state.trust) == level_stretches(judged.verdicts)
 
 
@@ -99,11 +98,14 @@ def test_marks_follow_what_happened(judged: Judgement) -> None:
     state = DashboardState()
     last = replace(judged.verdicts[-1], match="")
     state.push_verdict(replace(last, level=TrustLevel.DOUBTFUL, match=ADMITTED))
-    marks = {(e.lane, e.mark) for e in state.events.newest_first()}
-    assert marks == {(Lane.MATCH, Mark.GOOD), (Lane.TRUST, Mark.NOTE), (Lane.TRUST, Mark.WARNING)}
+    marks = {(e.kind, e.mark) for e in state.events}
+    assert marks == {
+        *((EventKind.ADMITTED, Mark.GOOD), (EventKind.LEADER, Mark.NOTE)),
+        *((EventKind.NOMINAL, Mark.NOTE), (EventKind.LEVEL, Mark.WARNING)),
+    }
     state.push_verdict(replace(last, level=TrustLevel.FAULT))
-    newest = state.events.newest_first()[0]
-    assert (newest.lane, newest.mark) == (Lane.FAULT, Mark.BAD)
+    newest = state.events[-1]
+    assert (newest.kind, newest.mark) == (EventKind.FAULT, Mark.BAD)
 
 
 def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
@@ -115,8 +117,8 @@ def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
         "over_temperature: 111 °C is above 110 °C",
         "",
     ):
-        state.push_drive(Drive(0.0, math.nan, fault))
-    told = [(e.sample, e.title, e.text) for e in reversed(state.events.newest_first())]
+        state.push_drive(DriveReport(0.0, math.nan, fault))
+    told = [(e.sample, e.title, e.why) for e in state.events]
     assert told == [
         (41, "output held at zero: over temperature", "111 °C is above 110 °C"),
         (41, "fault cleared", "the output may be driven"),
@@ -129,7 +131,7 @@ def test_an_error_on_diagnostics_is_reported_once_however_its_figures_grow() -> 
     for k in range(5):
         state.push_health("matcher: health", 2, f"no sample for {k}.5 s", {}, float(k))
     state.push_health("matcher: health", 0, "working", {}, 6.0)
-    titles = [e.title for e in reversed(state.events.newest_first())]
+    titles = [e.title for e in state.events]
     assert titles == ["matcher reports an error", "matcher has recovered"]
 
 
@@ -137,13 +139,13 @@ def test_the_player_is_known_by_what_it_reports_and_goes_when_it_falls_silent() 
     state = DashboardState()
     values = {"rate": "50", "paused": "True", "position": "12.0 s of 300.0 s"}
     state.push_health("rig_a/player: health", 0, "paused", values, 10.0)
-    player = state.roster.player
+    player = state.nodes.player
     assert player is not None
     assert (player.rate, player.paused, player.position) == (50.0, True, "12.0 s of 300.0 s")
-    state.roster.expire(13.0)
-    assert state.roster.player is not None
-    state.roster.expire(15.0)
-    assert state.roster.player is None
+    state.nodes.expire(13.0)
+    assert state.nodes.player is not None
+    state.nodes.expire(15.0)
+    assert state.nodes.player is None
 
 
 def test_an_image_without_values_leaves_the_one_before() -> None:
@@ -169,7 +171,7 @@ def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
                 verdict = judged.verdicts[k // 20 % len(judged.verdicts)]
                 level = list(TrustLevel)[k // 20 % 4]
                 state.push_verdict(replace(verdict, sample=k, first=max(0, k - 20), level=level))
-                state.push_drive(Drive(0.0, 0.5, "stopped: as asked" if k % 40 else ""))
+                state.push_drive(DriveReport(0.0, 0.5, "stopped: as asked" if k % 40 else ""))
                 state.push_health(
                     f"node {k % 1000}: health", k % 3, f"message {k}", {"key": "value"}, 0.1 * k
                 )
@@ -184,7 +186,7 @@ def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
     tracemalloc.stop()
     assert grown < 100_000, f"{grown} bytes more"
     assert len(state.plant.since(0)[0]["index"]) == kept
-    assert len(state.events.newest_first()) == EVENTS
+    assert len(state.events) == EVENTS
     assert len(state.trust) == STRETCHES
 
 

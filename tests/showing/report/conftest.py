@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from twinmatch.showing.report import Report, make_report
+from twinmatch.showing.report.report import SessionReport, make_report
 
 PROJECT = Path(__file__).resolve().parents[3]
 SHIPPED = PROJECT / "bags" / "four_setpoints"
@@ -101,11 +101,11 @@ def grid(table: Element) -> list[list[Element]]:
 
 
 @pytest.fixture(scope="session")
-def shipped() -> Report:
+def shipped() -> SessionReport:
     """The report on the sample session."""
     return make_report(SHIPPED, command="twinmatch report bags/four_setpoints")
 
 
 @pytest.fixture(scope="session")
-def shipped_page(shipped: Report) -> str:
+def shipped_page(shipped: SessionReport) -> str:
     return shipped.html()

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from pypdf import PdfReader
 
-from twinmatch.showing.report import Report
+from twinmatch.showing.report.report import SessionReport
 
 
-def test_it_prints_on_numbered_a4_pages(shipped: Report, tmp_path: Path) -> None:
+def test_it_prints_on_numbered_a4_pages(shipped: SessionReport, tmp_path: Path) -> None:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("chromium is not installed: apt-get install chromium")

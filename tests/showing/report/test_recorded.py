@@ -23,7 +23,7 @@ from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.installed import schema_of
 from twinmatch.sessions.settings import parameters_record
 from twinmatch.sessions.topics import SAMPLE
-from twinmatch.showing.report import judge, make_report
+from twinmatch.showing.report.report import judge_for_report, make_report
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin
 
@@ -90,7 +90,7 @@ def test_a_session_with_verdicts_is_judged_once(
 
     folder = record()
     monkeypatch.setattr(Twin, "push", counted)
-    found = judge(folder)
+    found = judge_for_report(folder)
     assert found.identical
     assert pushed == [sample.index for sample in found.session.samples]
 
@@ -99,14 +99,14 @@ def test_verdicts_that_differ_are_reported_with_the_first_difference(record: Cal
     def spoil(score: Any) -> None:
         score.nominal = "invented"
 
-    judged = judge(record(spoil))
+    judged = judge_for_report(record(spoil))
     assert judged.identical is False
     assert "differ from the recorded ones" in judged.recorded
     assert "nominal was recorded as 'invented'" in judged.recorded
 
 
 def test_verdicts_that_cannot_be_compared_are_reported_too(record: Callable[..., Path]) -> None:
-    judged = judge(record(parameters=False))
+    judged = judge_for_report(record(parameters=False))
     assert judged.identical is None
     assert "could not be compared" in judged.recorded
     assert "were not recorded" in judged.recorded

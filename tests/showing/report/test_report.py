@@ -22,10 +22,11 @@ from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionWriter, samples_of, write_session
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.topics import SAMPLE
-from twinmatch.showing import sentence
 from twinmatch.showing.quantities import number
-from twinmatch.showing.report import Report, build_report, make_report, write_pictures
+from twinmatch.showing.report.pictures import write_pictures
 from twinmatch.showing.report.provenance import settings_of
+from twinmatch.showing.report.report import SessionReport, build_report, make_report
+from twinmatch.showing.summary import sentence
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings
 
@@ -85,13 +86,15 @@ def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(page: Ele
     assert "trusted" in next(i for i in images if "Trust over time" in i.attributes["alt"]).attributes["alt"]
 
 
-def test_the_sentence_and_the_level_head_the_report(page: Element, shipped: Report) -> None:
+def test_the_sentence_and_the_level_head_the_report(page: Element, shipped: SessionReport) -> None:
     header = next(page.all("header")).text
     assert sentence(shipped.judged.judgement.summary) in header
     assert "trusted" in header
 
 
-def test_the_criterion_tables_hold_the_verdict_and_the_best_is_bold(page: Element, shipped: Report) -> None:
+def test_criterion_tables_hold_the_verdict_and_the_best_is_bold(
+    page: Element, shipped: SessionReport
+) -> None:
     verdict = shipped.judged.judgement.verdicts[-1]
     tables = tables_of(page)
     decimals = {"gain": 0, "explanation": 3, "naic": 3, "bic": 1, "mdl": 4}
@@ -120,7 +123,7 @@ def test_the_criterion_tables_hold_the_verdict_and_the_best_is_bold(page: Elemen
                     assert ("best" in cell.classes) is (value == best)
 
 
-def test_the_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, shipped: Report) -> None:
+def test_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, shipped: SessionReport) -> None:
     tested = shipped.judged.tested
     tables = tables_of(page)
     for horizon in tested.horizons:
@@ -134,7 +137,7 @@ def test_the_forecasts_stand_beside_the_measurements_and_the_peers(page: Element
         assert line in page.text
 
 
-def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Report) -> None:
+def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: SessionReport) -> None:
     samples = {s.index: s for s in shipped.judged.judgement.samples}
     shown = {f.sample: f for f in shipped.judged.tested.shown}
     rows = grid(tables_of(page)["Forecasts of the leader, and the measurements"])
@@ -155,7 +158,7 @@ def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Rep
     assert "leader_forecasts" in shipped.pictures
 
 
-def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: Report) -> None:
+def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: SessionReport) -> None:
     verdict = shipped.judged.judgement.verdicts[-1]
     table = tables_of(page)["ν-gap between the plants"]
     rows = grid(table)
@@ -168,7 +171,7 @@ def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: Report) -> 
     assert bold == [verdict.candidates[int(np.argmin(sums))].name]
 
 
-def test_the_gap_of_the_identified_models_has_a_table_of_its_own(page: Element, shipped: Report) -> None:
+def test_the_gap_of_identified_models_has_a_table_of_its_own(page: Element, shipped: SessionReport) -> None:
     """As in the paper's table."""
     verdict = shipped.judged.judgement.verdicts[-1]
     rows = grid(tables_of(page)[f"ν-gap between the models of order {verdict.order}"])
@@ -180,7 +183,7 @@ def test_the_gap_of_the_identified_models_has_a_table_of_its_own(page: Element, 
     np.testing.assert_allclose(sums, known, atol=5.1e-4)
 
 
-def test_the_nominal_parameters_have_units_errors_and_intervals(page: Element, shipped: Report) -> None:
+def test_nominal_parameters_have_units_errors_and_intervals(page: Element, shipped: SessionReport) -> None:
     nominal = shipped.nominal
     assert nominal is not None
     assert nominal.match is not None
@@ -200,7 +203,7 @@ def test_the_nominal_parameters_have_units_errors_and_intervals(page: Element, s
     assert rows["R"][4:6] == ["–", "–"]
 
 
-def test_the_coefficients_are_those_of_the_models_that_were_scored(page: Element, shipped: Report) -> None:
+def test_coefficients_are_those_of_the_models_that_were_scored(page: Element, shipped: SessionReport) -> None:
     """What the table prints, run as a difference equation, explains the data as the verdict says."""
     from twinmatch.comparing import score
 
@@ -331,7 +334,7 @@ def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path]) -> None:
 
 
 @pytest.mark.parametrize("ending", ["png", "pdf"])
-def test_the_figures_are_written_by_themselves(shipped: Report, ending: str, tmp_path: Path) -> None:
+def test_the_figures_are_written_by_themselves(shipped: SessionReport, ending: str, tmp_path: Path) -> None:
     from PIL import Image
     from pypdf import PdfReader
 
@@ -345,7 +348,7 @@ def test_the_figures_are_written_by_themselves(shipped: Report, ending: str, tmp
             assert len(PdfReader(path).pages) == 1
 
 
-def test_the_same_session_gives_the_same_document(shipped: Report, shipped_page: str) -> None:
+def test_the_same_session_gives_the_same_document(shipped: SessionReport, shipped_page: str) -> None:
     """But for the time at which it was made."""
     command = "twinmatch report bags/four_setpoints"
     again = build_report(shipped.judged, SHIPPED, command=command).html()
@@ -353,7 +356,7 @@ def test_the_same_session_gives_the_same_document(shipped: Report, shipped_page:
     assert made.sub("", again) == made.sub("", shipped_page)
 
 
-def test_what_cannot_be_written_is_one_message(shipped: Report, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_one_message(shipped: SessionReport, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(TwinmatchError, match="cannot be written"):
         shipped.write(tmp_path / "no" / "report.html")

@@ -9,9 +9,8 @@ import numpy as np
 
 from tests.support.rig import rig
 from twinmatch.comparing import Verdict
-from twinmatch.showing.report import Report
-from twinmatch.showing.report.match_tables import match_table, nominal_table
-from twinmatch.showing.report.model_tables import gap_table, order_table
+from twinmatch.showing.report.report import SessionReport
+from twinmatch.showing.report.tables import gap_table, match_table, nominal_table, order_table
 from twinmatch.showing.report.words import duration
 
 from .conftest import grid, parse, tables_of
@@ -19,7 +18,7 @@ from .conftest import grid, parse, tables_of
 RIG = rig("sink with mass", seebeck=0.06, sink_heat_capacity=250.0, sink_convection=6.0)
 
 
-def verdict_of(report: Report) -> Verdict:
+def verdict_of(report: SessionReport) -> Verdict:
     return report.judged.judgement.verdicts[-1]
 
 
@@ -66,13 +65,13 @@ def telling(verdict: Verdict) -> Verdict:
     )
 
 
-def test_columns_without_a_figure_are_left_out(shipped: Report) -> None:
+def test_columns_without_a_figure_are_left_out(shipped: SessionReport) -> None:
     quiet = silent(verdict_of(shipped))
     assert order_table(quiet) is None
     assert not {"90 % interval of Σ", "P(nominal)", "margin b(P, C)"} & set(gap_table(quiet).columns)
 
 
-def test_what_is_known_of_the_uncertainty_is_shown(shipped: Report) -> None:
+def test_what_is_known_of_the_uncertainty_is_shown(shipped: SessionReport) -> None:
     table = gap_table(telling(verdict_of(shipped)))
     row = dict(zip(table.columns, (c.text for c in table.rows[1]), strict=True))
     total = verdict_of(shipped).candidates[1].nu_gap_sum
@@ -87,7 +86,7 @@ def test_what_is_known_of_the_uncertainty_is_shown(shipped: Report) -> None:
     assert [c.best for c in weights.rows[0]][1:5] == [True, False, False, False]
 
 
-def test_the_page_shows_it_too(shipped: Report) -> None:
+def test_the_page_shows_it_too(shipped: SessionReport) -> None:
     judgement = shipped.judged.judgement
     told = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
     text = replace(shipped, judged=replace(shipped.judged, judgement=told)).html()
@@ -101,7 +100,7 @@ def test_the_page_shows_it_too(shipped: Report) -> None:
     assert "Akaike weights of the orders" in tables_of(document)
 
 
-def test_a_given_candidate_has_no_intervals(shipped: Report) -> None:
+def test_a_given_candidate_has_no_intervals(shipped: SessionReport) -> None:
     score = verdict_of(shipped).candidates[0]
     rows = {row[0].text: row for row in nominal_table(score, None).rows}
     assert rows["α"][2].text == f"{1000 * score.parameters['seebeck']:.1f}"
@@ -109,7 +108,7 @@ def test_a_given_candidate_has_no_intervals(shipped: Report) -> None:
     assert rows["α"][5].text == "–"
 
 
-def test_open_intervals_are_shown_as_open(shipped: Report) -> None:
+def test_open_intervals_are_shown_as_open(shipped: SessionReport) -> None:
     nominal = shipped.nominal
     assert nominal is not None
     assert nominal.match is not None
@@ -123,7 +122,7 @@ def test_open_intervals_are_shown_as_open(shipped: Report) -> None:
     assert rows["α"][6].text == "fitted, well determined"
 
 
-def test_a_refused_match_is_reported_with_its_reason(shipped: Report) -> None:
+def test_a_refused_match_is_reported_with_its_reason(shipped: SessionReport) -> None:
     report = shipped.judged.judgement.matches[0]
     unfitted = replace(report.match, chi2=math.nan, reason="nothing moved")
     table = match_table([report._replace(match=unfitted)], [], 1.0)

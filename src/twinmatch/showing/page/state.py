@@ -346,7 +346,7 @@ class DashboardState:
             self.period = float(f"{median(self._intervals):.2g}")
 
     def _note(self, kind: EventKind, mark: Mark, title: str, why: str) -> None:
-        self._log(Event(self.sample, kind, mark, title, why))
+        self._log(Event(self.sample, kind, title, why, mark))
 
     def _log(self, event: Event) -> None:
         self.events.append(replace(event, session=self.session))
