@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from twinmatch.showing.serving import is_loopback
 from twinmatch.showing.foxglove import FoxgloveError
 from twinmatch.showing.foxglove.server import BACKLOG, GraphServer
 from twinmatch.showing.serving import is_loopback
