@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 from hypothesis import settings
+from xdist.scheduler import LoadFileScheduling
 
 from tests.support.places import OTHERS, RECORDINGS, TESTS
 from twinmatch.fmu import is_fmu
@@ -22,8 +23,10 @@ from twinmatch.signals import Window
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-FIRST = ("system", "nodes", "emulation", "showing", "camera_server")
-"""Folders whose tests mostly wait for other processes; they begin first, so that none is the last."""
+FIRST = ("system", "test_golden.py", "nodes", "emulation", "showing", "camera_server")
+"""Whose tests wait for other processes or compute longest; they begin first, so that none is the last."""
+APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
+"""Files whose tests share nothing and take long: each is run by whichever worker is free."""
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("repeatable")
@@ -40,12 +43,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: folders.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
 
 
+class ByFile(LoadFileScheduling):
+    """The tests of a file stay together, unless they are `APART`."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return nodeid if nodeid.startswith(APART) else str(super()._split_scope(nodeid))
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling | None:
+    return ByFile(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
 @pytest.fixture(scope="session", autouse=True)
 def ros_domain() -> Iterator[int]:
     """A ROS domain of its own for every worker of every test run on this machine, in the environment.
 
-    The process that locks a domain's file has the domain for as long as it lives. Domains
-        above 101 would use ports that the kernel hands out to others.
+    The process that locks a domain's file has the domain for as long as it lives. Domains above 101 would use
+    ports that the kernel hands out to others.
     """
     folder = Path(tempfile.gettempdir()) / f"twinmatch-domains-{os.getuid()}"
     folder.mkdir(exist_ok=True)
