@@ -150,8 +150,7 @@ def test_a_truncated_session_is_judged_as_far_as_it_goes_and_that_is_said(tmp_pa
 
 def test_a_session_without_plant_topics_names_those_it_has(tmp_path: Path) -> None:
     from twinmatch.sessions import SessionWriter
-    from twinmatch.sessions.cdr import encode_float64
-    from twinmatch.sessions.topics import REFERENCE
+    from twinmatch.sessions.messages import REFERENCE, encode_float64
 
     with SessionWriter(tmp_path / "other") as writer:
         writer.add_topic(REFERENCE._replace(name="/somewhere/else"))

@@ -20,8 +20,7 @@ from twinmatch.launching.live import Live
 from twinmatch.launching.plan import LivePlan
 from twinmatch.offline.judgement import judge_session
 from twinmatch.sessions import Recording, read_session
-from twinmatch.sessions.cdr import encode_sample
-from twinmatch.sessions.topics import SAMPLE
+from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.summary import Tally, conclude, summarise
 from twinmatch.showing.terminal import MOST_EVENTS, Screen
 from twinmatch.showing.verdicts import events

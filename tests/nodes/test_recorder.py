@@ -27,9 +27,9 @@ from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import Session, SessionError, read_session
+from twinmatch.sessions.messages import SAMPLE
+from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.sessions.repair import repair_session
-from twinmatch.sessions.settings import CANDIDATES, parameters_of
-from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import LoopSample, ModelScore
 

@@ -21,10 +21,9 @@ from twinmatch.offline.verification import verify_session
 from twinmatch.parameters.twin import read_settings, settings_from, twin_values, values_of
 from twinmatch.plants import Peltier
 from twinmatch.sessions import Qos, SessionWriter, Topic
-from twinmatch.sessions.cdr import encode_sample
-from twinmatch.sessions.installed import schema_of
-from twinmatch.sessions.settings import parameters_record
-from twinmatch.sessions.topics import SAMPLE
+from twinmatch.sessions.definitions import schema_of
+from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.metadata import parameters_record
 from twinmatch.twin import Twin, TwinSettings
 
 pytestmark = pytest.mark.ros

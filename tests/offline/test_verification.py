@@ -24,10 +24,9 @@ from twinmatch.offline.verification import VerifyError, verify_session
 from twinmatch.parameters.twin import twin_values
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic
 from twinmatch.sessions.candidates import parse_candidates
-from twinmatch.sessions.cdr import encode_sample
-from twinmatch.sessions.installed import schema_of
-from twinmatch.sessions.settings import CANDIDATES, parameters_of, parameters_record
-from twinmatch.sessions.topics import SAMPLE
+from twinmatch.sessions.definitions import schema_of
+from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.metadata import CANDIDATES, parameters_of, parameters_record
 from twinmatch.showing.summary import summarise
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings

@@ -21,7 +21,7 @@ from tests.support.processes import run_twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import find_plant
 from twinmatch.sessions import bags, read_session
-from twinmatch.sessions.bag_tables import _means, _Signal, map_bag
+from twinmatch.sessions.bags import _means, _Signal, map_bag
 from twinmatch.sessions.column_map import parse_map
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

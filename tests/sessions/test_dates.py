@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.sessions import RecordingError
-from twinmatch.sessions.dates import DAY_FIRST, MONTH_FIRST, in_order, order_of
 from twinmatch.sessions.tables import read_table
-from twinmatch.sessions.times import read_times
+from twinmatch.sessions.times import DAY_FIRST, MONTH_FIRST, in_order, order_of, read_times
 
 FORMS = {DAY_FIRST: "%d/%m/%Y %H:%M:%S", MONTH_FIRST: "%m/%d/%Y %I:%M:%S %p"}
 
@@ -60,8 +59,8 @@ def test_forms(text: str, seconds: float | None) -> None:
 
 def test_a_cell_with_other_text_is_named(tmp_path: Path) -> None:
     path = tmp_path / "oven.csv"
-    path.write_text("when,T\n05/03/2026 23:59:30,1\n06/03/2026 00:00:00,2\noff,3\n")
-    with pytest.raises(RecordingError, match=r"line 4: 'when' is 'off', .* such as 22/01/2021"):
+    path.write_text("when,T\n05/03/2026 23:59:30,1\n06/03/2026 00:00:00,2\nlate,3\n")
+    with pytest.raises(RecordingError, match=r"line 4: 'when' is 'late', .* such as 22/01/2021"):
         read_times(read_table(path), "when")
     path.write_text("when,T\n05/03/2026 23:59:30,1\n06/03/2026 00:00:00,2\n")
     found = read_times(read_table(path), "when")

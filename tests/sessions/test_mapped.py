@@ -18,10 +18,9 @@ from twinmatch.dynamics import Plant
 from twinmatch.offline.terms import terms_from_files
 from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError, read_session, write_session
-from twinmatch.sessions.column_map import ColumnMap, Source, parse_map, read_map
-from twinmatch.sessions.guesses import look, proposed
+from twinmatch.sessions.column_map import ColumnMap, Source, columns_of, parse_map, proposed, read_map
 from twinmatch.sessions.mapped import Mapped, map_samples, with_plant_names
-from twinmatch.sessions.settings import PLANT
+from twinmatch.sessions.metadata import PLANT
 from twinmatch.sessions.tables import read_table
 from twinmatch.sessions.times import read_times
 
@@ -103,9 +102,9 @@ def test_a_time_column_may_repeat_a_few_stamps(tmp_path: Path) -> None:
     stamps[50] = stamps[49]
     path = tmp_path / "log.csv"
     path.write_text("time (ms),speed,pwm\n" + "".join(f"{t},{(t * 7) % 11},{t % 3}\n" for t in stamps))
-    assert proposed(look(read_table(path)))["time"].columns == ("time (ms)",)
+    assert proposed(columns_of(read_table(path)))["time"].columns == ("time (ms)",)
     path.write_text("timer,speed,pwm\n" + "".join(f"{t // 300},{(t * 7) % 11},{t % 3}\n" for t in stamps))
-    assert "time" not in proposed(look(read_table(path)))
+    assert "time" not in proposed(columns_of(read_table(path)))
 
 
 def test_a_recording_that_knows_its_date_keeps_it(tmp_path: Path, heated: type[Plant]) -> None:
@@ -276,7 +275,7 @@ def test_vectors_and_matrices_of_matlab_are_columns(tmp_path: Path, heated: type
     ],
 )  # fmt: skip
 def test_a_map_is_proposed(tmp_path: Path, text: str, guess: dict[str, str]) -> None:
-    found = proposed(look(read_table(written(tmp_path, text))))
+    found = proposed(columns_of(read_table(written(tmp_path, text))))
     assert {signal: source.text for signal, source in found.items()} == guess
 
 

@@ -13,9 +13,8 @@ from rosbags.rosbag2 import Reader
 from twinmatch.cli import main
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session
 from twinmatch.sessions import repair as repairing
-from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.repair import repair_session
-from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample
 
 SECOND = 10**9

@@ -73,6 +73,8 @@ def test_a_csv_file_is_read(tmp_path):
         CSV.replace("time,reference,temperature,pwm", "t, Setpoint [degC] ,Y (°C),U"),
         CSV.replace("time,reference,temperature,pwm", '"seconds","set_point","temp [C]","COMMAND"'),
         CSV.replace("\n1,", "\n\n ,,,\n1,"),
+        CSV.replace(",", ";").replace(".", ","),
+        CSV.replace("\n1,30,26,2", "\n1,30,26,2,"),
         "pwm,note,temperature,time (s),reference\n-1,a,25.5,5,30\n2,,26,6,30\n3.5,b,26.5,7,31\n",
     ],
 )
@@ -104,15 +106,18 @@ def changed(row: int, column: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (changed(3, 1, np.nan), "temperature in row 4 is nan, which is not a finite number"),
-        (changed(0, 0, np.inf), "pwm in row 1 is inf"),
+        (changed(3, 1, np.nan), "output in row 4 is nan; give a finite number"),
+        (changed(0, 0, np.inf), "input in row 1 is inf"),
         (changed(19, 3, -np.inf), "reference in row 20 is -inf"),
         (changed(7, 2, np.nan), "time in row 8 is nan"),
-        (changed(4, 0, 255.5), "pwm in row 5 is 255.5, which is beyond ±255"),
-        (changed(4, 0, -1023), "pwm in row 5 is -1023"),
-        (matrix() * [60, 1, 1, 1], r"pwm in row 1 \(and in 10 more\) is -300"),
-        (changed(2, 1, -273.16), "temperature in row 3 is -273.16, which is below absolute zero"),
-        (changed(2, 3, -500), "reference in row 3 is -500"),
+        (changed(4, 0, 255.5), "row 5: input is 255.5 PWM, beyond the limits of its drive, -255 to 255"),
+        (changed(4, 0, -1023), "row 5: input is -1023"),
+        (matrix() * [60, 1, 1, 1], r"row 1: input is -300 PWM \(and in 10 more\)"),
+        (
+            changed(2, 1, -273.16),
+            "row 3: output is -273.16 °C, beyond the span of its output, -273.15 to inf",
+        ),
+        (changed(2, 3, -500), "row 3: reference is -500"),
         (changed(5, 2, 5.5), "1.5 s from row 5 to row 6, elsewhere 1 s"),
         (changed(5, 2, 4.0), "time does not advance from 4 s in row 5 to 4 s in row 6"),
         (changed(5, 2, 3.0), "time does not advance from 4 s in row 5 to 3 s in row 6"),
@@ -184,29 +189,35 @@ def test_a_newer_mat_file_says_how_to_save_it(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is empty"),
-        ("\n", "has no column time and no column reference"),
+        ("", "the file has 0 lines of a table"),
+        ("\n\n", "the file has 0 lines of a table"),
         (
-            "time,pwm\n0,1\n",
-            "has no column reference and no column temperature; its first line has 'time', 'pwm'",
+            "time,pwm\n0,1\n1,1\n",
+            r"no column of reference \(.*\) and none of output \(.*\); it has 'time', 'pwm'",
         ),
-        (CSV.replace("pwm", "power"), "has no column pwm; its first line has 'time', 'reference', 'temp"),
-        (CSV.replace("pwm", "y"), "columns 'temperature' and 'y' are both temperature"),
+        (
+            CSV.replace("pwm", "power"),
+            r"has no column of input \(pwm, u, command\); it has 'time', 'reference', 'temp",
+        ),
+        (CSV.replace("pwm", "y"), "columns 'temperature' and 'y' are both output"),
         (
             CSV.replace("temperature", "temperature (K)"),
-            r"column 'temperature \(K\)': give temperature in °C",
+            r"column 'temperature \(K\)': give output in °C",
         ),
         (CSV.replace("time", "time [ms]"), r"column 'time \[ms\]': give time in s"),
-        (CSV.replace("pwm", "pwm [%]"), "give pwm in steps of −255 to 255"),
-        (CSV.replace("26,2", "x,2"), "temperature in line 3 is 'x', which is not a number"),
-        (CSV.replace("\n1,30,26,2", "\n\n1,30,,2"), "temperature in line 4 is ''"),
-        (CSV.replace("1,30,26,2", "1,30"), "temperature in line 3 is ''"),
-        (CSV.replace("26,2", "nan,2"), "temperature in line 3 is nan, which is not a finite number"),
-        (CSV.replace("\n1,30", "\n\n1,30").replace(",3.5", ",256"), "pwm in line 5 is 256"),
+        (CSV.replace("pwm", "pwm [%]"), "give input in steps of −255 to 255"),
+        (CSV.replace("26,2", "x,2"), "line 3: 'temperature' is 'x', which is not a number"),
+        (CSV.replace("\n1,30,26,2", "\n\n1,30,,2"), "output in line 4 is nan; give a finite number"),
+        (CSV.replace("1,30,26,2", "1,30"), "output in line 3 is nan"),
+        (CSV.replace("26,2", "nan,2"), "output in line 3 is nan"),
+        (CSV.replace("\n1,30", "\n\n1,30").replace(",3.5", ",256"), "line 5: input is 256"),
         (CSV.replace("\n2,31", "\n9,31"), "8 s from line 3 to line 4, elsewhere 1 s"),
-        ("time,reference,temperature,pwm\n", "has 0 rows; at least two"),
-        (CSV.splitlines()[0] + "\n" + "1" * 200_000 + ",1,1,1\n", "cannot be read as a table"),
-        (CSV.replace("26,2", "26,'2,5'").replace(",", ";").replace("'2;5'", "2,5"), "pwm in line 3 is '2,5'"),
+        ("time,reference,temperature,pwm\n", "at least two rows; the file has 1 lines of a table"),
+        (CSV.splitlines()[0] + "\n" + "1" * 200_000 + ",1,1,1\n0,1,1,1\n", "cannot be read as a table"),
+        (
+            CSV.replace(",", ";").replace("26;2", "26;2,5,1"),
+            "line 3: 'pwm' is '2,5,1'",
+        ),
     ],
 )
 def test_tables_that_cannot_be_used_are_explained(tmp_path, text, message):
@@ -215,8 +226,8 @@ def test_tables_that_cannot_be_used_are_explained(tmp_path, text, message):
 
 
 def test_a_csv_that_is_not_text_is_refused(tmp_path):
-    (tmp_path / "run.csv").write_bytes(b"\xff\xfe\x00garbage")
-    with pytest.raises(RecordingError, match="is not UTF-8 text"):
+    (tmp_path / "run.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(RecordingError, match="is not text in a known encoding; save it as UTF-8"):
         read_recording(tmp_path / "run.csv")
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from tests.support.schemas import bare
 from twinmatch.sessions import SessionError
-from twinmatch.sessions.definitions import FLOAT64, LOOP_SAMPLE, TEMPERATURE
-from twinmatch.sessions.installed import schema_of
+from twinmatch.sessions.definitions import FLOAT64, LOOP_SAMPLE, TEMPERATURE, schema_of
 
 SHARE = Path(sys.prefix) / "share"
 

@@ -9,10 +9,9 @@ import pytest
 import yaml
 
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session, write_session
-from twinmatch.sessions.cdr import encode_float64, encode_sample
 from twinmatch.sessions.definitions import FLOAT64
+from twinmatch.sessions.messages import REFERENCE, SAMPLE, encode_float64, encode_sample
 from twinmatch.sessions.metadata import Part, Summary, files_listed, parse_qos, qos_text
-from twinmatch.sessions.topics import REFERENCE, SAMPLE
 from twinmatch.signals import Sample, SignalError
 
 

@@ -11,9 +11,8 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from twinmatch.sessions import SessionError, SessionWriter, read_session
-from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
-from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample
 
 SECOND = 10**9

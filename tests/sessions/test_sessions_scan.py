@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from twinmatch.sessions import SessionError, SessionWriter, read_session
-from twinmatch.sessions.cdr import encode_sample
+from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.scan import MAGIC, Scan
-from twinmatch.sessions.topics import SAMPLE
 from twinmatch.signals import Sample
 
 COUNT = 60

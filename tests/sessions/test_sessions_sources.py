@@ -48,7 +48,7 @@ def test_a_session_file_opens_whatever_its_name(tmp_path):
         ("a.mcap", b"", "the file is empty"),
         ("a.mcap", b"garbage", "is not a session"),
         ("a.mat", b"garbage", "is not a MATLAB file"),
-        ("a.csv", b"garbage", "has no column time"),
+        ("a.csv", b"garbage", "give column names and at least two rows"),
         ("a.txt", b"garbage", r"is neither a session \(folder or \.mcap\) nor a recording \(\.mat, \.csv\)$"),
         ("a", b"MATLAB 5.0 MAT-file, x", r"a MATLAB file needs the suffix \.mat"),
     ],

@@ -200,18 +200,18 @@ def test_a_full_disk_keeps_the_session_that_was_there(tmp_path, request):
 def test_a_kill_while_writing_leaves_no_session(tmp_path):
     program = """
         import sys, time
-        from twinmatch.sessions import store
+        from twinmatch.sessions import recording
         from twinmatch.signals import Sample
 
-        whole = store.plant_messages
+        whole = recording.plant_messages
         def slow(samples, topics):
             for count, message in enumerate(whole(samples, topics)):
                 if count == 3000:
                     print("writing", flush=True)
                     time.sleep(60)
                 yield message
-        store.plant_messages = slow
-        store.write_session(sys.argv[1], [Sample(k, k, 1.0, 2.0, 3.0) for k in range(3000)])
+        recording.plant_messages = slow
+        recording.write_session(sys.argv[1], [Sample(k, k, 1.0, 2.0, 3.0) for k in range(3000)])
     """
     folder = tmp_path / "run"
     with subprocess.Popen(

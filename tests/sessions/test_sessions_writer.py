@@ -15,8 +15,7 @@ import yaml
 from mcap.reader import make_reader
 
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session
-from twinmatch.sessions.cdr import encode_sample
-from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE
+from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, encode_sample
 from twinmatch.signals import Sample
 
 IMAGE = Topic(
@@ -190,8 +189,8 @@ def test_a_killed_recorder_loses_nothing_that_was_flushed(tmp_path):
     program = """
         import sys, time
         from twinmatch.sessions import SessionWriter
-        from twinmatch.sessions.cdr import encode_sample
-        from twinmatch.sessions.topics import SAMPLE
+        from twinmatch.sessions.messages import encode_sample
+        from twinmatch.sessions.messages import SAMPLE
         from twinmatch.signals import Sample
 
         writer = SessionWriter(sys.argv[1])

@@ -19,7 +19,7 @@ from tests.support.ros import listening
 from tests.support.waiting import PATIENCE
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
-from twinmatch.sessions.settings import parameters_of
+from twinmatch.sessions.metadata import parameters_of
 from twinmatch_msgs.msg import Forecast, Match, MatchRequest, ModelScore
 
 ATTACH = LAUNCH_SCRIPTS / "attach.py"

@@ -15,8 +15,7 @@ from twinmatch.forecasting import Question, what_if
 from twinmatch.offline.judgement import Judgement, judge_samples
 from twinmatch.record import tree_of
 from twinmatch.sessions import SessionWriter, open_any
-from twinmatch.sessions.cdr import encode_sample
-from twinmatch.sessions.topics import SAMPLE
+from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings
 

@@ -20,8 +20,7 @@ from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
 from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.mapped import require_columns
-from twinmatch.sessions.resampled import Resampled
-from twinmatch.sessions.resampling import repeated, resample
+from twinmatch.sessions.resampling import Resampled, repeated, resample
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import read_times, row_times
 from twinmatch.signals import FloatArray

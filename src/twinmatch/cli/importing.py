@@ -96,10 +96,9 @@ def _import_mapped(options: argparse.Namespace) -> int:
     from twinmatch.offline.progress import Progress  # noqa: PLC0415 — as above
     from twinmatch.plants import find_plant  # noqa: PLC0415
     from twinmatch.sessions import plant_topics, write_session  # noqa: PLC0415
-    from twinmatch.sessions.bag_tables import map_bag  # noqa: PLC0415
-    from twinmatch.sessions.bags import is_bag  # noqa: PLC0415
+    from twinmatch.sessions.bags import is_bag, map_bag  # noqa: PLC0415
     from twinmatch.sessions.mapped import map_samples, with_plant_names  # noqa: PLC0415
-    from twinmatch.sessions.settings import NO_REFERENCE, PLANT  # noqa: PLC0415
+    from twinmatch.sessions.metadata import NO_REFERENCE, PLANT  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
     given = _given(options)
@@ -168,10 +167,10 @@ def _list_table(path: Path) -> int:
     from rich.console import Console  # noqa: PLC0415 — as above
     from rich.table import Table  # noqa: PLC0415
 
-    from twinmatch.sessions.guesses import look, proposed  # noqa: PLC0415
+    from twinmatch.sessions.column_map import columns_of, proposed  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
-    columns = look(read_table(path))
+    columns = columns_of(read_table(path))
     shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
     for column in columns:
         ends = ("", "") if column.kind == "text" else (f"{column.low:.10g}", f"{column.high:.10g}")
@@ -188,12 +187,11 @@ def _list_bag(path: Path) -> int:
     from rich.console import Console  # noqa: PLC0415 — as above
     from rich.table import Table  # noqa: PLC0415
 
-    from twinmatch.sessions.bag_listing import look_into  # noqa: PLC0415
     from twinmatch.sessions.bags import open_bag  # noqa: PLC0415
-    from twinmatch.sessions.guesses import proposed  # noqa: PLC0415
+    from twinmatch.sessions.column_map import proposed  # noqa: PLC0415
 
     with open_bag(path) as bag:
-        topics, seconds, columns = bag.topics, bag.seconds, look_into(bag)
+        topics, seconds, columns = bag.topics, bag.seconds, bag.columns
     shown = Table("topic", "type", "messages", "per s", "numbers")
     for topic in topics:
         rate = f"{topic.messages / seconds:.3g}" if seconds else ""

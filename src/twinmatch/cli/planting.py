@@ -76,8 +76,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _proposal(options: argparse.Namespace) -> Proposal:
     from twinmatch.adding import example, propose  # noqa: PLC0415 — as above
-    from twinmatch.sessions.column_map import ColumnMap, parse_map  # noqa: PLC0415
-    from twinmatch.sessions.guesses import look, proposed  # noqa: PLC0415
+    from twinmatch.sessions.column_map import ColumnMap, columns_of, parse_map, proposed  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
     if options.period is not None and not options.period > 0:
@@ -89,7 +88,7 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         return example()
     table = read_table(options.table)
     if not given.sources:
-        given = ColumnMap(proposed(look(table)))
+        given = ColumnMap(proposed(columns_of(table)))
         words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
         print(f"Columns guessed as: --map {words}")
     return propose(table, replace(given, period=options.period))

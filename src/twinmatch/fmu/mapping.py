@@ -16,8 +16,7 @@ from typing import Any, Final
 from twinmatch.dynamics import Parameter, Plant, PlantError, State
 from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, FmuError
 from twinmatch.plants import find_plant
-from twinmatch.sessions.documents import read_yaml
-from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.documents import DocumentError, read_yaml
 
 __all__ = ["FmuMap", "Formula", "Link", "read_maps"]
 

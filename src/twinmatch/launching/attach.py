@@ -9,14 +9,13 @@ from typing import Any
 
 from twinmatch.launching.plan import LivePlan, Wiring
 from twinmatch.launching.processes import LaunchError
-from twinmatch.nodes.sampler import understood, wires_of
+from twinmatch.nodes.sampler import sources_of, understood
 from twinmatch.parameters.declared import ParameterError, Values, check, flattened, render
 from twinmatch.parameters.loop import closing_of
 from twinmatch.parameters.twin import at_period, read_settings, twin_table, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sessions.column_map import ColumnMap
-from twinmatch.sessions.documents import read_yaml
-from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.sessions.mapped import by_signal
 from twinmatch.sessions.sampling import REFERENCE
 
@@ -75,7 +74,7 @@ def attach_plan(
     """
     values = _sampler_values(config, said)
     plant = find_plant(values["plant"])
-    driven = REFERENCE not in wires_of(SAMPLER, values)
+    driven = REFERENCE not in sources_of(SAMPLER, values)
     held = read_settings(twin_config, written_name(plant), driven=driven)
     if driven and held.gains is not None:
         msg = (
@@ -111,7 +110,7 @@ def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
     for signal, source in by_signal(plant, said.sources).items():
         given[f"map.{signal}"] = source.text
     values = check(place, understood(place, given), given)
-    wires_of(place, values)
+    sources_of(place, values)
     return values
 
 

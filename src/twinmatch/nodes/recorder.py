@@ -25,10 +25,9 @@ from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
 from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
-from twinmatch.sessions.documents import read_text
-from twinmatch.sessions.errors import DocumentError
-from twinmatch.sessions.installed import schema_of
-from twinmatch.sessions.settings import CANDIDATES, parameters_record
+from twinmatch.sessions.definitions import schema_of
+from twinmatch.sessions.documents import DocumentError, read_text
+from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 
 RHYTHM = 10
 """Messages after which a topic is expected to keep its rate."""

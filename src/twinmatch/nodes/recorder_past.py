@@ -19,7 +19,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.nodes.past import PastRequests, samples_of_answer
 from twinmatch.nodes.sample_messages import nanoseconds
-from twinmatch.sessions.cdr import decode_sample, encode_sample
+from twinmatch.sessions.messages import decode_sample, encode_sample
 from twinmatch_msgs.msg import Match, ModelScore
 from twinmatch_msgs.srv import Past
 

@@ -30,8 +30,7 @@ from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes import network
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.parameters.declared import render
-from twinmatch.sessions.documents import read_yaml
-from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.documents import DocumentError, read_yaml
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor

@@ -32,7 +32,7 @@ from twinmatch.sessions.sampling import (
     Limits,
     Sampler,
     SamplingError,
-    Wire,
+    SignalSource,
     follow,
 )
 from twinmatch_msgs.msg import LoopSample
@@ -98,8 +98,8 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[Parameter, ...]:
     return sampler_table(plant, float(period) if isinstance(period, int | float) and period > 0 else None)
 
 
-def wires_of(place: str, values: Mapping[str, Any]) -> dict[str, Wire]:
-    """The wires of the mapped signals, by name in the plant's order.
+def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]:
+    """The sources of the mapped signals, by name in the plant's order.
 
     Raises:
         TwinmatchError: a map entry cannot be parsed, or that of output or input is missing.
@@ -109,7 +109,7 @@ def wires_of(place: str, values: Mapping[str, Any]) -> dict[str, Wire]:
         text = values[f"map.{name}"]
         if text.strip():
             source = parse_source(f"{place}: map.{name}", text)
-            found[name] = Wire.of(name, source.columns, source.unit, source.scale, source.offset)
+            found[name] = SignalSource.of(name, source.columns, source.unit, source.scale, source.offset)
     for name in (OUTPUT, INPUT):
         if name not in found:
             msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data"
@@ -117,7 +117,7 @@ def wires_of(place: str, values: Mapping[str, Any]) -> dict[str, Wire]:
     return found
 
 
-def limits_of(values: Mapping[str, Any], mapped: Mapping[str, Wire]) -> dict[str, Limits]:
+def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
     """The limits of each mapped signal."""
     known = signals_of(find_plant(values["plant"]))
 
@@ -173,21 +173,21 @@ class SamplerNode(TwinmatchNode):
         return understood(cls.NAME, given), given
 
     def read_parameters(self) -> None:
-        """Create the sampler and its wires.
+        """Create the sampler and its sources.
 
         Raises:
             TwinmatchError: parameters contradict each other.
         """
         values = self.values
         self._plant = find_plant(values["plant"])
-        self._wires = wires_of(self.NAME, values)
+        self._sources = sources_of(self.NAME, values)
         self._types = types_of(self.NAME, values["types"])
-        if values["paced_by"] not in (*self._wires, TIMER):
+        if values["paced_by"] not in (*self._sources, TIMER):
             pacer = values["paced_by"]
             msg = f"{self.NAME}: paced_by is {pacer}, but map.{pacer} is missing; add it, or change paced_by"
             raise SamplingError(msg)
         self._sampler = Sampler(
-            limits_of(values, self._wires),
+            limits_of(values, self._sources),
             values["period"],
             values["paced_by"],
             settle=values["settle"],
@@ -197,10 +197,10 @@ class SamplerNode(TwinmatchNode):
     def open(self) -> None:
         """Start to search for the topics."""
         self._publisher = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
-        channels = [channel for wire in self._wires.values() for channel in wire.channels]
+        channels = [channel for source in self._sources.values() for channel in source.channels]
         self._topics = ForeignTopics(self, channels, self._types, self._on_message)
-        self._ready: dict[str, Wire] = {}
-        self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in self._wires}
+        self._ready: dict[str, SignalSource] = {}
+        self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in self._sources}
         self._begun = time.monotonic()
         self._heard: dict[str, float] = {}
         self._missed_at = (0, 0)
@@ -225,7 +225,7 @@ class SamplerNode(TwinmatchNode):
         """Each signal's value and counts, and the reason if there are no samples."""
         sampler, now = self._sampler, time.monotonic()
         level = Level.ERROR if self._index >= 0 or self._late(now) else Level.WARN
-        for name, wire in self._wires.items():
+        for name, source in self._sources.items():
             counts = sampler.counts[name]
             newest = sampler.newest(name)
             self.health.set(name, "none yet" if newest is None else f"{newest:g}")
@@ -233,8 +233,8 @@ class SamplerNode(TwinmatchNode):
                 f"{name}: missing, late, out of range, not a number",
                 f"{counts.missing}, {counts.late}, {counts.beyond}, {sampler.refused(name)}",
             )
-            trouble = self._silence(name, wire, now) or sampler.troubles.get(name, "")
-            text = self._explained(name, wire, trouble)
+            trouble = self._silence(name, source, now) or sampler.troubles.get(name, "")
+            text = self._explained(name, source, trouble)
             self.health.flag_if(bool(text), name, level, text)
         pace = sampler.troubles.get("pace", "")
         self.health.flag_if(bool(pace), "pace", level, pace)
@@ -246,12 +246,12 @@ class SamplerNode(TwinmatchNode):
     def _on_search(self) -> None:
         try:
             self._topics.look()
-            for name, wire in self._wires.items():
-                kinds = [self._topics.kinds.get(channel.topic, "") for channel in wire.channels]
+            for name, source in self._sources.items():
+                kinds = [self._topics.kinds.get(channel.topic, "") for channel in source.channels]
                 if name not in self._ready and all(kinds):
-                    paths = [self._topics.path(channel) for channel in wire.channels]
+                    paths = [self._topics.path(channel) for channel in source.channels]
                     unit = signals_of(self._plant)[name].unit
-                    self._ready[name] = wire.to(unit, kinds, paths)
+                    self._ready[name] = source.to(unit, kinds, paths)
         except TwinmatchError as error:
             self._failure = SamplingError(f"{self.NAME}: {error}")
             return
@@ -273,21 +273,21 @@ class SamplerNode(TwinmatchNode):
         self.health.flag_if(stamp > now + step, "stamps", Level.WARN, _ahead(topic, stamp - now))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
         at = min(stamp, now) if stamp else now
-        for name, wire in self._ready.items():
+        for name, source in self._ready.items():
             fresh = self._fresh[name]
-            for place, channel in enumerate(wire.channels):
+            for place, channel in enumerate(source.channels):
                 if channel.topic == topic:
                     fresh[place] = follow(message, channel.path), at
-            if any(c.topic == topic for c in wire.channels):
+            if any(c.topic == topic for c in source.channels):
                 self._heard[name] = time.monotonic()
-                if len(fresh) == len(wire.channels):
-                    value = wire.value([number for number, _ in fresh.values()])
+                if len(fresh) == len(source.channels):
+                    value = source.value([number for number, _ in fresh.values()])
                     self._sampler.take(name, value, min(when for _, when in fresh.values()), now)
                     fresh.clear()
         self._on_look()
 
     def _on_look(self) -> None:
-        for sample in self._sampler.look(self._now()):
+        for sample in self._sampler.collect(self._now()):
             if self._readers_there():
                 if self._first is None:
                     self._first = sample.index
@@ -314,10 +314,10 @@ class SamplerNode(TwinmatchNode):
             self._waiting = bool(missing) and not over
         return not self._waiting
 
-    def _silence(self, name: str, wire: Wire, now: float) -> str:
+    def _silence(self, name: str, source: SignalSource, now: float) -> str:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
-        topics = " and ".join(dict.fromkeys(channel.topic for channel in wire.channels))
-        gone = [c.topic for c in wire.channels if not self._topics.publishers(c.topic)]
+        topics = " and ".join(dict.fromkeys(channel.topic for channel in source.channels))
+        gone = [c.topic for c in source.channels if not self._topics.publishers(c.topic)]
         limit, heard = self.values[f"max_age.{name}"], self._heard.get(name)
         if heard is None:
             return f"no publisher on {gone[0]}" if gone else f"no message on {topics} yet"
@@ -326,9 +326,9 @@ class SamplerNode(TwinmatchNode):
             return f"no message on {topics} for {now - heard:.1f} s{why}"
         return ""
 
-    def _explained(self, name: str, wire: Wire, trouble: str) -> str:
+    def _explained(self, name: str, source: SignalSource, trouble: str) -> str:
         """A problem and what to do about it."""
-        text = wire.channels[0].text
+        text = source.channels[0].text
         if "outside" in trouble:
             unit = signals_of(self._plant)[name].unit
             return (

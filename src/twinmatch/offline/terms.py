@@ -10,7 +10,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session
 from twinmatch.sessions.candidates import parse_candidates, read_candidates
-from twinmatch.sessions.settings import CANDIDATES, parameters_of
+from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.twin import TwinSettings
 
 __all__ = ["SAMPLE", "Terms", "TermsError", "prefix_of", "recorded_terms", "terms_from_files"]

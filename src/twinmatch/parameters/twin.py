@@ -20,8 +20,7 @@ from twinmatch.parameters.declared import Parameter, ParameterError, Values, che
 from twinmatch.parameters.loop import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
-from twinmatch.sessions.documents import read_yaml
-from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.twin import ForecastSettings, TrustLimits, TwinError, TwinSettings
 
 __all__ = [

@@ -7,15 +7,19 @@ reads both, a truncated file as far as it goes. `read_recording` imports MATLAB 
 and `open_any` opens either. `resample` puts rows with irregular times on one clock.
 """
 
-from twinmatch.sessions.errors import RecordingError, SessionError
-from twinmatch.sessions.importers import read_recording
+from twinmatch.sessions.files import RecordingError, SessionError
+from twinmatch.sessions.messages import Message, Qos, Topic, plant_messages, plant_topics
 from twinmatch.sessions.reader import Session, read_session
-from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
-from twinmatch.sessions.resampled import Resampled
-from twinmatch.sessions.resampling import resample
-from twinmatch.sessions.sources import open_any
-from twinmatch.sessions.store import EPOCH, samples_of, write_session
-from twinmatch.sessions.topics import Message, Qos, Topic, plant_messages, plant_topics
+from twinmatch.sessions.recording import (
+    EPOCH,
+    DiskFullError,
+    Recording,
+    RecordingLimits,
+    samples_of,
+    write_session,
+)
+from twinmatch.sessions.resampling import Resampled, resample
+from twinmatch.sessions.sources import open_any, read_recording
 from twinmatch.sessions.writer import SessionWriter
 
 __all__ = [

@@ -22,8 +22,7 @@ from twinmatch.dynamics import Output, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier, find_plant, plant_named
 from twinmatch.plants.records import parameters_from
-from twinmatch.sessions.documents import parse_yaml, read_text, shown
-from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.documents import DocumentError, parse_yaml, read_text, shown
 
 __all__ = ["CandidateFileError", "parse_candidates", "read_candidates"]
 

@@ -21,15 +21,22 @@ to the plant's. Several columns give their mean.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from twinmatch.sessions.documents import read_yaml
-from twinmatch.sessions.errors import DocumentError, RecordingError
+import numpy as np
 
-__all__ = ["ColumnMap", "Source", "parse_map", "parse_source", "read_map"]
+from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.documents import DocumentError, read_yaml
+from twinmatch.sessions.files import RecordingError
+from twinmatch.sessions.tables import Table, split_title
+from twinmatch.sessions.times import read_times
+from twinmatch.signals import FloatArray
+
+__all__ = ["Column", "ColumnMap", "Source", "columns_of", "parse_map", "parse_source", "proposed", "read_map"]
 
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
 
@@ -172,3 +179,129 @@ def _plain_number(text: str) -> Any:
         return float(text)
     except ValueError:
         return text
+
+
+_REFERENCE: Final = re.compile(
+    r"set.?-?point|\bsp\b|^sp\d*$|reference|^ref$|^r$|desired|target", re.IGNORECASE
+)
+_OUTPUT: Final = re.compile(
+    r"^t\d*$|(?-i:^[Tt]_?out)|temp|(?-i:^y(?:[A-Z_\d].*)?$)|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow",
+    re.IGNORECASE,
+)
+_INPUT: Final = re.compile(
+    r"heater|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
+    re.IGNORECASE,
+)
+_AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
+_TIME: Final = re.compile(r"^t$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
+_FEW: Final = 12
+"""A column with at most so many different values looks commanded rather than measured."""
+_REPEATED: Final = 0.9
+_JUMP: Final = 0.05
+"""A column that repeats its value in this share of the rows, and otherwise jumps by this share of its range,
+looks commanded too. A slow reading that is rounded repeats its value as often, but moves by one digit."""
+
+_TWICE: Final = 0.05
+"""Largest share of rows that may repeat the time before in a column that is a time by its title."""
+
+
+class Column(NamedTuple):
+    """Summary of a column."""
+
+    title: str
+    unit: str
+    """Unit in its title; empty without one."""
+    low: float
+    high: float
+    different: int
+    """Number of different values."""
+    empty: int
+    """Rows without a value."""
+    kind: str
+    """`time` (increasing), `numbers`, `on or off`, `constant` or `text`."""
+    stepped: bool = False
+    """Whether it holds its value and jumps, as a command does."""
+
+
+def columns_of(table: Table) -> list[Column]:
+    """Summaries of all columns."""
+    return [_column(table, title) for title in table.columns]
+
+
+def _column(table: Table, title: str) -> Column:
+    unit = table.unit(title)
+    try:
+        values = table.values(title)
+    except TwinmatchError:
+        try:
+            seconds = read_times(table, title).seconds
+        except TwinmatchError:
+            every = {*table.texts[title].values(), *table.columns[title].tolist()}
+            return Column(title, unit, np.nan, np.nan, len(every), 0, "text")
+        return Column(title, "date", 0.0, float(np.nanmax(seconds)), seconds.size, 0, "time")
+    found = values[np.isfinite(values)]
+    if not found.size:
+        return Column(title, unit, np.nan, np.nan, 0, values.size, "text")
+    different = int(np.unique(found).size)
+    steps = np.diff(found)
+    grows = found.size > 2 and bool((steps > 0).all())
+    # A logger may write a row twice; more repeats are those of another quantity, such as a counter.
+    few = found.size > 2 and bool((steps >= 0).all()) and float(np.mean(steps == 0)) < _TWICE
+    repeats = few and _TIME.search(split_title(title)[0]) is not None
+    if different == 1:
+        kind = "constant"
+    elif grows or repeats:
+        kind = "time"
+    else:
+        kind = "on or off" if set(np.unique(found)) <= {0.0, 1.0} else "numbers"
+    low, high = float(found.min()), float(found.max())
+    return Column(title, unit, low, high, different, values.size - found.size, kind, _stepped(found))
+
+
+def _stepped(values: FloatArray) -> bool:
+    changes = np.abs(np.diff(values))
+    moved = changes[changes > 0]
+    if not moved.size or moved.size > (1.0 - _REPEATED) * changes.size:
+        return False
+    return float(np.median(moved)) >= _JUMP * float(np.ptp(values))
+
+
+def proposed(columns: Sequence[Column]) -> dict[str, Source]:
+    """A guess at the columns of time, output, input, reference and room, for a person to check."""
+    found: dict[str, Source] = {}
+    taken: set[str] = set()
+    named = list(_named(columns, _INPUT, ("on or off", "numbers")))
+    for signal, candidates in (
+        ("time", _named(columns, _TIME, ("time",))),
+        ("reference", _named(columns, _REFERENCE, ("numbers", "constant"))),
+        ("room", _named(columns, _AROUND, ("numbers", "constant"))),
+        ("input", (c for c in named if c.stepped or c.kind == "on or off")),
+        ("input", named),
+        ("input", (c for c in _of(columns, "numbers") if c.stepped)),
+        ("output", _liveliest(c for c in _named(columns, _OUTPUT, ("numbers", "time")) if not c.stepped)),
+        ("output", _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))),
+        ("time", _of(columns, "time")),
+        ("input", _of(columns, "on or off")),
+        ("input", (c for c in _of(columns, "numbers") if c.different <= _FEW)),
+        ("output", _liveliest(_of(columns, "numbers"))),
+        ("input", _of(columns, "numbers")),
+    ):
+        choice = next((column.title for column in candidates if column.title not in taken), None)
+        if signal not in found and choice is not None:
+            found[signal] = Source((choice,))
+            taken.add(choice)
+    order = ("time", "output", "input", "reference", "room")
+    return {signal: found[signal] for signal in order if signal in found}
+
+
+def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> Iterator[Column]:
+    return (c for c in columns if c.kind in kinds and words.search(split_title(c.title)[0]))
+
+
+def _of(columns: Sequence[Column], kind: str) -> Iterator[Column]:
+    return (c for c in columns if c.kind == kind)
+
+
+def _liveliest(columns: Iterator[Column]) -> Iterator[Column]:
+    """Columns with most different values first: of several temperatures, the room's varies least."""
+    return iter(sorted(columns, key=lambda column: -column.different))

@@ -1,14 +1,21 @@
-"""Definitions of the messages in sessions, so that no ROS installation is needed.
+"""Definitions of message types, as schemas of a session's topics: of ours, and of any installed type.
 
-The texts are those of the installed `.msg` files, including comments, because readers show them; the
-hashes are the RIHS01 type hashes that ROS 2 computes from the fields. Tests compare both with an
-installed ROS 2, and the hashes with an independent implementation.
+Ours are here, so that no ROS installation is needed. The texts are those of the installed `.msg` files,
+including comments, because readers show them; the hashes are the RIHS01 type hashes that ROS 2 computes from
+the fields. Tests compare both with an installed ROS 2, and the hashes with an independent implementation.
 Header, Time, Temperature and Float64 are definitions of the ROS 2 common interfaces (Apache-2.0).
 """
 
 from __future__ import annotations
 
+import os
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import NamedTuple
+
+from twinmatch.sessions.files import SessionError
 
 __all__ = [
     "FLOAT64",
@@ -19,7 +26,12 @@ __all__ = [
     "TIME",
     "MessageType",
     "fields_of",
+    "schema_of",
 ]
+
+_PRIMITIVE = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 
 
 class MessageType(NamedTuple):
@@ -37,11 +49,16 @@ class MessageType(NamedTuple):
     @property
     def schema(self) -> str:
         """The `ros2msg` schema: this text, then those of the nested types, each after its name."""
-        blocks = [self.text]
-        for part in self.parts:
-            package, _, name = part.name.split("/")
-            blocks.append(f"{'=' * 80}\nMSG: {package}/{name}\n{part.text}")
-        return "\n".join(blocks)
+        return _joined(self.text, ((part.name, part.text) for part in self.parts))
+
+
+def _joined(text: str, parts: Iterable[tuple[str, str]]) -> str:
+    """A schema: the text of a type, then the names and texts of its nested types."""
+    blocks = [text]
+    for name, nested in parts:
+        package, _, short = name.split("/")
+        blocks.append(f"{'=' * 80}\nMSG: {package}/{short}\n{nested}")
+    return "\n".join(blocks)
 
 
 def fields_of(schema: str) -> list[str]:
@@ -137,3 +154,52 @@ float64 data
 """,
     "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
 )
+
+
+def schema_of(kind: str, environment: Mapping[str, str] = os.environ) -> str:
+    """The `ros2msg` schema of an installed type: its definition, then those of its nested types.
+
+    Args:
+        kind: full name, `package/msg/Type`.
+        environment: its AMENT_PREFIX_PATH lists where packages are; Python's prefix is searched last.
+
+    Raises:
+        SessionError: the type or a nested one is not installed, or `kind` is not such a name.
+    """
+    texts = {kind: _text(kind, environment)}
+    todo = [kind]
+    while todo:
+        owner = todo.pop(0)
+        for part in _parts(owner, texts[owner]):
+            if part not in texts:
+                texts[part] = _text(part, environment)
+                todo.append(part)
+    return _joined(texts.pop(kind), texts.items())
+
+
+def _text(kind: str, environment: Mapping[str, str]) -> str:
+    match = re.fullmatch(r"(\w+)/msg/(\w+)", kind)
+    if match is None:
+        msg = f"session: {kind!r} is not a message type; give package/msg/Type"
+        raise SessionError(msg)
+    package, name = match.groups()
+    prefixes = [*filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
+    for prefix in prefixes:
+        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if path.is_file():
+            return path.read_text("utf-8")
+    msg = f"session: the definition of {kind} is not installed; looked in {', '.join(prefixes)}"
+    raise SessionError(msg)
+
+
+def _parts(owner: str, text: str) -> Iterator[str]:
+    """Full names of the types of the nested fields."""
+    for line in text.splitlines():
+        field = line.split("#", 1)[0].strip()
+        if not field or re.match(r"\S+\s+\w+\s*=", field):  # empty, or a constant
+            continue
+        kind = re.split(r"[\[<\s]", field)[0]
+        if kind in _PRIMITIVE:
+            continue
+        package, *_, name = kind.split("/") if "/" in kind else (owner.split("/", 1)[0], kind)
+        yield f"{package}/msg/{name}"

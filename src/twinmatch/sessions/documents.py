@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from twinmatch.sessions.errors import DocumentError
+from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.files import read_bounded
 
-__all__ = ["MOST_BYTES", "parse_json", "parse_yaml", "read_text", "read_yaml", "shown"]
+__all__ = ["MOST_BYTES", "DocumentError", "parse_json", "parse_yaml", "read_text", "read_yaml", "shown"]
 
 MOST_BYTES = 1 << 20
 """Longest document: a thousand candidates, or the metadata of a session of a thousand files."""
@@ -35,6 +35,10 @@ WHOLE = 2**63
 
 _PREFIX = "tag:yaml.org,2002:"
 _KINDS = {f"{_PREFIX}{kind}" for kind in ("null", "bool", "int", "float", "str")}
+
+
+class DocumentError(TwinmatchError):
+    """A YAML or JSON text cannot be used; the message names the file and the line in it."""
 
 
 def read_yaml(path: Path) -> Any:

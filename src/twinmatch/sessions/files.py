@@ -1,8 +1,13 @@
-"""Reading files from outside: opened without blocking, and bounded.
+"""Reading files from outside: opened without blocking, and bounded; and the errors of sessions.
 
 A path may be a pipe without a writer or an endless device, and a file may be larger than the memory. A file
 that cannot be used raises an `OSError` with a `strerror`, like errors of the operating system, so that
 callers catch only one kind.
+
+TwinmatchError
+├── SessionError           a session cannot be read or written
+│   └── RecordingError     a recording (.mat, .csv, a bag) cannot be imported
+└── DocumentError          a YAML or JSON text cannot be used, in `documents`
 """
 
 from __future__ import annotations
@@ -15,7 +20,17 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["ProgressCallback", "lines_of", "open_regular", "part_of", "read_bounded"]
+from twinmatch.errors import TwinmatchError
+
+__all__ = [
+    "ProgressCallback",
+    "RecordingError",
+    "SessionError",
+    "lines_of",
+    "open_regular",
+    "part_of",
+    "read_bounded",
+]
 
 ProgressCallback = Callable[[int, int], None]
 """Called with the amount done and the total."""
@@ -24,6 +39,14 @@ MOST_LINE = 1 << 20
 """Longest line of a table, characters: tables of samples are far below, files without line ends above."""
 LINES_BETWEEN = 10_000
 """Lines between two reports of progress."""
+
+
+class SessionError(TwinmatchError):
+    """A session cannot be read or written; the message names the file and the place in it."""
+
+
+class RecordingError(SessionError):
+    """A recording cannot be imported; the message names the file and the place in it."""
 
 
 def open_regular(path: Path) -> BinaryIO:

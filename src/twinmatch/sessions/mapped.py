@@ -5,26 +5,34 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.between_rows import Kind
 from twinmatch.sessions.column_map import ColumnMap, Source
-from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.resampled import Resampled
-from twinmatch.sessions.resampling import Gaps, repeated, resample
-from twinmatch.sessions.store import EPOCH
+from twinmatch.sessions.files import RecordingError
+from twinmatch.sessions.recording import EPOCH
+from twinmatch.sessions.resampling import Gaps, Kind, Resampled, repeated, resample
+from twinmatch.sessions.sampling import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import Times, read_times, row_times
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.units import Conversion, conversion, measure
 
-__all__ = ["Mapped", "by_signal", "map_samples", "require_columns", "with_plant_names"]
+__all__ = [
+    "TIME",
+    "Mapped",
+    "PlantSignal",
+    "by_signal",
+    "check_range",
+    "map_samples",
+    "require_columns",
+    "with_plant_names",
+]
 
-TIME, OUTPUT, INPUT, REFERENCE = "time", "output", "input", "reference"
+TIME: Final = "time"
 
 _ODD = 0.01
 """Up to this share of readings beyond the sensor's span, the sensor is suspected rather than the unit."""
@@ -44,7 +52,7 @@ class Mapped(NamedTuple):
     """Sentences for the user."""
 
 
-class _Signal(NamedTuple):
+class PlantSignal(NamedTuple):
     """Properties of one of the plant's signals."""
 
     kind: Kind
@@ -107,7 +115,7 @@ def map_samples(
         kept = np.setdiff1d(kept, twice)
     notes += [f"The dates are read as {times.order}."] if times.order else []
     for signal, known in signals.items():
-        notes += _check_range(table, signal, known, values[signal], kept)
+        notes += check_range(table, signal, known, values[signal], kept)
     done = resample(
         times.seconds[kept],
         {signal: column[kept] for signal, column in values.items()},
@@ -185,18 +193,18 @@ def require_columns(table: Table, given: ColumnMap) -> None:
         raise RecordingError(msg + (rows if TIME in missing else ""))
 
 
-def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[str, _Signal], list[str]]:
+def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[str, PlantSignal], list[str]]:
     """The signals to read from the table, and notes on those it does not have."""
     require_columns(table, given)
     sources = given.sources
     y, u = plant.output, plant.drive
-    signals = {OUTPUT: _Signal("reading", y.unit, *y.span), INPUT: _Signal("held", u.unit, *u.limits)}
+    signals = {OUTPUT: PlantSignal("reading", y.unit, *y.span), INPUT: PlantSignal("held", u.unit, *u.limits)}
     if REFERENCE in sources:
-        signals[REFERENCE] = _Signal("set", y.unit)
+        signals[REFERENCE] = PlantSignal("set", y.unit)
     notes = []
     for name, disturbance in plant.disturbances.items():
         if name in sources:
-            signals[name] = _Signal("reading", disturbance.unit)
+            signals[name] = PlantSignal("reading", disturbance.unit)
         else:
             value = f"{disturbance.default:g} {disturbance.unit}".strip()
             notes.append(f"{name} is not in the table: the plant's default, {value}, is used.")
@@ -215,7 +223,7 @@ def _times(table: Table, source: Source | None, period: float | None) -> Times:
     return read_times(table, source.columns[0], source.unit, source.scale)
 
 
-def _values(table: Table, source: Source, signal: str, known: _Signal) -> FloatArray:
+def _values(table: Table, source: Source, signal: str, known: PlantSignal) -> FloatArray:
     """A signal in the plant's unit, shape (N,)."""
     total = np.zeros(len(table.lines))
     for title in source.columns:
@@ -238,11 +246,26 @@ def _conversion(table: Table, title: str, unit: str, signal: str, wanted: str) -
         raise RecordingError(msg) from None
 
 
-def _check_range(
-    table: Table, signal: str, known: _Signal, values: FloatArray, kept: np.ndarray
+def check_range(
+    table: Table, signal: str, known: PlantSignal, values: FloatArray, kept: np.ndarray | None = None
 ) -> list[str]:
     """Refuse values outside the plant's range; keep a few odd readings as those of a failed sensor, which the
-    health monitor detects."""
+    health monitor detects.
+
+    Args:
+        table: where the values are from.
+        signal: name of the signal.
+        known: its unit and range.
+        values: in that unit, shape (N,).
+        kept: the rows that are used; all if not given.
+
+    Returns:
+        A note on odd readings.
+
+    Raises:
+        RecordingError: values are outside the range.
+    """
+    kept = np.arange(values.size) if kept is None else kept
     slack = 1e-9 * max(abs(known.low), abs(known.high)) if math.isfinite(known.high - known.low) else 0.0
     outside = kept[(values[kept] < known.low - slack) | (values[kept] > known.high + slack)]
     if not outside.size:
@@ -250,25 +273,29 @@ def _check_range(
     first = int(outside[0])
     others = f" (and in {outside.size - 1} more)" if outside.size > 1 else ""
     what = "limits of its drive" if signal == INPUT else "span of its output"
-    span = f"{known.low:g} to {known.high:g}"
-    found = f"{signal} is {values[first]:g} {known.unit}{others}, beyond the {what}, {span}"
+    found = (
+        f"{signal} is {values[first]:g} {known.unit}{others}, beyond the {what}, "
+        f"{known.low:g} to {known.high:g}"
+    )
     if known.kind == "reading" and outside.size <= _ODD * kept.size:
         return [f"In {table.row} {table.lines[first]}, {found}; kept as readings of a failed sensor."]
     raise RecordingError(f"{table.place(first)}: {found}; {_hint(signal, known, values[kept])}")
 
 
-def _hint(signal: str, known: _Signal, values: FloatArray) -> str:
+def _hint(signal: str, known: PlantSignal, values: FloatArray) -> str:
     """A suggestion for values outside the plant's range."""
     for unit in ("K", "degF", "mV", "mA", "mW", "kW", "ms", "min", ""):
         try:
             change = conversion(unit, known.unit)
         except TwinmatchError:
             continue
-        within = values * change.scale + change.offset
+        with np.errstate(over="ignore"):
+            within = values * change.scale + change.offset
         if change != Conversion() and ((within >= known.low) & (within <= known.high)).all():
             return f"if the column is in {unit or 'parts of one'}, write '{signal}=COLUMN; unit={unit or 1}'"
     for scale in (0.01, 100.0, 1e-3, 1e3, 100 / 255, 1 / 255):
-        within = values * scale
+        with np.errstate(over="ignore"):  # of damaged files
+            within = values * scale
         if within.max() > 0.2 * known.high and ((within >= known.low) & (within <= known.high)).all():
             return f"if it is in another unit, write '{signal}=COLUMN; scale={scale:.6g}'"
     return "map another column, give its unit, or widen the plant's range if the values are right"

@@ -1,41 +1,48 @@
-"""One matrix of a MATLAB file of version 5 (`save -v6` and `-v7`), checked before it is unpacked.
+"""Matrices of a MATLAB file of version 5 (`save -v6` and `-v7`), checked before they are unpacked.
 
 A few kilobytes may unpack to gigabytes, and the sizes a file states may be wrong. The search over the
-variables therefore unpacks only the beginning of each, which has name, class and dimensions; only the wanted
-one is unpacked, at most to the size given by its dimensions, and then decoded in memory by `scipy`.
+variables therefore unpacks only the beginning of each, which has name, class and dimensions; only those
+wanted are unpacked, at most to the size given by their dimensions, and then decoded in memory by `scipy`.
 
 Source: MathWorks, *MAT-File Format*, section "Level 5 MAT-File Format".
 """
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, Final, NamedTuple
 
-from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.files import open_regular
+import numpy as np
 
-__all__ = ["MAT_BEGINNING", "read_matrix"]
+from twinmatch.sessions.files import RecordingError, open_regular
+from twinmatch.signals import FloatArray
 
-MAT_BEGINNING = b"MATLAB 5.0 MAT-file"
-HEADER = 128
+__all__ = ["MAT_BEGINNING", "read_matrices"]
+
+MAT_BEGINNING: Final = b"MATLAB 5.0 MAT-file"
+_ORDERS: Final = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}
+"""Byte order by the version and mark at the end of the header."""
+_HEADER: Final = 128
 """Bytes before the first variable."""
-HEAD = 1024
+_HEAD: Final = 1024
 """Bytes of a variable that are searched for its flags, dimensions and name."""
-SLACK = 64 * 1024
+_SLACK: Final = 64 * 1024
 """Bytes that a variable may have besides its values: tags, name, padding."""
-MOST_VARIABLES = 10_000
-MOST_SHOWN = 20
+_MOST_VARIABLES: Final = 10_000
+_MOST_SHOWN: Final = 20
 """Most names of variables in one message."""
+_MOST_VALUES: Final = 40_000_000
+"""Most numbers that are read, 320 MB: ten million samples of four signals, a day at 100 Hz."""
 
 _MATRIX, _COMPRESSED = 14, 15
-_NUMERIC = range(6, 16)
+_NUMERIC: Final = range(6, 16)
 """Classes of arrays of numbers, `double` to `uint64`."""
-_COMPLEX = 0x08
+_COMPLEX: Final = 0x08
 
 
 class _DamagedError(Exception):
@@ -48,7 +55,7 @@ class _Variable(NamedTuple):
     name: str
     shape: tuple[int, ...]
     real: bool
-    """Whether it is a full matrix of real numbers."""
+    """Whether it is a full array of real numbers."""
     at: int
     """Where its tag begins in the file."""
     kind: int
@@ -57,62 +64,66 @@ class _Variable(NamedTuple):
     """Bytes after the tag."""
 
 
-def read_matrix(path: Path, name: str, columns: int, most_rows: int) -> Any:
-    """Read a matrix of real numbers, shape (N, columns).
+def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, FloatArray]:
+    """Read the longest vectors and matrices of real numbers, by name, each of two dimensions.
+
+    Args:
+        path: the file.
+        name: the only matrix wanted.
+        width: the number of its columns.
 
     Raises:
         RecordingError: the file is not of version 5, or has no such matrix of this shape and size.
         OSError: the file cannot be read.
     """
     with open_regular(path) as file:
-        header = file.read(HEADER)
-        _check_beginning(path, header)
-        order = ">" if header[126:128] == b"MI" else "<"
+        header = file.read(_HEADER)
+        order = _ORDERS.get(header[124:])
+        if header.startswith(b"MATLAB 7.3"):
+            raise RecordingError(f"{path}: is a MATLAB 7.3 file; save it again with the option -v7")
+        if order is None:
+            msg = f"{path}: is not a MATLAB file of version 5; save it with the option -v7"
+            raise RecordingError(msg)
         try:
-            held = list(_variables(file, order))
-            wanted = next((variable for variable in held if variable.name == name), None)
-            if wanted is None:
-                more = ", …" if len(held) > MOST_SHOWN else ""
-                names = ", ".join(variable.name[:40] for variable in held[:MOST_SHOWN]) or "nothing"
-                msg = f"recording {path}: has no matrix {name}; it has {names}{more}"
-                raise RecordingError(msg)
-            _check(path, wanted, columns, most_rows)
-            return _decoded(header + _unpacked(file, wanted, order), name)
+            present = list(_variables(file, order))
+            wanted = [_named(path, present, name, width)] if name else _longest(path, present)
+            values = sum(math.prod(variable.shape) for variable in wanted)
+            if values > _MOST_VALUES:
+                many = f"{', '.join(v.name for v in wanted[:_MOST_SHOWN])} with {values} values"
+                raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MOST_VALUES}")
+            return {v.name: _decoded(header + _unpacked(file, v, order), v) for v in wanted}
         except _DamagedError as error:
-            msg = f"recording {path}: is truncated or damaged; copy it again ({error})"
+            msg = f"{path}: is truncated or damaged; copy it again ({error})"
             raise RecordingError(msg) from error
 
 
-def _check_beginning(path: Path, header: bytes) -> None:
-    if header.startswith(b"MATLAB 7.3"):
-        msg = f"recording {path}: is a MATLAB 7.3 file; save it again with the option -v7"
-        raise RecordingError(msg)
-    if not header.startswith(MAT_BEGINNING):
-        msg = f"recording {path}: is not a MATLAB file of version 5; save it with the option -v7"
-        raise RecordingError(msg)
-
-
-def _check(path: Path, wanted: _Variable, columns: int, most_rows: int) -> None:
-    """Refuse a matrix of wrong type, shape or size before it is unpacked."""
+def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Variable:
+    wanted = next((variable for variable in present if variable.name == name), None)
+    if wanted is None:
+        more = ", …" if len(present) > _MOST_SHOWN else ""
+        names = ", ".join(variable.name[:40] for variable in present[:_MOST_SHOWN]) or "nothing"
+        raise RecordingError(f"{path}: has no matrix {name}; it has {names}{more}")
     if not wanted.real:
-        msg = f"recording {path}: {wanted.name} is not a matrix of real numbers; log it as an array"
+        raise RecordingError(f"{path}: {name} is not a matrix of real numbers; log it as an array")
+    if len(wanted.shape) != 2 or wanted.shape[0] < 0 or wanted.shape[1] != width:
+        raise RecordingError(f"{path}: {name} has the shape {wanted.shape}; it needs {width} columns")
+    return wanted
+
+
+def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
+    """The vectors and matrices with the most rows; scalars are not signals."""
+    found = [v for v in present if v.real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1]
+    if not found:
+        msg = f"{path}: has no vector or matrix of real numbers; save the signals as arrays"
         raise RecordingError(msg)
-    if len(wanted.shape) != 2 or wanted.shape[0] < 0 or wanted.shape[1] != columns:
-        msg = (
-            f"recording {path}: {wanted.name} has the shape {wanted.shape}; it needs {columns} columns: PWM, "
-            "temperature, time, set-point"
-        )
-        raise RecordingError(msg)
-    if wanted.shape[0] > most_rows:
-        rows = wanted.shape[0]
-        msg = f"recording {path}: {wanted.name} has {rows} rows; split it into parts of {most_rows}"
-        raise RecordingError(msg)
+    rows = {v: max(v.shape) if 1 in v.shape else v.shape[0] for v in found}
+    return [v for v in found if rows[v] == max(rows.values())]
 
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
     """The variables of the file, from their headers."""
-    at = HEADER
-    for _ in range(MOST_VARIABLES):
+    at = _HEADER
+    for _ in range(_MOST_VARIABLES):
         file.seek(at)
         tag = file.read(8)
         if not tag:
@@ -122,19 +133,19 @@ def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
         kind, size = struct.unpack(f"{order}II", tag)
         if kind not in (_MATRIX, _COMPRESSED):
             raise _DamagedError(f"no variable begins at byte {at}")
-        head = file.read(min(size, HEAD))
+        head = file.read(min(size, _HEAD))
         try:
             if kind == _COMPRESSED:
-                head = zlib.decompressobj().decompress(head, HEAD)[8:]
+                head = zlib.decompressobj().decompress(head, _HEAD)[8:]
             yield _Variable(*_head(head, order), at, kind, size)
         except (struct.error, zlib.error, IndexError) as error:
             raise _DamagedError(f"the variable at byte {at} has no readable beginning: {error}") from error
         at += 8 + size
-    raise _DamagedError(f"there are more than {MOST_VARIABLES} variables")
+    raise _DamagedError(f"there are more than {_MOST_VARIABLES} variables")
 
 
 def _head(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:
-    """Name, shape, and whether it is a real matrix, from the beginning of a variable."""
+    """Name, shape, and whether it is a real array, from the beginning of a variable."""
     (flags,) = struct.unpack_from(f"{order}I", head, 8)
     real = flags & 0xFF in _NUMERIC and not (flags >> 8) & _COMPLEX
     dimensions, at = _part(head, 16, order)
@@ -155,7 +166,7 @@ def _part(head: bytes, at: int, order: str) -> tuple[bytes, int]:
 
 def _unpacked(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
     """The variable as in an uncompressed file, including its tag."""
-    most = wanted.shape[0] * wanted.shape[1] * 8 + SLACK
+    most = math.prod(wanted.shape) * 8 + _SLACK
     file.seek(wanted.at + 8)
     content = file.read(min(wanted.size, most))
     if wanted.kind == _MATRIX:
@@ -172,10 +183,11 @@ def _unpacked(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
     return unpacked
 
 
-def _decoded(content: bytes, name: str) -> Any:
+def _decoded(content: bytes, wanted: _Variable) -> FloatArray:
     from scipy.io import loadmat  # noqa: PLC0415 - takes 0.25 s, not needed for sessions
 
     try:
-        return loadmat(BytesIO(content), variable_names=[name])[name]  # type: ignore[arg-type]  # it accepts files too
+        found = loadmat(BytesIO(content), variable_names=[wanted.name])[wanted.name]  # type: ignore[arg-type]  # it accepts files too
+        return np.asarray(found, dtype=np.float64).reshape(wanted.shape)
     except Exception as error:  # the library raises many kinds for damaged bytes
         raise _DamagedError(str(error)) from error

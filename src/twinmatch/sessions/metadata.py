@@ -1,4 +1,7 @@
-"""The `metadata.yaml` of a rosbag2 bag, version 9."""
+"""What a session says of itself: `metadata.yaml` of a rosbag2 bag, version 9, and the records in its files.
+
+The records hold its plant, the parameters of its nodes, and its initial candidates.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,37 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from twinmatch.sessions.documents import parse_yaml, read_yaml
-from twinmatch.sessions.topics import Qos, Topic
+from twinmatch.sessions.documents import DocumentError, parse_json, parse_yaml, read_yaml
+from twinmatch.sessions.files import SessionError
+from twinmatch.sessions.messages import Qos, Topic
 
-__all__ = ["METADATA", "Part", "Summary", "distro_of", "files_listed", "parse_qos", "qos_text"]
+__all__ = [
+    "CANDIDATES",
+    "METADATA",
+    "PLANT",
+    "Part",
+    "Summary",
+    "distro_of",
+    "files_listed",
+    "has_reference",
+    "parameters_of",
+    "parameters_record",
+    "parse_qos",
+    "plant_of",
+    "qos_text",
+]
 
 METADATA = "metadata.yaml"
 VERSION = 9
+
+PLANT = "twinmatch/plant"
+"""Record with the name of the `plant`; an import adds `source`, `map`, and `reference` if there is none."""
+NO_REFERENCE = "none"
+SAMPLED = "map.reference"
+"""Parameter of the sampler with the topic of the set-points; empty: there are none."""
+PARAMETERS = "twinmatch/parameters"
+CANDIDATES = "twinmatch/candidates"
+"""Record with the `text` of the discriminator's file of initial candidates; empty: it was not readable."""
 
 
 class Part(NamedTuple):
@@ -132,3 +159,43 @@ def _dump(value: object) -> str:
     import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
 
     return str(yaml.safe_dump(value, sort_keys=False))
+
+
+def parameters_record(node: str) -> str:
+    """Name of the record with the parameters of a node (full name); the values are JSON."""
+    return PARAMETERS + node
+
+
+def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[str, Any] | None:
+    """The parameters of a node (full name); None if they were not recorded.
+
+    Raises:
+        SessionError: a value is not valid JSON.
+    """
+    found = records.get(parameters_record(node))
+    if found is None:
+        return None
+    try:
+        return {name: parse_json(value, name) for name, value in found.items()}
+    except DocumentError as error:
+        msg = f"session: the recorded parameters of {node} cannot be read: {error}"
+        raise SessionError(msg) from error
+
+
+def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
+    """The recorded plant of a session: its name, or the path of its file; empty if not recorded."""
+    plant = records.get(PLANT, {}).get("plant", "")
+    for name, values in records.items():
+        if not plant and name.startswith(PARAMETERS) and "plant" in values:
+            try:
+                plant = str(parse_json(values["plant"], name))
+            except DocumentError:
+                continue
+    return plant
+
+
+def has_reference(records: Mapping[str, Mapping[str, str]]) -> bool:
+    """Whether the session's set-points are meaningful; False if an import found none, or the sampler had no
+    topic for them."""
+    topics = (values.get(SAMPLED) for name, values in records.items() if name.startswith(PARAMETERS))
+    return records.get(PLANT, {}).get("reference", "") != NO_REFERENCE and '""' not in topics

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -9,19 +10,15 @@ from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from pathlib import Path
 
-from twinmatch.sessions.cdr import decode_sample
-from twinmatch.sessions.checks import check_samples, gaps_of, period_of
 from twinmatch.sessions.definitions import LOOP_SAMPLE, fields_of
-from twinmatch.sessions.errors import SessionError
-from twinmatch.sessions.files import ProgressCallback
-from twinmatch.sessions.metadata import METADATA, files_listed
-from twinmatch.sessions.older import current, current_topic
+from twinmatch.sessions.files import ProgressCallback, SessionError
+from twinmatch.sessions.messages import Message, Topic, current, current_topic, decode_sample
+from twinmatch.sessions.metadata import METADATA, files_listed, has_reference, plant_of
+from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan
-from twinmatch.sessions.settings import has_reference, plant_of
-from twinmatch.sessions.topics import Message, Topic
 from twinmatch.signals import Sample, Window
 
-__all__ = ["Session", "read_session"]
+__all__ = ["Session", "check_samples", "gaps_of", "period_of", "read_session"]
 
 SUFFIX = "plant/sample"
 MESSAGES_BETWEEN = 5000
@@ -229,3 +226,48 @@ def _clock(samples: list[Sample]) -> list[str]:
         if after.index == before.index + 1 and not 0 < seconds < 2 * period:
             return [f"the stamps step by {seconds:g} s from sample {before.index} to {after.index}"]
     return []
+
+
+VALUES = ("reference", "output", "input")
+
+
+def check_samples(samples: Sequence[Sample], place: str) -> None:
+    """Refuse samples that cannot be judged.
+
+    Args:
+        samples: the samples in the order they were taken.
+        place: start of the error message, such as `session night_run`.
+
+    Raises:
+        SessionError: there are no samples, or a value is not finite.
+    """
+    if not samples:
+        msg = f"{place}: has no samples"
+        raise SessionError(msg)
+    for sample in samples:
+        for name in VALUES:
+            value = getattr(sample, name)
+            if not math.isfinite(value):
+                msg = f"{place}: {name} of sample {sample.index} is {value}; only finite values can be used"
+                raise SessionError(msg)
+
+
+def gaps_of(samples: Sequence[Sample]) -> list[tuple[int, int]]:
+    """Index before and index after every gap in the samples' indices."""
+    return [(a.index, b.index) for a, b in pairwise(samples) if b.index != a.index + 1]
+
+
+def period_of(samples: Sequence[Sample]) -> float:
+    """Sampling period in seconds from the stamps of consecutive samples; 1 s if there are none.
+
+    Raises:
+        SessionError: the stamps do not advance.
+    """
+    steps = [b.stamp - a.stamp for a, b in pairwise(samples) if b.index == a.index + 1]
+    if not steps:
+        return 1.0
+    mean = sum(steps) / len(steps) / 1e9
+    if mean <= 0:
+        msg = f"session: the stamps do not advance between samples {samples[0].index} and {samples[-1].index}"
+        raise SessionError(msg)
+    return rounded_period(mean)

@@ -14,10 +14,10 @@ from itertools import chain, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
-from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.files import SessionError
+from twinmatch.sessions.messages import Message
 from twinmatch.sessions.metadata import METADATA, distro_of, files_listed
 from twinmatch.sessions.scan import Scan
-from twinmatch.sessions.topics import Message
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 
 __all__ = ["BROKEN", "Repair", "repair_session"]

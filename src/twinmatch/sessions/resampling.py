@@ -19,18 +19,29 @@ window spans the gap.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinmatch.sessions.between_rows import MOVES, Kind
-from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.resampled import Resampled
+from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 
-__all__ = ["Gaps", "bridged_up_to", "repeated", "resample"]
+__all__ = [
+    "Gaps",
+    "Kind",
+    "Resampled",
+    "bridged_up_to",
+    "period_of_ticks",
+    "repeated",
+    "resample",
+    "rounded_period",
+]
+
+Kind = Literal["reading", "held", "set"]
+"""Kind of a column, which determines its values between rows."""
 
 Gaps = Literal["refuse", "split"]
 """Treatment of a gap that is too long to interpolate."""
@@ -45,8 +56,68 @@ _ROUNDED: Final = 5e-3
 """Share by which a period may be rounded; interpolation still uses the rows' own times."""
 _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
+_JITTER: Final = 0.1
+"""Largest deviation of a step between ticks from the usual step, as a share of it."""
 _CROWDED: Final = 0.5
 """Shortest period that can be requested, in usual steps, so that most ticks have their own row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Resampled:
+    """Columns on one clock."""
+
+    time: FloatArray
+    """Times of the samples, s, on the rows' time axis; equidistant within a stretch, which starts at its
+    first row; shape (M,)."""
+    index: NDArray[np.int64]
+    """Indices of the samples, from 0; at least one is skipped where a gap splits the rows; shape (M,)."""
+    columns: Mapping[str, FloatArray]
+    """By name, each of shape (M,)."""
+    period: float
+    """Sampling period, s."""
+    rows: int
+    """Number of input rows."""
+    steps: tuple[float, float, float]
+    """Shortest, median and longest step between rows within the stretches, s."""
+    jitter: float
+    """Distance of the rows from the nearest tick, root mean square, s."""
+    bridged: tuple[int, ...]
+    """Rows (from 0) after which others are missing: the step is longer than 1.5 usual ones."""
+    gaps: tuple[float, ...]
+    """Lengths of the gaps at which the recording is split, s, in order of time."""
+
+    @property
+    def stretches(self) -> list[slice]:
+        """The stretches of samples without a gap, in order of time."""
+        ends = [0, *(np.flatnonzero(np.diff(self.index) != 1) + 1).tolist(), self.index.size]
+        return [slice(*pair) for pair in pairwise(ends)]
+
+    @property
+    def moved(self) -> bool:
+        """Whether values were interpolated; otherwise they are those of the rows."""
+        return self.jitter > 0
+
+    @property
+    def sentence(self) -> str:
+        """Description of the resampling."""
+        if not self.moved:
+            return f"{self.rows} rows, one every {self.period:g} s{self._splits}"
+        short, usual, long = self.steps
+        text = (
+            f"{self.rows} rows, {short:.3g} to {long:.3g} s apart (median {usual:.3g} s), resampled to a "
+            f"period of {self.period:g} s; jitter {self.jitter:.2g} s (RMS)"
+        )
+        if self.bridged:
+            places = "one place" if len(self.bridged) == 1 else f"{len(self.bridged)} places"
+            text += f"; rows are missing at {places}"
+        return text + self._splits
+
+    @property
+    def _splits(self) -> str:
+        if not self.gaps:
+            return ""
+        lengths = ", ".join(f"{gap:.4g}" for gap in self.gaps[:3]) + (", …" if len(self.gaps) > 3 else "")
+        return f"; split into {len(self.gaps) + 1} stretches by gaps of {lengths} s"
 
 
 def repeated(rows: NDArray[np.intp], *columns: FloatArray) -> NDArray[np.intp]:
@@ -109,7 +180,7 @@ def resample(
         if not bare:
             places = (part - clock[0]) / period
             squares += float(np.sum(np.square(places - np.rint(places))))
-            pieces = {name: MOVES[kinds[name]](part, v, clock, period) for name, v in pieces.items()}
+            pieces = {name: _MOVES[kinds[name]](part, v, clock, period) for name, v in pieces.items()}
         clocks.append(clock)
         found.append(pieces)
     return Resampled(
@@ -123,6 +194,47 @@ def resample(
         bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & (steps <= limit)).tolist()),
         gaps=tuple(steps[cuts].tolist()),
     )
+
+
+def period_of_ticks(
+    time: FloatArray, columns: Mapping[str, FloatArray], *, place: str, row: Callable[[int], str]
+) -> float:
+    """Sampling period, s, of rows that are the ticks of a loop, so that they need no resampling.
+
+    Args:
+        time: time of each row, s, from any origin; shape (N,).
+        columns: by name, each of shape (N,).
+        place: start of the error message.
+        row: returns the place of the i-th row (from 0).
+
+    Raises:
+        RecordingError: fewer than two rows, values that are not finite, or irregular or decreasing time.
+    """
+    _checked(time, columns, dict.fromkeys(columns, "reading"), place, row)
+    _refuse_standing(time, place, row)
+    steps = np.diff(time)
+    usual = _usual_step(steps)
+    odd = np.flatnonzero(np.abs(steps - usual) > _JITTER * usual)
+    if odd.size:
+        at = int(odd[0])
+        msg = (
+            f"{place}: {steps[at]:g} s from {row(at)} to {row(at + 1)}, elsewhere {usual:g} s; split the "
+            "recording there, or import it with a map of its columns, which resamples it"
+        )
+        raise RecordingError(msg)
+    return rounded_period(float(steps.mean()))
+
+
+def rounded_period(mean: float) -> float:
+    """The nominal period of a loop, s, from its measured mean.
+
+    Loops are set to whole milliseconds, and clocks and stamps are slightly off: a mean within half a percent
+    of whole milliseconds is rounded to them, any other to the nanosecond.
+    """
+    whole = round(mean, 3)
+    if whole > 0 and abs(mean - whole) <= _ROUNDED * whole:
+        return whole
+    return round(mean, 9)
 
 
 def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
@@ -162,8 +274,8 @@ def _checked(
     if stamps.ndim != 1 or stamps.size < 2:
         raise RecordingError(f"{place}: has {stamps.size} rows; at least two are needed")
     for name, column in values.items():
-        if name not in kinds or kinds[name] not in MOVES:
-            known = ", ".join(MOVES)
+        if name not in kinds or kinds[name] not in _MOVES:
+            known = ", ".join(_MOVES)
             raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {known}")
         if column.shape != stamps.shape:
             msg = f"{place}: {name} has the shape {column.shape}, time {stamps.shape}; they must be equal"
@@ -216,3 +328,28 @@ def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
     clock = stamps[0] + period * np.arange(ticks)
     bare = clock.size == stamps.size and bool(np.all(np.abs(stamps - clock) <= _ON_CLOCK * period))
     return clock, bare
+
+
+def _reading(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
+    return np.asarray(np.interp(clock, stamps, values), dtype=np.float64)
+
+
+def _held(stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float) -> FloatArray:
+    """Means as differences of the integral, which is linear between rows."""
+    ends = np.append(stamps, max(stamps[-1], clock[-1]) + period)  # the last value is held
+    integral = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
+    means = (np.interp(clock + period, ends, integral) - np.interp(clock, ends, integral)) / period
+    # Rounding errors of the differences must not exceed a limit of the input.
+    return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
+
+
+def _set(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
+    between = (stamps[1:] + stamps[:-1]) / 2
+    return np.asarray(values[np.searchsorted(between, clock, side="left")], dtype=np.float64)
+
+
+_MOVES: Final[Mapping[Kind, Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]]] = {
+    "reading": _reading,
+    "held": _held,
+    "set": _set,
+}

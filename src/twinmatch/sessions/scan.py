@@ -2,14 +2,15 @@
 
 A killed recorder leaves a file without index, often truncated within a record. Libraries refuse such a file
 or return partial data as if complete, so this module iterates over the records; the `mcap` library parses
-each. A record is read completely before it is parsed, each chunk is checked against its CRC, and reading ends
-at the first fault.
+each. A record is read completely before it is parsed, each chunk is checked against its CRC and unpacked only
+up to the size it states, since some kilobytes may unpack to gigabytes. Reading ends at the first fault.
 """
 
 from __future__ import annotations
 
 import contextlib
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -20,11 +21,9 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
 
-from twinmatch.sessions.chunk import ChunkError, unpacked
-from twinmatch.sessions.errors import SessionError
-from twinmatch.sessions.files import open_regular
+from twinmatch.sessions.files import SessionError, open_regular
+from twinmatch.sessions.messages import Message, Topic
 from twinmatch.sessions.metadata import parse_qos
-from twinmatch.sessions.topics import Message, Topic
 
 __all__ = ["MAGIC", "Scan"]
 
@@ -33,6 +32,8 @@ MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _PRIVATE = 0x80
+_MOST_UNPACKED = 1 << 28
+"""Longest chunk, unpacked bytes: recorders write chunks of a few megabytes, or one longer message."""
 
 _Record = TypeVar("_Record", Schema, Channel, Chunk, Metadata, Statistics)
 
@@ -104,8 +105,7 @@ class Scan:
             for opcode, body in records:
                 self.read += _RECORD.size + len(body)
                 if opcode == Opcode.CHUNK:
-                    data = _unpacked_chunk(body)
-                    yield from self._chunk(data)
+                    yield from self._chunk(unpacked(_parsed(Chunk, body)))
                 elif opcode == Opcode.DATA_END:
                     self._check_end(records, file)
                     return
@@ -207,8 +207,39 @@ def _parsed(kind: type[_Record], body: bytes) -> _Record:
     return record
 
 
-def _unpacked_chunk(body: bytes) -> bytes:
-    try:
-        return unpacked(_parsed(Chunk, body))
-    except ChunkError as error:
-        raise _FaultError(str(error)) from error
+def unpacked(chunk: Chunk) -> bytes:
+    """The records in a chunk, checked against its stated size and CRC.
+
+    Raises:
+        _FaultError: it is compressed in an unknown way, unpacks to another size, or is too large.
+    """
+    size = chunk.uncompressed_size
+    if size > _MOST_UNPACKED:
+        raise _FaultError(f"a chunk of {size} bytes is longer than the limit of {_MOST_UNPACKED}")
+    data = chunk.data
+    if chunk.compression:
+        try:
+            data = _decompressed(chunk.compression, data, size + 1)
+        except _FaultError:
+            raise
+        except Exception as error:  # every compressor raises its own
+            raise _FaultError(
+                f"a chunk compressed with {chunk.compression} cannot be unpacked ({error})"
+            ) from error
+    if len(data) != size or chunk.uncompressed_crc not in {0, zlib.crc32(data)}:
+        raise _FaultError("the file is damaged: the checksum of a chunk is wrong")
+    return data
+
+
+def _decompressed(compression: str, data: bytes, most: int) -> bytes:
+    """The first `most` unpacked bytes."""
+    if compression == "zstd":
+        import zstandard  # noqa: PLC0415 - rarely needed
+
+        with zstandard.ZstdDecompressor(max_window_size=_MOST_UNPACKED).stream_reader(data) as reader:
+            return bytes(reader.read(most))
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415
+
+        return bytes(LZ4FrameDecompressor().decompress(data, max_length=most))
+    raise _FaultError(f"a chunk is compressed with {compression[:40]!r}, which is not supported")

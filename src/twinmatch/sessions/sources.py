@@ -1,23 +1,110 @@
-"""Opens any source of samples: a session or a recording."""
+"""Opens any source of samples: a session, or a recording of the Peltier rig made by another program.
+
+A **.mat** recording (MATLAB version 5, 6 or 7) holds the matrix `simout` with one row per sample and four
+columns: PWM command (−255 to 255), temperature (°C), time (s), set-point (°C).
+
+A **.csv** recording is a table as `tables` reads it, with these four columns; case and a unit in brackets do
+not matter in the names:
+
+    time          t, seconds                     s
+    reference     r, setpoint, set_point         °C
+    output        temperature, y, temp           °C
+    input         pwm, u, command                −255 to 255
+
+A unit in brackets is checked: `temperature (K)` is refused, not converted. Each row is a tick of the loop,
+and is used as it is; tables of other rigs, and irregular rows, are imported with a map of their columns.
+"""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from twinmatch.plants import Peltier, find_plant
 from twinmatch.plants.files import is_plant_file
-from twinmatch.sessions.errors import SessionError
-from twinmatch.sessions.files import ProgressCallback, open_regular
-from twinmatch.sessions.importers import MAT_BEGINNING, RECORDING_SUFFIXES, read_recording
+from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionError, open_regular
+from twinmatch.sessions.mapped import TIME, PlantSignal, check_range
+from twinmatch.sessions.matlab import MAT_BEGINNING
+from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, plant_messages
 from twinmatch.sessions.reader import Session, read_session
+from twinmatch.sessions.recording import samples_of
+from twinmatch.sessions.resampling import period_of_ticks
+from twinmatch.sessions.sampling import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.scan import MAGIC
-from twinmatch.sessions.store import samples_of
-from twinmatch.sessions.topics import PLANT_TOPICS, SAMPLE, plant_messages
-from twinmatch.signals import Sample
+from twinmatch.sessions.tables import Table, read_table, split_title
+from twinmatch.signals import KELVIN, Sample, Window
 
-__all__ = ["open_any", "session_of"]
+__all__ = ["open_any", "read_recording", "session_of"]
+
+_SUFFIXES: Final = (".mat", ".csv")
+_MATRIX: Final = "simout"
+_OF_MATRIX: Final = (INPUT, OUTPUT, TIME, REFERENCE)
+"""The signals of the matrix, column by column."""
+_NAMES: Final = {
+    TIME: ("time", "t", "seconds"),
+    REFERENCE: ("reference", "r", "setpoint", "set_point"),
+    OUTPUT: ("temperature", "y", "temp"),
+    INPUT: ("pwm", "u", "command"),
+}
+_UNITS: Final = {TIME: ("s",), INPUT: ()}
+_CELSIUS: Final = ("°c", "degc", "c")
+_ABOVE_ZERO: Final = PlantSignal("set", "°C", low=-KELVIN)
+_DRIVE: Final = PlantSignal("held", Peltier.drive.unit, *Peltier.drive.limits)
+
+
+def read_recording(path: Path | str, progress: ProgressCallback | None = None) -> Window:
+    """Read a recording of the rig as one window; its samples are counted from 0.
+
+    Args:
+        path: a `.mat` or `.csv` file as this module describes them.
+        progress: called with the bytes read and the total.
+
+    Raises:
+        RecordingError: the file does not exist, is not a recording, lacks columns, or has values or times
+            that cannot be used.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES and path.exists():
+        what = "is a folder; give the file in it" if path.is_dir() else f"has the suffix {path.suffix!r}"
+        raise RecordingError(f"{path}: {what}; a recording has {' or '.join(_SUFFIXES)}")
+    table = read_table(path, progress, matrix=(_MATRIX, len(_OF_MATRIX)))
+    titles = _titles(table) if table.units else dict(zip(_OF_MATRIX, table.columns, strict=True))
+    columns = {signal: table.values(title) for signal, title in titles.items()}
+    period = period_of_ticks(
+        columns[TIME],
+        {signal: column for signal, column in columns.items() if signal != TIME},
+        place=str(path),
+        row=lambda i: f"{table.row} {table.lines[i]}",
+    )
+    for signal, known in ((INPUT, _DRIVE), (OUTPUT, _ABOVE_ZERO), (REFERENCE, _ABOVE_ZERO)):
+        check_range(table, signal, known, columns[signal])
+    return Window(columns[REFERENCE], columns[OUTPUT], columns[INPUT], period=period)
+
+
+def _titles(table: Table) -> dict[str, str]:
+    """The titles of the four signals' columns."""
+    found: dict[str, str] = {}
+    for title in table.columns:
+        name, unit = split_title(re.sub(r" #\d+$", "", title.lower()))  # of two alike
+        signal = next((signal for signal, names in _NAMES.items() if name in names), None)
+        if signal is None:
+            continue
+        if unit and unit not in _UNITS.get(signal, _CELSIUS):
+            wanted = {TIME: "s", INPUT: "steps of −255 to 255, without unit"}.get(signal, "°C")
+            raise RecordingError(f"{table.path}: column {title!r}: give {signal} in {wanted}")
+        if signal in found:
+            both = f"columns {found[signal]!r} and {title!r} are both {signal}"
+            raise RecordingError(f"{table.path}: {both}; rename or remove one")
+        found[signal] = title
+    missing = [f"{signal} ({', '.join(names)})" for signal, names in _NAMES.items() if signal not in found]
+    if missing:
+        raise RecordingError(
+            f"{table.path}: has no column of {' and none of '.join(missing)}; it has {table.titles}"
+        )
+    return found
 
 
 def open_any(
@@ -59,7 +146,7 @@ def _open(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         return read_session(path, topic, progress)
     if beginning.startswith(MAGIC) or path.suffix.lower() == ".mcap":
         return read_session(path, topic, progress)
-    if path.suffix.lower() in RECORDING_SUFFIXES:
+    if path.suffix.lower() in _SUFFIXES:
         return _recording(path, progress)
     hint = "; a MATLAB file needs the suffix .mat" if beginning.startswith(MAT_BEGINNING) else ""
     msg = f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}"

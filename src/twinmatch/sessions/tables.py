@@ -2,9 +2,9 @@
 
 A **.csv** file has a line of column names, perhaps a line of their units, then a line per row. Columns are
 separated by commas, semicolons or tabs, or by what a first line `sep=…` says; lines that begin with `#` are
-ignored. Where commas do not separate columns, they may be decimal
-separators. `true`, `on` and `yes` are 1, `false`, `off` and `no` 0; an empty cell, `nan` and `null` have no
-value.
+ignored. Where commas do not separate columns, they may be decimal separators. `true`, `on` and `yes` are 1,
+`false`, `off` and `no` 0; an empty cell, `nan` and `null` have no value. A row takes 8 bytes per column of
+numbers in memory, however it is written.
 
 A **.mat** file (MATLAB version 5, 6 or 7) gives a column for each vector, with the variable's name, and for
 each column of a matrix, with the names `name[1]`, `name[2]` and so on.
@@ -16,43 +16,58 @@ import csv
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import numpy as np
 
-from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.files import open_regular
-from twinmatch.sessions.table_text import table_text
+from twinmatch.sessions.files import ProgressCallback, RecordingError, lines_of, open_regular
+from twinmatch.sessions.matlab import read_matrices
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
 __all__ = ["Table", "number", "read_table", "split_title"]
 
-MOST_BYTES = 500_000_000
+MOST_BYTES: Final = 500_000_000
 """Largest file; anything larger is not a recording of a loop, or should be split before the import."""
-_WORDS = {
+_HEAD: Final = 53
+"""Lines that tell how a table is written."""
+_WORDS: Final = {
     **dict.fromkeys(("true", "on", "yes"), 1.0),
     **dict.fromkeys(("false", "off", "no"), 0.0),
     **dict.fromkeys(("", "nan", "na", "n/a", "null", "none", "-"), math.nan),
 }
-_TITLE = re.compile(r"^(?P<name>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)\s*[)\]]$")
+_TITLE: Final = re.compile(r"^(?P<name>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)\s*[)\]]$")
+_MARKS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+"""Byte-order marks of encodings other than UTF-8."""
+_ARCHIVE: Final = b"PK\x03\x04"
+_WESTERN: Final = "cp1252"
+"""What Windows programs write where they do not write UTF-8: `°` and `µ` are single bytes."""
+_CONTROL: Final = re.compile(r"[\x00-\x08\x0e-\x1f\x7f\x81\x8d\x8f\x90\x9d]")
+"""Characters that no text has; a file with them is binary, or has another encoding."""
+_SEPARATOR: Final = re.compile(r"^\s*sep=(.)\s*$", re.IGNORECASE)
+"""The line that names the separator for Excel."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length as written in a file."""
+    """Columns of equal length."""
 
     path: Path
-    columns: Mapping[str, Sequence[str] | FloatArray]
-    """By title: texts of a .csv, numbers of a .mat. Titles are as in the file, stripped of spaces."""
+    columns: Mapping[str, FloatArray]
+    """Numbers by title, each of shape (N,); nan without a value. Titles are as in the file, stripped."""
     lines: Sequence[int]
     """Place of each row in the file, from 1."""
     row: str = "line"
     """Word for a row in messages."""
-    decimal: str = "."
+    texts: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
+    """By title, the cells that are not numbers by their row (from 0); they are nan among the numbers."""
+    units: bool = True
+    """Whether titles may end with a unit in brackets."""
 
     def find(self, name: str) -> str:
         """The title of a column; case and a unit in brackets may be omitted in `name`.
@@ -64,20 +79,23 @@ class Table:
         if wanted in self.columns:
             return wanted
         names = {title: split_title(title)[0] for title in self.columns}
-        for lowered, of in (
-            (False, names.get),
-            (True, str),
-            (True, names.get),
-        ):  # t and T (°C) are two columns
-            found = [title for title in names if _same(str(of(title)), wanted, lowered=lowered)]
+        lower = wanted.lower()
+        for found in (  # t and T (°C) are two columns
+            [title for title, short in names.items() if short == wanted],
+            [title for title in names if title.lower() == lower],
+            [title for title, short in names.items() if short.lower() == lower],
+        ):
             if len(found) == 1:
                 return found[0]
             if found:
                 msg = f"{self.path}: {name!r} may be {' or '.join(map(repr, found))}; give its full title"
                 raise RecordingError(msg)
-        titles = ", ".join(repr(title[:40]) for title in list(self.columns)[:30]) or "none"
-        msg = f"{self.path}: has no column {name!r}; it has {titles}"
-        raise RecordingError(msg)
+        raise RecordingError(f"{self.path}: has no column {name!r}; it has {self.titles}")
+
+    @property
+    def titles(self) -> str:
+        """The titles, for messages."""
+        return ", ".join(repr(title[:40]) for title in list(self.columns)[:30]) or "none"
 
     def values(self, title: str) -> FloatArray:
         """The numbers of a column, shape (N,); nan for cells without a value.
@@ -85,35 +103,20 @@ class Table:
         Raises:
             RecordingError: a cell has other text.
         """
-        column = self.columns[title]
-        if isinstance(column, np.ndarray):
-            return column
-        try:  # a column of plain numbers, as most are
-            return np.fromiter(map(float, column), dtype=np.float64, count=len(column))
-        except ValueError:
-            pass
-        values = np.empty(len(column))
-        for k, text in enumerate(column):
-            value = number(text, self.decimal)
-            if value is None:
-                msg = f"{self.place(k)}: {title!r} is {text.strip()[:40]!r}, which is not a number"
-                if re.fullmatch(r"[-+\d.,'\s]+", text):
-                    msg += "; write numbers without separators of thousands"
-                raise RecordingError(msg)
-            values[k] = value
-        return values
+        for k, text in self.texts.get(title, {}).items():
+            msg = f"{self.place(k)}: {title!r} is {text.strip()[:40]!r}, which is not a number"
+            if re.fullmatch(r"[-+\d.,'\s]+", text):
+                msg += "; write numbers without separators of thousands"
+            raise RecordingError(msg)
+        return self.columns[title]
 
     def unit(self, title: str) -> str:
         """The unit in brackets in a column's title; empty for variables of a .mat."""
-        return "" if isinstance(self.columns[title], np.ndarray) else split_title(title)[1]
+        return split_title(title)[1] if self.units else ""
 
     def place(self, k: int) -> str:
         """Place of the k-th row, for messages."""
         return f"{self.path}, {self.row} {self.lines[k]}"
-
-
-def _same(one: str, other: str, *, lowered: bool) -> bool:
-    return one.lower() == other.lower() if lowered else one == other
 
 
 def split_title(title: str) -> tuple[str, str]:
@@ -133,8 +136,15 @@ def number(text: str, decimal: str = ".") -> float | None:
         return None
 
 
-def read_table(path: Path) -> Table:
+def read_table(
+    path: Path, progress: ProgressCallback | None = None, *, matrix: tuple[str, int] | None = None
+) -> Table:
     """Read the columns of a file.
+
+    Args:
+        path: the file.
+        progress: called with the bytes of a .csv read so far and the total.
+        matrix: name and number of columns of the only matrix wanted from a .mat.
 
     Raises:
         RecordingError: the file does not exist, is not a table, or is damaged.
@@ -142,13 +152,14 @@ def read_table(path: Path) -> Table:
     suffix = path.suffix.lower()
     try:
         with open_regular(path) as file:
+            first = file.read(4)
             if os.fstat(file.fileno()).st_size > MOST_BYTES:
                 msg = f"{path}: has more than {MOST_BYTES / 1e6:.0f} MB; split it into parts first"
                 raise RecordingError(msg)
         if suffix in (".csv", ".txt", ".tsv"):
-            return _read_csv(path)
+            return _read_csv(path, first, progress)
         if suffix == ".mat":
-            return _read_mat(path)
+            return _read_mat(path, matrix)
     except FileNotFoundError:
         msg = f"{path}: does not exist"
         raise RecordingError(msg) from None
@@ -159,31 +170,103 @@ def read_table(path: Path) -> Table:
     raise RecordingError(msg)
 
 
-def _read_csv(path: Path) -> Table:
-    lines, rows, divider = table_text(path)
-    try:
-        titles, *cells = csv.reader(rows, delimiter=divider, skipinitialspace=True)
-    except csv.Error as error:
-        msg = f"{path}: cannot be read as a table ({error})"
-        raise RecordingError(msg) from None
-    if len(cells) != len(rows) - 1:
-        msg = f"{path}: a quoted cell spans several lines; write it without line breaks"
+def _read_mat(path: Path, matrix: tuple[str, int] | None) -> Table:
+    columns: dict[str, FloatArray] = {}
+    for name, array_ in read_matrices(path, *(matrix or ())).items():
+        if matrix is None and 1 in array_.shape:
+            columns[name] = array_.ravel()
+        else:
+            columns |= {f"{name}[{k}]": column for k, column in enumerate(array_.T, 1)}
+    length = max(column.size for column in columns.values())
+    return Table(path, columns, range(1, length + 1), row="row", units=False)
+
+
+def _read_csv(path: Path, first: bytes, progress: ProgressCallback | None) -> Table:
+    """The table in UTF-8, in UTF-16 with a byte-order mark, or in the encoding of Western Windows."""
+    if first == _ARCHIVE:
+        msg = f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV"
         raise RecordingError(msg)
-    for k, row in enumerate(cells):
-        if len(row) > len(titles):
+    for encoding in (_MARKS.get(first[:2], "utf-8-sig"), _WESTERN):
+        try:
+            return _parsed(path, _lines(path, encoding, progress))
+        except UnicodeError:
+            continue
+        except csv.Error as error:
+            msg = f"{path}: cannot be read as a table ({error})"
+            raise RecordingError(msg) from None
+    raise _not_text(path)
+
+
+def _not_text(path: Path) -> RecordingError:
+    return RecordingError(f"{path}: is not text in a known encoding; save it as UTF-8")
+
+
+def _lines(path: Path, encoding: str, progress: ProgressCallback | None) -> Iterator[tuple[int, str]]:
+    """The lines that are not empty and not comments, each with its number in the file, from 1."""
+    for k, line in enumerate(lines_of(path, progress, encoding=encoding), 1):
+        if _CONTROL.search(line):
+            raise _not_text(path)
+        if line.strip(" ,;\t") and line.lstrip()[:1] != "#":
+            yield k, line
+
+
+def _parsed(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
+    head = list(islice(lines, _HEAD))
+    stated = _SEPARATOR.match(head[0][1]) if head else None
+    if stated:
+        head = head[1:]
+    if len(head) < 3:
+        msg = f"{path}: give column names and at least two rows; the file has {len(head)} lines of a table"
+        raise RecordingError(msg)
+    divider = stated[1] if stated else max(",;\t", key=head[0][1].count)
+    rows = _rows(path, chain(head, lines), divider)
+    (place, titles), *beginning = islice(rows, len(head))
+    if all(number(title) is not None for title in titles):
+        msg = f"{path}, line {place}: has numbers; the first line must name the columns"
+        raise RecordingError(msg)
+    titles, skipped = _with_units(titles, [cells for _, cells in beginning[:2]])
+    decimal = "." if divider == "," else _decimal([cells for _, cells in beginning])
+    places, numbers = array("q"), [array("d") for _ in titles]
+    texts: list[dict[int, str]] = [{} for _ in titles]
+    for place, cells in chain(beginning[skipped:], rows):
+        for column, others, text in zip(numbers, texts, cells, strict=True):
+            try:
+                column.append(float(text))
+            except ValueError:
+                value = number(text, decimal)
+                if value is None:
+                    others[len(places)] = text
+                column.append(math.nan if value is None else value)
+        places.append(place)
+    distinct = _distinct(titles)
+    columns = {title: np.frombuffer(column) for title, column in zip(distinct, numbers, strict=True)}
+    odd = {title: others for title, others in zip(distinct, texts, strict=True) if others}
+    return Table(path, columns, places, texts=odd)
+
+
+def _rows(path: Path, lines: Iterator[tuple[int, str]], divider: str) -> Iterator[tuple[int, list[str]]]:
+    """The cells of each line, as many as in the first, with its place."""
+    place, width = 0, 0
+
+    def texts() -> Iterator[str]:
+        nonlocal place
+        for place, line in lines:  # noqa: B007 - read below
+            yield line
+
+    reader = csv.reader(texts(), delimiter=divider, skipinitialspace=True)
+    for count, cells in enumerate(reader, 1):
+        if reader.line_num > count:
+            msg = f"{path}: a quoted cell spans several lines; write it without line breaks"
+            raise RecordingError(msg)
+        if count == 1:
+            first, width = place, len(cells)
+        if any(map(str.strip, cells[width:])):
             msg = (
-                f"{path}, line {lines[k + 1]}: has {len(row)} cells, but line {lines[0]} has {len(titles)} "
+                f"{path}, line {place}: has {len(cells)} cells, but line {first} has {width} "
                 "column names; remove lines before the names, or begin them with #"
             )
             raise RecordingError(msg)
-        row.extend([""] * (len(titles) - len(row)))
-    if all(number(title, ".") is not None for title in titles):
-        msg = f"{path}, line {lines[0]}: has numbers; the first line must name the columns"
-        raise RecordingError(msg)
-    titles, skipped = _with_units(titles, cells)
-    cells, lines = cells[skipped:], lines[skipped:]
-    columns = dict(zip(_distinct(titles), zip(*cells, strict=True), strict=True))
-    return Table(path, columns, lines[1:], decimal="." if divider == "," else _decimal(cells))
+        yield place, cells[:width] + [""] * (width - len(cells))
 
 
 def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], int]:
@@ -205,7 +288,7 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
 
 def _decimal(rows: Sequence[Sequence[str]]) -> str:
     """The decimal separator, where commas do not separate columns."""
-    return "," if any(re.fullmatch(r"\s*-?\d+,\d+\s*", cell) for row in rows[:50] for cell in row) else "."
+    return "," if any(re.fullmatch(r"\s*-?\d+,\d+\s*", cell) for row in rows for cell in row) else "."
 
 
 def _distinct(titles: Sequence[str]) -> list[str]:
@@ -215,35 +298,3 @@ def _distinct(titles: Sequence[str]) -> list[str]:
         plain = title.strip() or f"column {k}"
         distinct.append(f"{plain} #{k}" if plain in distinct else plain)
     return distinct
-
-
-def _read_mat(path: Path) -> Table:
-    from scipy.io import loadmat  # noqa: PLC0415 (takes 0.25 s, not needed for .csv)
-
-    with open_regular(path) as file:
-        if file.read(19).startswith(b"MATLAB 7.3"):
-            msg = f"{path}: is a MATLAB 7.3 file; save it again with the option -v7"
-            raise RecordingError(msg)
-    try:
-        held: dict[str, Any] = loadmat(path)
-    except Exception as error:  # the library raises many kinds for damaged bytes
-        msg = f"{path}: is not a MATLAB file of version 5 to 7, or is damaged ({error})"
-        raise RecordingError(msg) from error
-    found: dict[str, FloatArray] = {}
-    for name, array in held.items():
-        if (
-            isinstance(array, np.ndarray)
-            and array.ndim == 2
-            and array.dtype.kind in "fiub"
-            and array.size > 1
-        ):
-            if 1 in array.shape:
-                found[name] = array.ravel().astype(np.float64)
-            else:
-                found |= {f"{name}[{k}]": c.astype(np.float64) for k, c in enumerate(array.T, 1)}
-    length = max((column.size for column in found.values()), default=0)
-    columns = {name: column for name, column in found.items() if column.size == length}
-    if not columns:
-        msg = f"{path}: has no vector or matrix of real numbers; save the signals as arrays"
-        raise RecordingError(msg)
-    return Table(path, columns, range(1, length + 1), row="row")

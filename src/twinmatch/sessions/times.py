@@ -4,24 +4,39 @@ Numbers far beyond any recording's length are counts since 1970, and their size 
 1e8 (1973), milliseconds from 1e11, microseconds from 1e14, nanoseconds from 1e17. Dates are ISO 8601
 (`2021-01-22 14:48:58.720`, `2021-01-22T14:48:58Z`), or have the year last (`22/01/2021 14:48:58`); without a
 time zone they are taken as UTC.
+
+Whether the day or the month comes first differs from country to country, and `05/03/2026` is a date in both
+orders. The rows decide: in the wrong order a day above 12 is not a month, and the step past midnight becomes
+one of a month. So of the orders that give a date in every row, the one with the shorter longest step is
+taken. Within one day both give the same times; then the day comes first, or the month before a clock with am
+and pm. With dots the day comes first everywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime, timezone
-from typing import NamedTuple
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime, timedelta, timezone
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.dates import in_order, is_local, order_of
-from twinmatch.sessions.errors import RecordingError
-from twinmatch.sessions.tables import Table, number
+from twinmatch.sessions.files import RecordingError
+from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
 from twinmatch.units import conversion
 
-__all__ = ["Times", "read_times", "row_times"]
+__all__ = ["DAY_FIRST", "MONTH_FIRST", "Times", "in_order", "order_of", "read_times", "row_times"]
+
+DAY_FIRST: Final = "day/month/year"
+MONTH_FIRST: Final = "month/day/year"
+_FORM: Final = re.compile(
+    r"(\d{1,2})([./-])(\d{1,2})\2(\d{4}|\d{2})[ ,T]+"
+    r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*([ap]\.?m\.?)?(Z|[+-]\d{2}:\d{2})?",
+    re.IGNORECASE,
+)
+
 
 _COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
 """Size from which a number is a count since 1970, and its units per second."""
@@ -50,12 +65,10 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     Raises:
         RecordingError: a cell is not a time, or the unit is not one of time.
     """
-    column = table.columns[title]
-    if not isinstance(column, np.ndarray):
-        first = next((text for text in column if text.strip()), "")
-        if number(first, table.decimal) is None:
-            order = order_of(column) if is_local(first) else ""
-            return _since(_dates(table, title, column, order))._replace(order=order)
+    texts = table.texts.get(title)
+    if texts and not np.isfinite(table.columns[title][: min(texts)]).any():
+        order = order_of(texts.values()) if is_local(next(iter(texts.values()))) else ""
+        return _since(_dates(table, title, texts, order))._replace(order=order)
     values = table.values(title) * scale
     unit = unit or table.unit(title)
     size = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
@@ -83,11 +96,11 @@ def _since(seconds: FloatArray) -> Times:
     return Times(seconds - origin, origin)
 
 
-def _dates(table: Table, title: str, column: Sequence[str], order: str) -> FloatArray:
-    seconds = np.full(len(column), np.nan)
-    for k, text in enumerate(column):
-        if not text.strip():
-            continue
+def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> FloatArray:
+    numbers = table.columns[title]
+    seconds = np.full(numbers.size, np.nan)
+    for k in sorted({*texts, *np.flatnonzero(np.isfinite(numbers)).tolist()}):
+        text = texts.get(k, f"{numbers[k]:g}")
         stamp = in_order(text, order) if order else _date(text)
         if stamp is None:
             msg = (
@@ -111,3 +124,53 @@ def _date(text: str) -> float | None:
     except ValueError:
         return None
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)).timestamp()
+
+
+def is_local(text: str) -> bool:
+    """Whether a cell has the form of such a date, with a time of day."""
+    return _FORM.fullmatch(text.strip()) is not None
+
+
+def in_order(text: str, order: str) -> float | None:
+    """Seconds since 1970 of a date in this order, as UTC without a time zone; None if it is none."""
+    match = _FORM.fullmatch(text.strip())
+    if match is None:
+        return None
+    first, _, second, year, hour, minute, seconds, part, half, zone = match.groups()
+    day, month = (first, second) if order == DAY_FIRST else (second, first)
+    if half is not None and not 1 <= int(hour) <= 12:
+        return None
+    hours = int(hour) if half is None else int(hour) % 12 + (12 if half[0] in "pP" else 0)
+    try:
+        stamp = datetime(
+            int(year) + (2000 if len(year) == 2 else 0),
+            int(month),
+            int(day),
+            hours,
+            int(minute),
+            int(seconds or 0),
+            tzinfo=timezone.utc,
+        )
+    except ValueError:
+        return None
+    hours_east = 0 if zone in {None, "Z", "z"} else int(f"{zone[0]}1") * (int(zone[1:3]) + int(zone[4:]) / 60)
+    return (stamp + timedelta(seconds=float(f"0.{part or 0}"), hours=-hours_east)).timestamp()
+
+
+def order_of(texts: Iterable[str]) -> str:
+    """The order of day and month in a column of such dates; empty cells are skipped."""
+    dates = [text.strip() for text in texts if text.strip()]
+    if not dates or "." in dates[0][:3]:
+        return DAY_FIRST
+    usual = MONTH_FIRST if dates[0][-1] in "mM." else DAY_FIRST
+    other = DAY_FIRST if usual == MONTH_FIRST else MONTH_FIRST
+    return min((usual, other), key=lambda order: _longest_step(dates, order))  # of equal ones the first
+
+
+def _longest_step(texts: Sequence[str], order: str) -> float:
+    """The longest time between two rows, s; infinite if a row is not a date in this order."""
+    stamps = [in_order(text, order) for text in texts]
+    if any(stamp is None for stamp in stamps):
+        return np.inf
+    seconds: FloatArray = np.array(stamps, dtype=np.float64)
+    return float(np.abs(np.diff(seconds)).max(initial=0.0))

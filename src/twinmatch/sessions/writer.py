@@ -7,16 +7,141 @@ from __future__ import annotations
 
 import contextlib
 import os
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple
 
-from twinmatch.sessions.errors import SessionError
-from twinmatch.sessions.file import SessionFile
-from twinmatch.sessions.metadata import METADATA, Part, Summary
-from twinmatch.sessions.topics import Topic
+from twinmatch.sessions.files import SessionError
+from twinmatch.sessions.messages import Topic
+from twinmatch.sessions.metadata import METADATA, Part, Summary, qos_text
 
-__all__ = ["SessionWriter"]
+if TYPE_CHECKING:
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import ChunkIndex
+
+__all__ = ["SessionWriter", "sync_folder"]
+
+CHUNK_SIZE = 64 * 1024
+"""Bytes buffered before they are written: what a killed recorder loses if it never flushes."""
+
+
+BLOCK = 1 << 20
+"""Bytes written to the summary at once."""
+
+
+class _Block(NamedTuple):
+    """Encoded chunk index records for the summary."""
+
+    data: bytes
+
+    def write(self, stream: RecordBuilder) -> None:
+        stream.write(self.data)
+
+
+class ChunkIndexes:
+    """Replaces the list in which a writer collects its chunk indexes.
+
+    The file has no name: it vanishes with the process, however it ends.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Start empty; the file is in this folder, on the disk of the session."""
+        from mcap.data_stream import RecordBuilder  # noqa: PLC0415 - as for the writer
+
+        self._file = tempfile.TemporaryFile(dir=folder, prefix=".chunks-")  # noqa: SIM115 - closed with the object
+        self._record = RecordBuilder()
+
+    def append(self, index: ChunkIndex) -> None:
+        """Append the index of a chunk; raises `OSError` if writing fails."""
+        index.write(self._record)
+        self._file.write(self._record.end())  # type: ignore[no-untyped-call]
+
+    def __iter__(self) -> Iterator[_Block]:
+        self._file.seek(0)
+        while data := self._file.read(BLOCK):
+            yield _Block(data)
+
+    def close(self) -> None:
+        """Close the file, which deletes it."""
+        self._file.close()
+
+
+class SessionFile:
+    """Writes topics, messages and records into one file; failures of the disk are an `OSError`."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the file."""
+        from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - takes 70 ms, not needed to read
+
+        self.path = path
+        self.counts: dict[Topic, int] = {}
+        """Messages in this file, per topic."""
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._span: tuple[int, int] | None = None
+        self._file = path.open("wb")
+        self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
+        # The writer keeps an object for every chunk until the end: 170 MB for a day that is flushed every
+        # 0.4 s. It has no option to keep them elsewhere; a test checks that it uses this attribute.
+        self._chunks = ChunkIndexes(path.parent)
+        self._mcap._Writer__chunk_indices = self._chunks  # type: ignore[attr-defined]
+        self._mcap.start(profile="ros2", library="twinmatch")
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far, without the current chunk."""
+        return 0 if self._file.closed else self._file.tell()
+
+    @property
+    def part(self) -> Part:
+        """The file's entry in the metadata."""
+        start, end = self._span or (0, 0)
+        return Part(self.path.name, start, end, sum(self.counts.values()))
+
+    def add_topic(self, topic: Topic) -> None:
+        """Add a topic that is not in the file yet."""
+        schema = self._schemas.get(topic.type)
+        if schema is None:
+            schema = self._mcap.register_schema(topic.type, "ros2msg", topic.schema.encode())
+            self._schemas[topic.type] = schema
+        details = {"offered_qos_profiles": qos_text(topic.qos), "topic_type_hash": topic.type_hash}
+        self._channels[topic.name] = self._mcap.register_channel(topic.name, "cdr", schema, details)
+        self.counts[topic] = 0
+
+    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
+        """Write one message of an added topic."""
+        count = self.counts[topic]
+        self._mcap.add_message(self._channels[topic.name], log_time, data, publish_time, sequence=count)
+        start, end = self._span or (log_time, log_time)
+        self._span = min(start, log_time), max(end, log_time)
+        self.counts[topic] = count + 1
+
+    def add_record(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record, after the messages so far."""
+        self._mcap.add_metadata(name, dict(values))
+
+    def flush(self) -> None:
+        """Write everything so far to the disk."""
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+        os.fsync(self._file.fileno())
+
+    def finish(self, ros_distro: str) -> None:
+        """Write the rosbag2 record and the index, and close the file."""
+        summary = Summary((self.part,), self.counts, ros_distro)
+        self.add_record("rosbag2", {"serialized_metadata": summary.text()})
+        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        self._chunks.close()
+
+    def abandon(self) -> None:
+        """Close the file without finishing it."""
+        for file in (self._file, self._chunks):
+            with contextlib.suppress(OSError):  # the buffer cannot be written to a full disk
+                file.close()
 
 
 class SessionWriter:

@@ -19,7 +19,7 @@ from twinmatch.sessions.sampling import (
     follow,
     parse_channel,
 )
-from twinmatch.sessions.sampling.fields import steps
+from twinmatch.sessions.sampling.channels import steps
 
 TYPES: dict[str, dict[str, Field]] = {
     "std_msgs/msg/Float64": {"data": Field("double")},

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from twinmatch.sessions.resampling import resample
 from twinmatch.sessions.sampling import Limits, Sampler, SamplingError
-from twinmatch.sessions.sampling.held import Held
+from twinmatch.sessions.sampling.sampler import SignalBuffer
 from twinmatch.signals import Sample
 
 SECOND = 1_000_000_000
@@ -30,8 +30,8 @@ def run(sampler: Sampler, told: list[tuple[float, str, float]], until: float) ->
                 sampler.tick(ns(at))
             else:
                 sampler.take(name, value, ns(at), ns(at))
-            samples += sampler.look(ns(at))
-        samples += sampler.look(ns(now))
+            samples += sampler.collect(ns(at))
+        samples += sampler.collect(ns(now))
     return samples
 
 
@@ -134,8 +134,8 @@ def test_ticks_that_come_at_once_with_their_own_times_are_not_mixed() -> None:
     for k in range(5, 9):
         sampler.take("output", 20.0 + k, ns(k), ns(8.6))
         sampler.take("input", 100.0 - k, ns(k + 0.02), ns(8.6))
-        samples += sampler.look(ns(8.6))
-    samples += sampler.look(ns(8.8))
+        samples += sampler.collect(ns(8.6))
+    samples += sampler.collect(ns(8.8))
     assert [(s.index, s.output, s.input) for s in samples[-2:]] == [(4, 24.0, 96.0), (8, 28.0, 92.0)]
 
 
@@ -164,7 +164,7 @@ def test_the_mean_of_an_input_is_that_of_an_imported_recording(
     """`resample` puts rows of a table on a clock in its own way, by differences of a running sum."""
     rows = {-1.0: before, 0.95: before}
     rows.update({round(at, 3): value for at, value in steps})
-    held = Held()
+    held = SignalBuffer()
     for at, value in sorted(rows.items()):
         held.push(value, ns(at))
     times = np.array(sorted(rows))
@@ -175,11 +175,11 @@ def test_the_mean_of_an_input_is_that_of_an_imported_recording(
 
 
 def test_what_always_stands_is_its_own_mean_to_the_last_digit() -> None:
-    held = Held()
+    held = SignalBuffer()
     for k in range(100):
         held.push(0.1, ns(0.037 * k))
     assert held.mean(ns(0.5), ns(1.7)) == 0.1
-    assert Held().mean(0, 1) is None
+    assert SignalBuffer().mean(0, 1) is None
 
 
 @pytest.mark.parametrize(

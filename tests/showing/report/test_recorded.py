@@ -19,10 +19,9 @@ from tests.support.rig import rig, run
 from twinmatch.nodes.messages import match_message, score_message
 from twinmatch.parameters.twin import settings_from, twin_values
 from twinmatch.sessions import Qos, SessionWriter, Topic, samples_of
-from twinmatch.sessions.cdr import encode_sample
-from twinmatch.sessions.installed import schema_of
-from twinmatch.sessions.settings import parameters_record
-from twinmatch.sessions.topics import SAMPLE
+from twinmatch.sessions.definitions import schema_of
+from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.metadata import parameters_record
 from twinmatch.showing.report.report import judge_for_report, make_report
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin

@@ -20,8 +20,7 @@ from twinmatch.offline.backtest.result import LEADER, TWINS
 from twinmatch.offline.backtest.table import cells
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionWriter, samples_of, write_session
-from twinmatch.sessions.cdr import encode_sample
-from twinmatch.sessions.topics import SAMPLE
+from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.quantities import number
 from twinmatch.showing.report.pictures import write_pictures
 from twinmatch.showing.report.provenance import settings_of

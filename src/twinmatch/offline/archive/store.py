@@ -11,8 +11,7 @@ from typing import Any
 
 from twinmatch.offline.archive.errors import ArchiveError
 from twinmatch.offline.archive.fingerprint import software
-from twinmatch.sessions.documents import parse_json
-from twinmatch.sessions.errors import DocumentError
+from twinmatch.sessions.documents import DocumentError, parse_json
 from twinmatch.sessions.files import read_bounded
 
 __all__ = ["Store"]

@@ -15,10 +15,8 @@ from itertools import islice, zip_longest
 from types import MappingProxyType
 from typing import Final
 
-from twinmatch.sessions.sampling.errors import SamplingError
-from twinmatch.sessions.sampling.grid import Grid
-from twinmatch.sessions.sampling.held import Held
-from twinmatch.sessions.sampling.rate import Rate
+from twinmatch.sessions.sampling.channels import SamplingError
+from twinmatch.sessions.sampling.ticks import Grid, Rate
 from twinmatch.signals import Sample
 
 __all__ = ["INPUT", "OUTPUT", "REFERENCE", "TIMER", "Limits", "Sampler"]
@@ -112,7 +110,7 @@ class Sampler:
         self.grid = Grid(round(period * NANOSECONDS))
         self.rate = Rate()
         self._signals = signals
-        self._held = {name: Held() for name in signals}
+        self._buffers = {name: SignalBuffer() for name in signals}
         self._period, self._step = period, round(period * NANOSECONDS)
         self._pacer = paced_by
         self._settle = round(settle * self._step)
@@ -124,15 +122,15 @@ class Sampler:
 
     def refused(self, name: str) -> int:
         """Values of a signal that were not finite."""
-        return self._held[name].refused
+        return self._buffers[name].refused
 
     def newest(self, name: str) -> float | None:
         """A signal's newest value; None before there is one."""
-        return self._held[name].newest
+        return self._buffers[name].newest
 
     def take(self, name: str, value: float, at: int, now: int) -> None:
         """Take a value; a value of the pacing signal triggers a tick."""
-        self._held[name].push(value, at)
+        self._buffers[name].push(value, at)
         if name == self._pacer and math.isfinite(value):
             self._push(_Tick(0, at, now + self._settle, value))
 
@@ -140,7 +138,7 @@ class Sampler:
         """Take a tick of the timer."""
         self._push(_Tick(0, now, now))
 
-    def look(self, now: int) -> list[Sample]:
+    def collect(self, now: int) -> list[Sample]:
         """The samples that are complete now; to be called several times per period."""
         for tick, after in zip_longest(self._ticks, islice(self._ticks, 1, None)):
             if not tick.values and now >= tick.ready:
@@ -149,7 +147,7 @@ class Sampler:
         while self._ticks and self._complete(self._ticks[0], now):
             tick = self._ticks.popleft()
             if INPUT not in tick.values:
-                mean = self._held[INPUT].mean(tick.time, tick.time + self._step)
+                mean = self._buffers[INPUT].mean(tick.time, tick.time + self._step)
                 tick.values[INPUT] = self._checked(INPUT, mean, tick.ready + self._step, tick.troubles)
             self.troubles = tick.troubles
             if not tick.troubles:
@@ -179,7 +177,7 @@ class Sampler:
             tick.troubles["pace"] = "several ticks arrived at once; their other values cannot be told apart"
         for name in self._signals:
             if name != INPUT or self._pacer == INPUT:
-                value = tick.paced if name == self._pacer else self._held[name].newest
+                value = tick.paced if name == self._pacer else self._buffers[name].newest
                 tick.values[name] = self._checked(name, value, tick.ready, tick.troubles)
 
     def _sample(self, number: int, time: int, values: Mapping[str, float]) -> Sample:
@@ -198,7 +196,7 @@ class Sampler:
 
     def _checked(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
         """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
-        limits, counts, at = self._signals[name], self.counts[name], self._held[name].time
+        limits, counts, at = self._signals[name], self.counts[name], self._buffers[name].time
         if value is None or at is None:
             counts.missing += 1
             troubles[name] = f"no {name} yet"
@@ -231,3 +229,55 @@ def _check(signals: Mapping[str, Limits], period: float, paced_by: str, settle: 
         raise SamplingError(f"settle is {settle:g}; give a fraction of the period from 0 to {LATEST_SETTLE}")
     if not (math.isfinite(period) and period > 0):
         raise SamplingError(f"period is {period:g} s; it must be positive")
+
+
+_MOST: Final = 100_000
+"""Most values kept for a mean; of more values in a period, only the newest are averaged."""
+
+
+class SignalBuffer:
+    """The newest value, and as many before it as a mean may need."""
+
+    def __init__(self) -> None:
+        """Start without values."""
+        self.refused = 0
+        """Values that were not finite."""
+        self._values: deque[tuple[int, float]] = deque(maxlen=_MOST)
+
+    def push(self, value: float, at: int) -> None:
+        """Take a value with its time `at` (ns); a value that is not finite is only counted."""
+        if not math.isfinite(value):
+            self.refused += 1
+            return
+        if (
+            self._values and at < self._values[-1][0]
+        ):  # a clock was set back: the earlier times are not comparable
+            self._values.clear()
+        self._values.append((at, value))
+
+    @property
+    def newest(self) -> float | None:
+        """The newest value."""
+        return self._values[-1][1] if self._values else None
+
+    @property
+    def time(self) -> int | None:
+        """Time of the newest value, ns."""
+        return self._values[-1][0] if self._values else None
+
+    def mean(self, start: int, end: int) -> float | None:
+        """Mean from `start` to `end` (ns) under zero-order hold; None if there was no value at the start.
+
+        Forgets earlier values.
+        """
+        while len(self._values) > 1 and self._values[1][0] <= start:
+            self._values.popleft()
+        if not self._values or self._values[0][0] > start:
+            return None
+        steps = [(max(at, start), value) for at, value in self._values if at < end]
+        if len({value for _, value in steps}) == 1:  # exactly, without the rounding of a sum
+            return steps[0][1]
+        ends = [at for at, _ in steps[1:]] + [end]
+        total = math.fsum(value * (until - at) for (at, value), until in zip(steps, ends, strict=True))
+        values = [value for _, value in steps]
+        return min(max(total / (end - start), min(values)), max(values))

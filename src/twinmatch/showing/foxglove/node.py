@@ -18,7 +18,7 @@ from twinmatch.nodes.plant_clock import CLOCK
 from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
 from twinmatch.parameters.declared import Parameter
 from twinmatch.sessions import Qos, SessionError
-from twinmatch.sessions.installed import schema_of
+from twinmatch.sessions.definitions import schema_of
 from twinmatch.showing.foxglove import FoxgloveError
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout, write_layout
 from twinmatch.showing.foxglove.server import GraphServer, StreamTime

@@ -1,28 +1,167 @@
-"""The CDR encoding of the few message types that sessions are written with and read from.
+"""Topics and messages of a session: quality of service, the CDR bytes of our own types, plant topics.
 
-A message begins with four bytes that name the encoding (here little-endian CDR, 00 01 00 00), and
+A CDR message begins with four bytes that name the encoding (here little-endian CDR, 00 01 00 00), and
 every field is aligned to its own size, **counted from after those four bytes**. The position of the
 fields after a string therefore depends on the string's length. A sequence is its length and its elements.
 The code for these few types is short, needs no library, and decodes an hour of samples in milliseconds.
+
+Samples recorded with the first definition of `LoopSample` are converted: playing or judging a session needs
+nothing else. Recorded verdicts and matches are decoded with the definitions in the file where they are
+compared.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import lru_cache
+from typing import NamedTuple
 
-from twinmatch.sessions.errors import SessionError
+from twinmatch.sessions.definitions import (
+    FLOAT64,
+    LOOP_SAMPLE,
+    SCALAR_SAMPLE,
+    TEMPERATURE,
+    MessageType,
+    fields_of,
+)
+from twinmatch.sessions.files import SessionError
 from twinmatch.signals import Sample, not_one_loop
 
 __all__ = [
-    "FRAME",
+    "PLANT_TOPICS",
+    "Message",
+    "Qos",
+    "Topic",
+    "current",
+    "current_topic",
     "decode_sample",
-    "decode_scalar_sample",
     "encode_float64",
     "encode_sample",
     "encode_temperature",
+    "plant_messages",
+    "plant_topics",
 ]
+
+FOREVER = {"sec": 9223372036, "nsec": 854775807}
+"""An infinite duration in ROS 2."""
+
+
+class Qos(NamedTuple):
+    """The part of a quality-of-service profile that a player has to repeat."""
+
+    reliability: str = "reliable"
+    """`reliable` or `best_effort`."""
+    durability: str = "volatile"
+    """`volatile` or `transient_local`."""
+    depth: int = 10
+    """Messages kept for a slow reader."""
+
+    def profile(self) -> dict[str, object]:
+        """The profile as rosbag2 metadata of version 9 writes it."""
+        return {
+            "history": "keep_last",
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": dict(FOREVER),
+            "lifespan": dict(FOREVER),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(FOREVER),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+
+class Topic(NamedTuple):
+    """A topic of a session."""
+
+    name: str
+    """Full name, such as `/plant/sample`."""
+    type: str
+    """Message type, `package/msg/Type`."""
+    schema: str
+    """Its definition and those of nested types as one `ros2msg` text."""
+    type_hash: str
+    """RIHS01 hash of the type; empty where it is not known."""
+    qos: Qos = Qos()
+    """Profile offered by the publisher."""
+
+    @classmethod
+    def of(cls, name: str, message: MessageType, qos: Qos) -> Topic:
+        """A topic of one of the types in `definitions`."""
+        return cls(name, message.name, message.schema, message.type_hash, qos)
+
+
+class Message(NamedTuple):
+    """A stored message: serialised, with the two times of MCAP."""
+
+    topic: Topic
+    log_time: int
+    """Time of recording, ns since the epoch of its clock."""
+    publish_time: int
+    """Time of publication, ns; equal to `log_time` if not known."""
+    data: bytes
+    """The CDR bytes, including the encapsulation header."""
+
+
+SAMPLE = Topic.of("/plant/sample", LOOP_SAMPLE, Qos("reliable", "volatile", 100))
+TEMPERATURE_READING = Topic.of("/plant/temperature", TEMPERATURE, Qos("best_effort", "volatile", 5))
+# The reference is published when it changes, so it is latched for late subscribers.
+REFERENCE = Topic.of("/plant/reference", FLOAT64, Qos("reliable", "transient_local", 1))
+
+PLANT_TOPICS = (SAMPLE, TEMPERATURE_READING, REFERENCE)
+"""Topics that follow from the samples alone; the *applied* PWM does not."""
+
+
+def plant_topics(output_unit: str, *, has_reference: bool) -> tuple[Topic, ...]:
+    """Topics of a plant whose output has this unit; only °C is a temperature, only a loop has a reference."""
+    left_out = ([] if output_unit == "°C" else [TEMPERATURE_READING]) + ([] if has_reference else [REFERENCE])
+    return tuple(topic for topic in PLANT_TOPICS if topic not in left_out)
+
+
+def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS) -> Iterator[Message]:
+    """The messages that the plant publishes for these samples, in the order of a live loop.
+
+    The reference comes first (only when it changed), then the temperature, then the sample.
+
+    Args:
+        samples: in order.
+        topics: which of `PLANT_TOPICS` are wanted.
+
+    Raises:
+        SessionError: a stamp is negative or past 2038.
+    """
+    reference: float | None = None
+    for sample in samples:
+        at = sample.stamp
+        if REFERENCE in topics and sample.reference != reference:
+            reference = sample.reference
+            yield Message(REFERENCE, at, at, encode_float64(reference))
+        if TEMPERATURE_READING in topics:
+            yield Message(TEMPERATURE_READING, at, at, encode_temperature(at, sample.output))
+        yield Message(SAMPLE, at, at, encode_sample(sample))
+
+
+@lru_cache(maxsize=64)
+def current_topic(topic: Topic) -> Topic:
+    """The topic with the current definition of its messages; unchanged if it is current or unknown."""
+    if topic.type == LOOP_SAMPLE.name and fields_of(topic.schema) == list(SCALAR_SAMPLE):
+        return Topic.of(topic.name, LOOP_SAMPLE, topic.qos)
+    return topic
+
+
+def current(message: Message) -> Message:
+    """Convert a message to the current definition.
+
+    Raises:
+        SessionError: the message does not match the definition in its file.
+    """
+    topic = current_topic(message.topic)
+    if topic == message.topic:
+        return message
+    sample, frame = decode_scalar_sample(message.data)
+    return message._replace(topic=topic, data=encode_sample(sample, frame))
+
 
 FRAME = "plate"
 """`header.frame_id` of everything measured at the plate."""

@@ -1,18 +1,32 @@
-"""Paths to a number in a message: `data`, `temperature`, `readings[2].value`.
+"""Channels: numbers in the messages of foreign topics, and the signals made of them.
 
-A function from a type's name to its fields describes the types, so that messages of ROS and of a bag are
+A channel is a topic and the path to a number in its messages: `data`, `temperature`, `readings[2].value`. A
+function from a type's name to its fields describes the types, so that messages of ROS and of a bag are
 handled alike.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
-from twinmatch.sessions.sampling.errors import SamplingError
+from twinmatch.errors import TwinmatchError
+from twinmatch.units import Conversion, conversion, measure
 
-__all__ = ["Channel", "Field", "FieldsOf", "check_path", "fields_below", "follow", "parse_channel"]
+__all__ = [
+    "Channel",
+    "Field",
+    "FieldsOf",
+    "SamplingError",
+    "SignalSource",
+    "check_path",
+    "fields_below",
+    "follow",
+    "parse_channel",
+    "usual_unit",
+]
 
 NUMBERS: Final = frozenset(
     {"bool", "boolean", "byte", "char", "octet", "float", "float32", "float64", "double", "long double"}
@@ -24,6 +38,10 @@ _DEEP: Final = 4
 """Depth of nested messages to which fields are listed."""
 _MOST_LISTED: Final = 30
 """Most fields that an error lists."""
+
+
+class SamplingError(TwinmatchError):
+    """A field is missing, or the settings allow no sampling."""
 
 
 class Field(NamedTuple):
@@ -181,3 +199,104 @@ def _listed(kind: str, fields_of: FieldsOf) -> str:
 
 def _is_time(kind: str) -> bool:
     return kind.rsplit("/", 1)[-1] in ("Header", "Time", "Duration")
+
+
+_UNITS: Final = {
+    "sensor_msgs/msg/Temperature": {"temperature": "degC"},
+    "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/msg/RelativeHumidity": {"relative_humidity": "1"},
+    "sensor_msgs/msg/Illuminance": {"illuminance": "lx"},
+    "sensor_msgs/msg/Range": {"range": "m"},
+    "sensor_msgs/msg/BatteryState": {
+        "voltage": "V",
+        "temperature": "degC",
+        "current": "A",
+        "percentage": "1",
+    },
+    "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
+    "sensor_msgs/msg/MagneticField": {"magnetic_field": "T"},
+    "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/msg/TwistStamped": {"twist.linear": "m/s", "twist.angular": "rad/s"},
+}
+"""By type and prefix of the path, from the comments in the message definitions."""
+
+
+def usual_unit(kind: str, path: str) -> str:
+    """The unit of a number according to its message definition; empty if it gives none."""
+    known = _UNITS.get(kind, {})
+    return next(
+        (unit for begin, unit in known.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), ""
+    )
+
+
+_SAME: Final = Conversion()
+
+
+@dataclass(frozen=True)
+class SignalSource:
+    """The source of a signal: the mean of its channels, scaled, then converted to the plant's unit."""
+
+    signal: str
+    channels: tuple[Channel, ...]
+    unit: str = ""
+    """Unit of scale·mean + offset; empty: that of the message type, or else the plant's."""
+    scale: float = 1.0
+    offset: float = 0.0
+    change: Conversion = _SAME
+    """Conversion to the plant's unit."""
+
+    @classmethod
+    def of(cls, signal: str, columns: Sequence[str], unit: str, scale: float, offset: float) -> SignalSource:
+        """A source from a signal's map entry; a text may name several channels, separated by commas.
+
+        Raises:
+            SamplingError: a channel names no topic.
+        """
+        parts = [part for column in columns for part in column.split(",") if part.strip()]
+        try:
+            return cls(signal, tuple(map(parse_channel, parts)), unit, scale, offset)
+        except SamplingError as error:
+            raise SamplingError(f"{signal}: {error}") from None
+
+    def to(self, wanted: str, kinds: Sequence[str], paths: Sequence[str]) -> SignalSource:
+        """The source with resolved paths and the conversion to the plant's unit.
+
+        Args:
+            wanted: unit of the plant's signal.
+            kinds: message type of each channel.
+            paths: path to the number in each channel's messages.
+
+        Raises:
+            SamplingError: the units measure different things.
+        """
+        channels = tuple(c._replace(path=path) for c, path in zip(self.channels, paths, strict=True))
+        found = replace(self, channels=channels)
+        if self.unit:
+            return replace(found, change=found._change(self.unit, wanted, ""))
+        if (self.scale, self.offset) != (1.0, 0.0):
+            return found
+        usual = {usual_unit(kind, path): kind for kind, path in zip(kinds, paths, strict=True)}
+        if len(usual) > 1:
+            msg = f"{self.signal}: its channels have different units, {' and '.join(usual)}; map only one"
+            raise SamplingError(msg)
+        unit, kind = next(iter(usual.items()))
+        return (
+            replace(found, change=found._change(unit, wanted, f" (according to {kind})")) if unit else found
+        )
+
+    def _change(self, unit: str, wanted: str, why: str) -> Conversion:
+        try:
+            return conversion(unit, wanted)
+        except TwinmatchError:
+            strange = "" if measure(unit).known else f" {unit!r} is not a known unit;"
+            msg = (
+                f"{self.signal}: {self.channels[0].text} is in {unit}{why}, but the plant's {self.signal} in "
+                f"{wanted or 'plain numbers'};{strange} map another field, or append "
+                f"'; unit={wanted or 1}; scale=…' to its map entry"
+            )
+            raise SamplingError(msg) from None
+
+    def value(self, numbers: Sequence[float]) -> float:
+        """The signal, from one number for each channel."""
+        mean = sum(numbers) / len(numbers)
+        return (self.scale * mean + self.offset) * self.change.scale + self.change.offset
