@@ -15,7 +15,7 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.column_map import Column, ColumnMap, Source
+from twinmatch.sessions.column_map import Column, ColumnMap, Source, described
 from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
 from twinmatch.sessions.mapped import TIME, Mapped, by_signal, map_samples
 from twinmatch.sessions.resampling import Gaps, bridged_up_to
@@ -112,10 +112,9 @@ class Bag:
             except TwinmatchError:
                 continue  # a topic that cannot be read is not proposed
             for channel, series in zip(channels, found, strict=True):
-                values = series.values[np.isfinite(series.values)]
-                if values.size:
-                    columns.append(_column(channel.text, usual_unit(series.kind, series.path), values))
-        return columns
+                unit = usual_unit(series.kind, series.path)
+                columns.append(described(channel.text, unit, series.values, ordered=False))
+        return [column for column in columns if column.kind != "text"]
 
     def fields_of(self, kind: str) -> Mapping[str, Field]:
         """The fields of a message type."""
@@ -388,10 +387,3 @@ _ENOUGH: Final = 2000
 """Messages read per topic."""
 _FIELDS: Final = 20
 """Most numbers in a listed message; messages with more are images and point clouds."""
-
-
-def _column(title: str, unit: str, values: np.ndarray) -> Column:
-    different = int(np.unique(values).size)
-    two = set(np.unique(values)) <= {0.0, 1.0}
-    kind = "constant" if different == 1 else "on or off" if two else "numbers"
-    return Column(title, unit, float(values.min()), float(values.max()), different, 0, kind)

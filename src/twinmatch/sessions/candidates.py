@@ -67,8 +67,7 @@ def parse_candidates(
         raise CandidateFileError(str(error)) from error
     entries = content.get("candidates") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
-        msg = f"{path}: has no list 'candidates'; add one with an entry per candidate"
-        raise CandidateFileError(msg)
+        raise CandidateFileError(f"{path}: has no list 'candidates'; add one with an entry per candidate")
     candidates = [_candidate(entry, f"{path}: candidate {k}", find) for k, entry in enumerate(entries, 1)]
     names = [c.name for c in candidates]
     for name in names:
@@ -80,12 +79,10 @@ def parse_candidates(
 
 def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Candidate:
     if not isinstance(entry, dict):
-        msg = f"{place}: is {shown(entry)}; give name, operating_point and the parameters"
-        raise CandidateFileError(msg)
+        raise CandidateFileError(f"{place}: is {shown(entry)}; give name, operating_point and the parameters")
     for key in ("name", "operating_point"):
         if key not in entry:
-            msg = f"{place}: {key} is missing"
-            raise CandidateFileError(msg)
+            raise CandidateFileError(f"{place}: {key} is missing")
     try:
         numbers = {str(key): _number(key, value) for key, value in entry.items() if key not in _WORDS}
         operating_point = numbers.pop("operating_point")
@@ -95,23 +92,20 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
         )
         parameters = parameters_from(find(plant).name, structure, numbers)
     except TwinmatchError as error:
-        msg = f"{place}: {error}"
-        raise CandidateFileError(msg) from error
+        raise CandidateFileError(f"{place}: {error}") from error
     _check_operating_point(operating_point, parameters.model.plant.output, place)
     return Candidate(name, operating_point, parameters, None)
 
 
 def _word(key: str, value: Any) -> str:
     if isinstance(value, dict | list) or not str(value).isprintable() or len(str(value)) > MOST_NAME:
-        msg = f"{key} is {shown(value)}; give at most {MOST_NAME} printable characters"
-        raise CandidateFileError(msg)
+        raise CandidateFileError(f"{key} is {shown(value)}; give at most {MOST_NAME} printable characters")
     return str(value)
 
 
 def _number(key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        msg = f"{key} is {shown(value)}; give a number"
-        raise CandidateFileError(msg)
+        raise CandidateFileError(f"{key} is {shown(value)}; give a number")
     return float(value)
 
 

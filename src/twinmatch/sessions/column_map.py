@@ -36,7 +36,17 @@ from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import read_times
 from twinmatch.signals import FloatArray
 
-__all__ = ["Column", "ColumnMap", "Source", "columns_of", "parse_map", "parse_source", "proposed", "read_map"]
+__all__ = [
+    "Column",
+    "ColumnMap",
+    "Source",
+    "columns_of",
+    "described",
+    "parse_map",
+    "parse_source",
+    "proposed",
+    "read_map",
+]
 
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
 
@@ -229,16 +239,27 @@ def columns_of(table: Table) -> list[Column]:
 
 
 def _column(table: Table, title: str) -> Column:
-    unit = table.unit(title)
     try:
-        values = table.values(title)
+        return described(title, table.unit(title), table.values(title), ordered=True)
     except TwinmatchError:
-        try:
-            seconds = read_times(table, title).seconds
-        except TwinmatchError:
-            every = {*table.texts[title].values(), *table.columns[title].tolist()}
-            return Column(title, unit, np.nan, np.nan, len(every), 0, "text")
-        return Column(title, "date", 0.0, float(np.nanmax(seconds)), seconds.size, 0, "time")
+        pass
+    try:
+        seconds = read_times(table, title).seconds
+    except TwinmatchError:
+        different = {*table.texts[title].values(), *table.columns[title].tolist()}
+        return Column(title, table.unit(title), np.nan, np.nan, len(different), 0, "text")
+    return Column(title, "date", 0.0, float(np.nanmax(seconds)), seconds.size, 0, "time")
+
+
+def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Column:
+    """The summary of a column of numbers.
+
+    Args:
+        title: its title.
+        unit: unit in the title.
+        values: shape (N,); nan for rows without a value.
+        ordered: whether it may be a time, and whether it holds its value is of interest.
+    """
     found = values[np.isfinite(values)]
     if not found.size:
         return Column(title, unit, np.nan, np.nan, 0, values.size, "text")
@@ -250,12 +271,13 @@ def _column(table: Table, title: str) -> Column:
     repeats = few and _TIME.search(split_title(title)[0]) is not None
     if different == 1:
         kind = "constant"
-    elif grows or repeats:
+    elif ordered and (grows or repeats):
         kind = "time"
     else:
         kind = "on or off" if set(np.unique(found)) <= {0.0, 1.0} else "numbers"
     low, high = float(found.min()), float(found.max())
-    return Column(title, unit, low, high, different, values.size - found.size, kind, _stepped(found))
+    empty = values.size - found.size
+    return Column(title, unit, low, high, different, empty, kind, ordered and _stepped(found))
 
 
 def _stepped(values: FloatArray) -> bool:

@@ -180,16 +180,14 @@ def schema_of(kind: str, environment: Mapping[str, str] = os.environ) -> str:
 def _text(kind: str, environment: Mapping[str, str]) -> str:
     match = re.fullmatch(r"(\w+)/msg/(\w+)", kind)
     if match is None:
-        msg = f"session: {kind!r} is not a message type; give package/msg/Type"
-        raise SessionError(msg)
+        raise SessionError(f"session: {kind!r} is not a message type; give package/msg/Type")
     package, name = match.groups()
     prefixes = [*filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
     for prefix in prefixes:
         path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
         if path.is_file():
             return path.read_text("utf-8")
-    msg = f"session: the definition of {kind} is not installed; looked in {', '.join(prefixes)}"
-    raise SessionError(msg)
+    raise SessionError(f"session: the definition of {kind} is not installed; looked in {', '.join(prefixes)}")
 
 
 def _parts(owner: str, text: str) -> Iterator[str]:

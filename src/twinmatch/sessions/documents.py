@@ -59,11 +59,9 @@ def read_text(path: Path) -> str:
     try:
         return read_bounded(path, MOST_BYTES).decode("utf-8-sig")
     except OSError as error:
-        msg = f"{path}: cannot be read: {error.strerror or error}"
-        raise DocumentError(msg) from error
+        raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        msg = f"{path}: is not UTF-8 text (byte {error.start})"
-        raise DocumentError(msg) from None
+        raise DocumentError(f"{path}: is not UTF-8 text (byte {error.start})") from None
 
 
 def parse_yaml(text: str, place: str) -> Any:

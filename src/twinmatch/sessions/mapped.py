@@ -157,8 +157,7 @@ def by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, So
             signals = ", ".join(
                 f"{s} ({n[1]})" if s in (OUTPUT, INPUT) else s for s, n in _names(plant).items()
             )
-            msg = f"--map: plant {plant.name} has no signal {name!r}; it has {signals}"
-            raise RecordingError(msg)
+            raise RecordingError(f"--map: plant {plant.name} has no signal {name!r}; it has {signals}")
         if known[name] in found:
             raise RecordingError(f"--map: {used[known[name]]} and {name} are the same signal; give it once")
         found[known[name]], used[known[name]] = source, name
@@ -239,11 +238,10 @@ def _conversion(table: Table, title: str, unit: str, signal: str, wanted: str) -
     except TwinmatchError:
         if not measure(unit).known:  # the text in brackets is a remark
             return Conversion()
-        msg = (
+        raise RecordingError(
             f"{table.path}: {title!r} is in {unit}, the plant's {signal} in {wanted or 'plain numbers'}; map "
             f"another column, or give its conversion: '{signal}={title}; unit={wanted or '1'}; scale=…'"
-        )
-        raise RecordingError(msg) from None
+        ) from None
 
 
 def check_range(

@@ -82,8 +82,7 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
         if header.startswith(b"MATLAB 7.3"):
             raise RecordingError(f"{path}: is a MATLAB 7.3 file; save it again with the option -v7")
         if order is None:
-            msg = f"{path}: is not a MATLAB file of version 5; save it with the option -v7"
-            raise RecordingError(msg)
+            raise RecordingError(f"{path}: is not a MATLAB file of version 5; save it with the option -v7")
         try:
             present = list(_variables(file, order))
             wanted = [_named(path, present, name, width)] if name else _longest(path, present)
@@ -93,8 +92,7 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
                 raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MOST_VALUES}")
             return {v.name: _decoded(header + _unpacked(file, v, order), v) for v in wanted}
         except _DamagedError as error:
-            msg = f"{path}: is truncated or damaged; copy it again ({error})"
-            raise RecordingError(msg) from error
+            raise RecordingError(f"{path}: is truncated or damaged; copy it again ({error})") from error
 
 
 def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Variable:
@@ -114,8 +112,7 @@ def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
     """The vectors and matrices with the most rows; scalars are not signals."""
     found = [v for v in present if v.real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1]
     if not found:
-        msg = f"{path}: has no vector or matrix of real numbers; save the signals as arrays"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: has no vector or matrix of real numbers; save the signals as arrays")
     rows = {v: max(v.shape) if 1 in v.shape else v.shape[0] for v in found}
     return [v for v in found if rows[v] == max(rows.values())]
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from twinmatch.sessions.definitions import (
     FLOAT64,
@@ -159,8 +159,25 @@ def current(message: Message) -> Message:
     topic = current_topic(message.topic)
     if topic == message.topic:
         return message
-    sample, frame = decode_scalar_sample(message.data)
-    return message._replace(topic=topic, data=encode_sample(sample, frame))
+    try:
+        found = _decoder(message.topic)(message.data)
+    except Exception as error:  # the library raises many kinds for damaged bytes
+        msg = f"session: a LoopSample of {len(message.data)} bytes does not match its definition ({error})"
+        raise SessionError(msg) from error
+    stamp = found.header.stamp.sec * NANOSECONDS + found.header.stamp.nanosec
+    sample = Sample(found.index, stamp, found.reference, found.temperature, found.pwm)
+    return message._replace(topic=topic, data=encode_sample(sample, found.header.frame_id))
+
+
+@lru_cache(maxsize=16)
+def _decoder(topic: Topic) -> Callable[[bytes], Any]:
+    """Decodes messages by the definition in their file."""
+    from mcap.records import Schema  # noqa: PLC0415 - only old sessions need it
+    from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
+
+    schema = Schema(id=1, name=topic.type, encoding="ros2msg", data=topic.schema.encode())
+    decoder: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
+    return decoder
 
 
 FRAME = "plate"
@@ -171,10 +188,8 @@ NANOSECONDS = 1_000_000_000
 _LITTLE = b"\x00\x01\x00\x00"
 _ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _HEADER = {order: struct.Struct(order + "iII") for order in "<>"}
-_SCALARS = {order: struct.Struct(order + "Qddd") for order in "<>"}
 _ARRAYS = {order: struct.Struct(order + "QI4xdI4xdI4xdI") for order in "<>"}
 """One reference, one output, one input, and the number of disturbances that follow."""
-_INDEX = {order: struct.Struct(order + "Q") for order in "<>"}
 _LENGTH = {order: struct.Struct(order + "I") for order in "<>"}
 _FLOAT64 = struct.Struct("<4sd")
 
@@ -189,8 +204,7 @@ def _stamped(frame: bytes, fields: str) -> struct.Struct:
 def _header(stamp: int, frame: str) -> tuple[bytes, int, int, int, bytes]:
     seconds, nanoseconds = divmod(stamp, NANOSECONDS)
     if not 0 <= seconds < 2**31:
-        msg = f"session: the stamp {stamp} ns is outside 1970 to 2038, the range of ROS time"
-        raise SessionError(msg)
+        raise SessionError(f"session: the stamp {stamp} ns is outside 1970 to 2038, the range of ROS time")
     raw = frame.encode() + b"\0"
     return _LITTLE, seconds, nanoseconds, len(raw), raw
 
@@ -229,50 +243,25 @@ def decode_sample(data: bytes) -> Sample:
     Raises:
         SessionError: another encoding than CDR, too few bytes, or not one reference, output and input.
     """
-    return _decoded(data, _arrays)
-
-
-def decode_scalar_sample(data: bytes) -> tuple[Sample, str]:
-    """Decode a `LoopSample` of the first definition (reference, temperature and PWM as numbers): the sample,
-    and the frame it was measured in.
-
-    Raises:
-        SessionError: another encoding than CDR, or too few bytes.
-    """
-    sample = _decoded(data, lambda order, _, at: (*_SCALARS[order].unpack_from(data, at), ()))
-    (length,) = _LENGTH[_ORDER[bytes(data[:2])]].unpack_from(data, 12)
-    return sample, data[16 : 16 + length - 1].decode()
-
-
-_Fields = tuple[int, float, float, float, tuple[float, ...]]
-
-
-def _decoded(data: bytes, body: Callable[[str, bytes, int], _Fields]) -> Sample:
     order = _ORDER.get(bytes(data[:2]))
     if order is None:
         msg = f"session: a LoopSample is encoded as {bytes(data[:4]).hex(' ')!r}; only plain CDR is read"
         raise SessionError(msg)
     try:
         seconds, nanoseconds, length = _HEADER[order].unpack_from(data, 4)
-        index, reference, output, computed, disturbances = body(order, data, 4 + (12 + length + 7) // 8 * 8)
+        at = 4 + (12 + length + 7) // 8 * 8
+        lengths = _lengths(order, data, at + 8)
+        if lengths != [1, 1, 1]:
+            (index,) = struct.unpack_from(f"{order}Q", data, at)
+            raise SessionError(f"session: {not_one_loop(index, lengths)}")
+        index, _, reference, _, output, _, computed, number = _ARRAYS[order].unpack_from(data, at)
+        behind = at + _ARRAYS[order].size + 4
+        disturbances = struct.unpack_from(f"{order}{number}d", data, behind) if number else ()
     except struct.error:
         msg = f"session: a LoopSample of {len(data)} bytes is too short for its fields"
         raise SessionError(msg) from None
     stamp = seconds * NANOSECONDS + nanoseconds
     return Sample(index, stamp, reference, output, computed, disturbances)
-
-
-def _arrays(order: str, data: bytes, at: int) -> _Fields:
-    layout = _ARRAYS[order]
-    lengths = _lengths(order, data, at + 8)
-    if lengths != [1, 1, 1]:
-        (index,) = _INDEX[order].unpack_from(data, at)
-        raise SessionError(f"session: {not_one_loop(index, lengths)}")
-    index, _, reference, _, output, _, computed, number = layout.unpack_from(data, at)
-    if not number:
-        return index, reference, output, computed, ()
-    disturbances = struct.unpack_from(f"{order}{number}d", data, at + layout.size + 4)
-    return index, reference, output, computed, disturbances
 
 
 def _lengths(order: str, data: bytes, at: int) -> list[int]:

@@ -22,6 +22,7 @@ __all__ = [
     "distro_of",
     "files_listed",
     "has_reference",
+    "mcap_files",
     "parameters_of",
     "parameters_record",
     "parse_qos",
@@ -143,6 +144,18 @@ def files_listed(folder: Path) -> list[str]:
         return []
 
 
+def mcap_files(folder: Path) -> list[Path]:
+    """The MCAP files in a folder, in their order.
+
+    Raises:
+        SessionError: there are none.
+    """
+    files = sorted(folder.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    if not files:
+        raise SessionError(f"session {folder}: is not a session: the folder has no MCAP file")
+    return files
+
+
 def distro_of(folder: Path) -> str:
     """The ROS 2 distribution in `metadata.yaml`; `unknown` if it cannot be read."""
     try:
@@ -178,8 +191,7 @@ def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[s
     try:
         return {name: parse_json(value, name) for name, value in found.items()}
     except DocumentError as error:
-        msg = f"session: the recorded parameters of {node} cannot be read: {error}"
-        raise SessionError(msg) from error
+        raise SessionError(f"session: the recorded parameters of {node} cannot be read: {error}") from error
 
 
 def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:

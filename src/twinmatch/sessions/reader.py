@@ -13,7 +13,7 @@ from pathlib import Path
 from twinmatch.sessions.definitions import LOOP_SAMPLE, fields_of
 from twinmatch.sessions.files import ProgressCallback, SessionError
 from twinmatch.sessions.messages import Message, Topic, current, current_topic, decode_sample
-from twinmatch.sessions.metadata import METADATA, files_listed, has_reference, plant_of
+from twinmatch.sessions.metadata import METADATA, files_listed, has_reference, mcap_files, plant_of
 from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan
 from twinmatch.signals import Sample, Window
@@ -161,19 +161,16 @@ def _reported(scans: Sequence[Scan], progress: ProgressCallback | None) -> Itera
 def _files(path: Path) -> tuple[list[Path], list[str]]:
     """The MCAP files of a session, and notes on them."""
     if not path.exists():
-        msg = f"session {path}: does not exist"
-        raise SessionError(msg)
+        raise SessionError(f"session {path}: does not exist")
     if not path.is_dir():
         return [path], []
     listed = [path / name for name in files_listed(path)]
+    if not listed:
+        return mcap_files(path), [f"{METADATA} is missing or unreadable: the recording was not finished"]
     present = [file for file in listed if file.is_file()]
     notes = [f"{file.name} is listed in {METADATA} but missing" for file in listed if file not in present]
-    if not listed:
-        present = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
-        notes = [f"{METADATA} is missing or unreadable: the recording was not finished"]
     if not present:
-        msg = f"session {path}: is not a session: the folder has no MCAP file"
-        raise SessionError(msg)
+        raise SessionError(f"session {path}: is not a session: the folder has no MCAP file")
     return present, notes
 
 
@@ -185,17 +182,14 @@ def _plant_topic(topics: list[Topic], wanted: str | None, place: str) -> Topic:
         plants = [topic for topic in plants if topic.name == wanted]
     if not plants:
         asked = f"topic {wanted}" if wanted else f"topic ending in {SUFFIX}"
-        msg = f"{place}: has no {asked} of type {LOOP_SAMPLE.name}; it has {_names(topics)}"
-        raise SessionError(msg)
+        raise SessionError(f"{place}: has no {asked} of type {LOOP_SAMPLE.name}; it has {_names(topics)}")
     if len(plants) > 1:
-        msg = f"{place}: has samples of several rigs ({_names(plants)}); give the topic to use"
-        raise SessionError(msg)
+        raise SessionError(f"{place}: has samples of several rigs ({_names(plants)}); give the topic to use")
     if fields_of(current_topic(plants[0]).schema) != fields_of(LOOP_SAMPLE.schema):
-        msg = (
+        raise SessionError(
             f"{place}: {plants[0].name} was recorded with another definition of LoopSample; "
             "read it with the version that recorded it"
         )
-        raise SessionError(msg)
     return plants[0]
 
 
@@ -242,8 +236,7 @@ def check_samples(samples: Sequence[Sample], place: str) -> None:
         SessionError: there are no samples, or a value is not finite.
     """
     if not samples:
-        msg = f"{place}: has no samples"
-        raise SessionError(msg)
+        raise SessionError(f"{place}: has no samples")
     for sample in samples:
         for name in VALUES:
             value = getattr(sample, name)

@@ -48,7 +48,7 @@ class RecordingLimits(NamedTuple):
     """Time span of the messages at which the next file is started, s; 0: never."""
 
 
-class Recording:
+class Recording(SessionWriter):
     """Writes messages into a session folder until it is closed or the disk is nearly full."""
 
     def __init__(
@@ -74,84 +74,40 @@ class Recording:
         self.limits = limits or RecordingLimits()
         self._free = free or _free
         self._require_space(folder, "not started")
-        self._writer = SessionWriter(folder, ros_distro=ros_distro)
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the session."""
-        return self._writer.folder
-
-    @property
-    def counts(self) -> Mapping[Topic, int]:
-        """Messages so far, per topic."""
-        return self._writer.counts
+        super().__init__(folder, ros_distro=ros_distro)
 
     @property
     def messages(self) -> int:
         """Messages so far."""
-        return sum(self._writer.counts.values())
-
-    def add_topic(self, topic: Topic) -> None:
-        """Add a topic.
-
-        Raises:
-            SessionError: it was added with another type or QoS, or writing fails.
-        """
-        self._writer.add_topic(topic)
-
-    def add_record(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record about the session.
-
-        Raises:
-            SessionError: writing fails.
-        """
-        self._writer.add_record(name, values)
-
-    def write(self, name: str, data: bytes, log_time: int) -> None:
-        """Write one message of an added topic, recorded at `log_time` (ns).
-
-        Raises:
-            SessionError: the topic was not added, the time is negative, or writing fails.
-        """
-        self._writer.write(name, data, log_time)
+        return sum(self.counts.values())
 
     def flush(self) -> None:
         """Flush to the disk, check the free space, and start the next file if it is due.
 
         Raises:
             DiskFullError: too little disk space; the session has been closed and is complete.
-            SessionError: writing fails.
         """
-        self._writer.flush()
+        super().flush()
         try:
             self._require_space(self.folder, f"stopped after {self.messages} messages")
         except DiskFullError:
             self.close()
             raise
         if self._due():
-            self._writer.split()
-
-    def close(self) -> None:
-        """Finish the session.
-
-        Raises:
-            SessionError: writing fails.
-        """
-        self._writer.close()
+            self.split()
 
     def _due(self) -> bool:
-        part, limits = self._writer.part, self.limits
+        part, limits = self.part, self.limits
         span = (part.end - part.start) / NANOSECONDS
-        return (0 < limits.split_mb <= self._writer.size / MEGABYTE) or (0 < limits.split_s <= span)
+        return (0 < limits.split_mb <= self.size / MEGABYTE) or (0 < limits.split_s <= span)
 
     def _require_space(self, folder: Path, consequence: str) -> None:
         free = self._free(folder) / MEGABYTE
         if free < self.limits.min_free_mb:
-            msg = (
+            raise DiskFullError(
                 f"recording {folder.name}: {consequence}: {free:.0f} MB are free on the disk, but "
                 f"{self.limits.min_free_mb:g} MB must stay free; free some space or lower min_free_mb"
             )
-            raise DiskFullError(msg)
 
 
 def _free(path: Path) -> int:
@@ -223,8 +179,7 @@ def write_session(
         target.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".partial", dir=target.parent))
     except OSError as error:
-        msg = f"session {target}: cannot be written ({error.strerror})"
-        raise SessionError(msg) from error
+        raise SessionError(f"session {target}: cannot be written ({error.strerror})") from error
     try:
         _write(scratch / target.name, samples, topics, progress, records or {})
         _move(scratch, target)
@@ -281,13 +236,11 @@ def _move(scratch: Path, target: Path) -> None:
 
 def _check_target(target: Path, overwrite: bool) -> None:
     if not target.name:
-        msg = f"session {target}: a session needs a folder with a name"
-        raise SessionError(msg)
+        raise SessionError(f"session {target}: a session needs a folder with a name")
     if not (target.exists() or target.is_symlink()):
         return
     if not overwrite:
-        msg = f"session {target}: exists already; choose another name or ask to overwrite it"
-        raise SessionError(msg)
+        raise SessionError(f"session {target}: exists already; choose another name or ask to overwrite it")
     if not _is_session(target):
         msg = f"session {target}: is not a session and will not be overwritten; choose another name"
         raise SessionError(msg)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from twinmatch.sessions.files import SessionError
 from twinmatch.sessions.messages import Message
-from twinmatch.sessions.metadata import METADATA, distro_of, files_listed
+from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_files
 from twinmatch.sessions.scan import Scan
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 
@@ -71,21 +71,15 @@ def repair_session(folder: Path | str) -> Repair:
         if found.faults:
             found = _rebuild(folder, broken, files, found)
     except OSError as error:
-        msg = f"session {folder}: cannot be repaired ({error.strerror or error})"
-        raise SessionError(msg) from error
+        raise SessionError(f"session {folder}: cannot be repaired ({error.strerror or error})") from error
     return found
 
 
 def _files(folder: Path) -> list[Path]:
     if not folder.is_dir():
         what = "is a file; give its folder" if folder.is_file() else "does not exist"
-        msg = f"session {folder}: {what}"
-        raise SessionError(msg)
-    files = sorted(folder.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
-    if not files:
-        msg = f"session {folder}: is not a session: the folder has no MCAP file"
-        raise SessionError(msg)
-    return files
+        raise SessionError(f"session {folder}: {what}")
+    return mcap_files(folder)
 
 
 def _examine(folder: Path, files: list[Path]) -> Repair:
@@ -115,8 +109,7 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Re
         msg = f"session {folder}: {'; '.join(found.faults)}; no message can be read, nothing was changed"
         raise SessionError(msg)
     if broken.exists():
-        msg = f"session {folder}: {broken} of an earlier repair exists; move or remove it first"
-        raise SessionError(msg)
+        raise SessionError(f"session {folder}: {broken} of an earlier repair exists; move or remove it first")
     readable = [file for file in files if file.stat().st_size]
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".partial", dir=folder.parent))
     try:

@@ -168,11 +168,10 @@ def resample(
         ticks = float(np.sum(np.rint(kept / usual)))  # number of periods, including those of lost rows
         period = _period(stretches, sum(float(part[-1] - part[0]) for part in stretches) / ticks)
     elif not (np.isfinite(period) and period >= _CROWDED * usual):
-        msg = (
+        raise RecordingError(
             f"{place}: a period of {period:g} s does not fit rows {usual:g} s apart; give at least half of "
             "that"
         )
-        raise RecordingError(msg)
     clocks, found, squares = [], [], 0.0
     for part, rows in zip(stretches, np.split(np.arange(stamps.size), cuts + 1), strict=True):
         clock, bare = _clock(part, period)
@@ -217,11 +216,10 @@ def period_of_ticks(
     odd = np.flatnonzero(np.abs(steps - usual) > _JITTER * usual)
     if odd.size:
         at = int(odd[0])
-        msg = (
+        raise RecordingError(
             f"{place}: {steps[at]:g} s from {row(at)} to {row(at + 1)}, elsewhere {usual:g} s; split the "
             "recording there, or import it with a map of its columns, which resamples it"
         )
-        raise RecordingError(msg)
     return rounded_period(float(steps.mean()))
 
 
@@ -283,11 +281,10 @@ def _checked(
     for name, column in {"time": stamps, **values}.items():
         bad = np.flatnonzero(~np.isfinite(column))
         if bad.size:
-            msg = (
+            raise RecordingError(
                 f"{place}: {name} in {row(int(bad[0]))} is {column[bad[0]]:g}; give a finite number or leave "
                 "the row out"
             )
-            raise RecordingError(msg)
     return stamps, values
 
 
@@ -295,11 +292,10 @@ def _refuse_standing(stamps: FloatArray, place: str, row: Callable[[int], str]) 
     back = np.flatnonzero(np.diff(stamps) <= 0)
     if back.size:
         at = int(back[0])
-        msg = (
+        raise RecordingError(
             f"{place}: time does not advance from {stamps[at]:.12g} s in {row(at)} to "
             f"{stamps[at + 1]:.12g} s in {row(at + 1)}; sort the rows, and keep one per time"
         )
-        raise RecordingError(msg)
 
 
 def _refuse_gap(
@@ -307,11 +303,10 @@ def _refuse_gap(
 ) -> None:
     at = int(cuts[0])
     others = f" (and {cuts.size - 1} more)" if cuts.size > 1 else ""
-    msg = (
+    raise RecordingError(
         f"{place}: a gap of {steps[at]:.4g} s after {row(at)}{others}; steps of up to {limit:.4g} s are "
         "bridged: split the recording at longer ones (--gaps split), or bridge them too (--bridge SECONDS)"
     )
-    raise RecordingError(msg)
 
 
 def _period(stretches: list[FloatArray], mean: float) -> float:

@@ -87,17 +87,14 @@ class Scan:
                 except _FaultError as fault:
                     self.fault = str(fault)
         except OSError as error:
-            msg = f"session {self.path}: cannot be read ({error.strerror})"
-            raise SessionError(msg) from error
+            raise SessionError(f"session {self.path}: cannot be read ({error.strerror})") from error
 
     def _check_beginning(self, file: BinaryIO) -> None:
         beginning = file.read(len(MAGIC))
         if not beginning:
-            msg = f"session {self.path}: the file is empty"
-            raise SessionError(msg)
+            raise SessionError(f"session {self.path}: the file is empty")
         if beginning != MAGIC:
-            msg = f"session {self.path}: is not a session: it does not begin like an MCAP file"
-            raise SessionError(msg)
+            raise SessionError(f"session {self.path}: is not a session: it does not begin like an MCAP file")
 
     def _messages(self, file: BinaryIO) -> Iterator[Message]:
         try:

@@ -135,8 +135,7 @@ def open_any(
     kind = find_plant(plant)
     recorded = session.plant
     if recorded and recorded != kind.name and not is_plant_file(recorded):
-        msg = f"{path}: was recorded from plant {recorded}, not {kind.name}; leave --plant out"
-        raise SessionError(msg)
+        raise SessionError(f"{path}: was recorded from plant {recorded}, not {kind.name}; leave --plant out")
     return replace(session, plant=kind.name)
 
 
@@ -149,8 +148,7 @@ def _open(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
     if path.suffix.lower() in _SUFFIXES:
         return _recording(path, progress)
     hint = "; a MATLAB file needs the suffix .mat" if beginning.startswith(MAT_BEGINNING) else ""
-    msg = f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}"
-    raise SessionError(msg)
+    raise SessionError(f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}")
 
 
 def _beginning(path: Path) -> bytes | None:
@@ -161,11 +159,9 @@ def _beginning(path: Path) -> bytes | None:
     except IsADirectoryError:
         return None
     except FileNotFoundError:
-        msg = f"{path}: does not exist"
-        raise SessionError(msg) from None
+        raise SessionError(f"{path}: does not exist") from None
     except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror})"
-        raise SessionError(msg) from error
+        raise SessionError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def _recording(path: Path, progress: ProgressCallback | None) -> Session:

@@ -161,13 +161,10 @@ def read_table(
         if suffix == ".mat":
             return _read_mat(path, matrix)
     except FileNotFoundError:
-        msg = f"{path}: does not exist"
-        raise RecordingError(msg) from None
+        raise RecordingError(f"{path}: does not exist") from None
     except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error})"
-        raise RecordingError(msg) from error
-    msg = f"{path}: is neither a .csv nor a .mat file; save it as one of these"
-    raise RecordingError(msg)
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
+    raise RecordingError(f"{path}: is neither a .csv nor a .mat file; save it as one of these")
 
 
 def _read_mat(path: Path, matrix: tuple[str, int] | None) -> Table:
@@ -184,16 +181,14 @@ def _read_mat(path: Path, matrix: tuple[str, int] | None) -> Table:
 def _read_csv(path: Path, first: bytes, progress: ProgressCallback | None) -> Table:
     """The table in UTF-8, in UTF-16 with a byte-order mark, or in the encoding of Western Windows."""
     if first == _ARCHIVE:
-        msg = f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV")
     for encoding in (_MARKS.get(first[:2], "utf-8-sig"), _WESTERN):
         try:
             return _parsed(path, _lines(path, encoding, progress))
         except UnicodeError:
             continue
         except csv.Error as error:
-            msg = f"{path}: cannot be read as a table ({error})"
-            raise RecordingError(msg) from None
+            raise RecordingError(f"{path}: cannot be read as a table ({error})") from None
     raise _not_text(path)
 
 
@@ -222,8 +217,7 @@ def _parsed(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
     rows = _rows(path, chain(head, lines), divider)
     (place, titles), *beginning = islice(rows, len(head))
     if all(number(title) is not None for title in titles):
-        msg = f"{path}, line {place}: has numbers; the first line must name the columns"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}, line {place}: has numbers; the first line must name the columns")
     titles, skipped = _with_units(titles, [cells for _, cells in beginning[:2]])
     decimal = "." if divider == "," else _decimal([cells for _, cells in beginning])
     places, numbers = array("q"), [array("d") for _ in titles]
@@ -256,16 +250,14 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]], divider: str) -> Iterato
     reader = csv.reader(texts(), delimiter=divider, skipinitialspace=True)
     for count, cells in enumerate(reader, 1):
         if reader.line_num > count:
-            msg = f"{path}: a quoted cell spans several lines; write it without line breaks"
-            raise RecordingError(msg)
+            raise RecordingError(f"{path}: a quoted cell spans several lines; write it without line breaks")
         if count == 1:
             first, width = place, len(cells)
         if any(map(str.strip, cells[width:])):
-            msg = (
+            raise RecordingError(
                 f"{path}, line {place}: has {len(cells)} cells, but line {first} has {width} "
                 "column names; remove lines before the names, or begin them with #"
             )
-            raise RecordingError(msg)
         yield place, cells[:width] + [""] * (width - len(cells))
 
 

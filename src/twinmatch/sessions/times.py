@@ -103,11 +103,10 @@ def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> Fl
         text = texts.get(k, f"{numbers[k]:g}")
         stamp = in_order(text, order) if order else _date(text)
         if stamp is None:
-            msg = (
+            raise RecordingError(
                 f"{table.place(k)}: {title!r} is {text.strip()[:40]!r}, neither a number nor a date such as "
                 f"{'22/01/2021 14:48:58' if order else '2021-01-22 14:48:58.7'}"
             )
-            raise RecordingError(msg)
         seconds[k] = stamp
     return seconds
 

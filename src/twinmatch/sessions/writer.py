@@ -25,8 +25,6 @@ __all__ = ["SessionWriter", "sync_folder"]
 
 CHUNK_SIZE = 64 * 1024
 """Bytes buffered before they are written: what a killed recorder loses if it never flushes."""
-
-
 BLOCK = 1 << 20
 """Bytes written to the summary at once."""
 
@@ -40,7 +38,7 @@ class _Block(NamedTuple):
         stream.write(self.data)
 
 
-class ChunkIndexes:
+class _ChunkIndexes:
     """Replaces the list in which a writer collects its chunk indexes.
 
     The file has no name: it vanishes with the process, however it ends.
@@ -68,7 +66,7 @@ class ChunkIndexes:
         self._file.close()
 
 
-class SessionFile:
+class _SessionFile:
     """Writes topics, messages and records into one file; failures of the disk are an `OSError`."""
 
     def __init__(self, path: Path) -> None:
@@ -85,7 +83,7 @@ class SessionFile:
         self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
         # The writer keeps an object for every chunk until the end: 170 MB for a day that is flushed every
         # 0.4 s. It has no option to keep them elsewhere; a test checks that it uses this attribute.
-        self._chunks = ChunkIndexes(path.parent)
+        self._chunks = _ChunkIndexes(path.parent)
         self._mcap._Writer__chunk_indices = self._chunks  # type: ignore[attr-defined]
         self._mcap.start(profile="ros2", library="twinmatch")
 
@@ -168,8 +166,7 @@ class SessionWriter:
         self.folder = Path(folder)
         self.name = name or self.folder.absolute().name
         if not self.name:
-            msg = f"session {self.folder}: a session needs a folder with a name"
-            raise SessionError(msg)
+            raise SessionError(f"session {self.folder}: a session needs a folder with a name")
         self.counts: dict[Topic, int] = {}
         """Messages written so far, per topic."""
         self._ros_distro = ros_distro
@@ -178,7 +175,7 @@ class SessionWriter:
         self._parts: list[Part] = []
         self._failed = False
         self._closed = False
-        self._file: SessionFile | None = None
+        self._file: _SessionFile | None = None
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
@@ -203,7 +200,7 @@ class SessionWriter:
         """Add a topic; adding it again changes nothing.
 
         Raises:
-            SessionError: a topic of that name has another type or QoS, or writing fails.
+            SessionError: a topic of that name has another type or QoS.
         """
         known = self._topics.get(topic.name)
         if known is not None:
@@ -226,15 +223,13 @@ class SessionWriter:
             publish_time: time of publication, ns; `log_time` if not known.
 
         Raises:
-            SessionError: the topic was not added, a time is negative, or writing fails.
+            SessionError: the topic was not added, or a time is negative.
         """
         topic = self._topics.get(name)
         if topic is None:
-            msg = f"session {self.name}: {name} was not added before its first message"
-            raise SessionError(msg)
+            raise SessionError(f"session {self.name}: {name} was not added before its first message")
         if log_time < 0 or (publish_time or 0) < 0:
-            msg = f"session {self.name}: a message of {name} has a negative time"
-            raise SessionError(msg)
+            raise SessionError(f"session {self.name}: a message of {name} has a negative time")
         with self._disk() as file:
             file.write(topic, data, log_time, log_time if publish_time is None else publish_time)
         self.counts[topic] += 1
@@ -243,40 +238,25 @@ class SessionWriter:
         """Write a metadata record about the session.
 
         It is repeated in every further file and replaces an earlier record of the same name.
-
-        Raises:
-            SessionError: writing fails.
         """
         with self._disk() as file:
             file.add_record(name, values)
         self._records[name] = dict(values)
 
     def flush(self) -> None:
-        """Flush all messages to the disk; a kill or power failure then loses only later ones.
-
-        Raises:
-            SessionError: writing fails.
-        """
+        """Flush all messages to the disk; a kill or power failure then loses only later ones."""
         with self._disk() as file:
             file.flush()
 
     def split(self) -> None:
-        """Finish the file and start the next.
-
-        Raises:
-            SessionError: writing fails.
-        """
+        """Finish the file and start the next."""
         with self._disk() as file:
             file.finish(self._ros_distro)
         self._parts.append(file.part)
         self._begin()
 
     def close(self) -> None:
-        """Finish the file and write `metadata.yaml`. Closing again does nothing.
-
-        Raises:
-            SessionError: writing fails.
-        """
+        """Finish the file and write `metadata.yaml`. Closing again does nothing."""
         if self._closed:
             return
         if self._failed:
@@ -305,14 +285,14 @@ class SessionWriter:
     def _begin(self) -> None:
         path = self.folder / f"{self.name}_{len(self._parts)}.mcap"
         with self._disk(begins=True):
-            self._file = SessionFile(path)
+            self._file = _SessionFile(path)
             for topic in self._topics.values():
                 self._file.add_topic(topic)
             for name, values in self._records.items():
                 self._file.add_record(name, values)
 
     @contextlib.contextmanager
-    def _disk(self, *, begins: bool = False) -> Iterator[SessionFile]:
+    def _disk(self, *, begins: bool = False) -> Iterator[_SessionFile]:
         """Turn the first failed write into a `SessionError`, and refuse to write after it."""
         if self._failed or (self._file is None and not begins):
             msg = f"session {self.name}: writing failed before; only the messages before that are kept"
@@ -322,11 +302,10 @@ class SessionWriter:
         except OSError as error:
             self._failed = True
             self.abandon()
-            msg = (
+            raise SessionError(
                 f"session {self.name}: cannot be written ({error.strerror or error}) after "
                 f"{sum(self.counts.values())} messages; free some disk space or choose another folder"
-            )
-            raise SessionError(msg) from error
+            ) from error
 
 
 def write_metadata(folder: Path, summary: Summary) -> None:

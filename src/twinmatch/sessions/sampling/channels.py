@@ -289,12 +289,11 @@ class SignalSource:
             return conversion(unit, wanted)
         except TwinmatchError:
             strange = "" if measure(unit).known else f" {unit!r} is not a known unit;"
-            msg = (
+            raise SamplingError(
                 f"{self.signal}: {self.channels[0].text} is in {unit}{why}, but the plant's {self.signal} in "
                 f"{wanted or 'plain numbers'};{strange} map another field, or append "
                 f"'; unit={wanted or 1}; scale=…' to its map entry"
-            )
-            raise SamplingError(msg) from None
+            ) from None
 
     def value(self, numbers: Sequence[float]) -> float:
         """The signal, from one number for each channel."""

@@ -223,8 +223,7 @@ def _check(signals: Mapping[str, Limits], period: float, paced_by: str, settle: 
         if name not in signals:
             raise SamplingError(f"{name} is not mapped; every sample needs it")
     if paced_by not in (*signals, TIMER):
-        msg = f"paced_by is {paced_by!r}; choose one of {', '.join([*signals, TIMER])}"
-        raise SamplingError(msg)
+        raise SamplingError(f"paced_by is {paced_by!r}; choose one of {', '.join([*signals, TIMER])}")
     if not 0 <= settle <= LATEST_SETTLE:
         raise SamplingError(f"settle is {settle:g}; give a fraction of the period from 0 to {LATEST_SETTLE}")
     if not (math.isfinite(period) and period > 0):
