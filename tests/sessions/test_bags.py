@@ -16,8 +16,8 @@ pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the ex
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tests.support.commands import twinmatch
 from tests.support.plant_files import plant_file
+from tests.support.processes import run_twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import find_plant
 from twinmatch.sessions import bags, read_session
@@ -100,7 +100,7 @@ def test_a_bag_of_either_storage_becomes_a_session(
     tmp_path: Path, plant: Path, storage: StoragePlugin
 ) -> None:
     source = bag(tmp_path / "bag", storage, messages())
-    done = twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
+    done = run_twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
     assert done.returncode == 0, done.stderr
     session = read_session(tmp_path / "session")
     samples = session.samples
@@ -118,7 +118,7 @@ def test_a_bag_of_either_storage_becomes_a_session(
 
 
 def test_list_shows_topics_and_proposes_a_map(tmp_path: Path) -> None:
-    done = twinmatch("import", bag(tmp_path / "bag", StoragePlugin.MCAP, messages()), "--list")
+    done = run_twinmatch("import", bag(tmp_path / "bag", StoragePlugin.MCAP, messages()), "--list")
     assert done.returncode == 0, done.stderr
     row = next(line for line in done.stdout.splitlines() if "/rack" in line)
     assert "lab_msgs/msg/Rack" in row
@@ -133,7 +133,7 @@ def test_list_shows_topics_and_proposes_a_map(tmp_path: Path) -> None:
 def test_without_a_set_point_the_session_says_so(tmp_path: Path, plant: Path) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     entries = [entry for entry in MAP if not entry.startswith("reference")]
-    done = twinmatch("import", source, "--plant", plant, "--map", *entries, "-o", tmp_path / "session")
+    done = run_twinmatch("import", source, "--plant", plant, "--map", *entries, "-o", tmp_path / "session")
     assert done.returncode == 0, done.stderr
     assert not read_session(tmp_path / "session").has_reference
 
@@ -144,7 +144,7 @@ def test_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
     entries = parse_map([*MAP[1:], "output=/rack:readings[1].value; scale=0.5; offset=1"])
     found = map_bag(source, entries.joined(parse_map([])), find_plant(str(plant)))
     assert found.samples[10].output == pytest.approx(0.5 * 30.0 + 1)
-    slower = twinmatch(
+    slower = run_twinmatch(
         "import", source, "--plant", plant, "--map", *MAP, "--period", "1.5", "-o", tmp_path / "slow"
     )
     assert slower.returncode == 0, slower.stderr
@@ -207,11 +207,11 @@ def test_a_gap_is_refused_with_its_place_or_bridged_where_that_is_asked_for(
 ) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(hole=(20, 32)))
     words = ["import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session"]
-    done = twinmatch(*words)
+    done = run_twinmatch(*words)
     assert done.returncode == 2
     assert "a gap of 6.5 s after reading 20" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    assert twinmatch(*words, "--bridge", "10").returncode == 0
+    assert run_twinmatch(*words, "--bridge", "10").returncode == 0
     assert len(read_session(tmp_path / "session").samples) == TICKS
 
 
@@ -233,7 +233,7 @@ def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant
     holed = bag(tmp_path / "b", StoragePlugin.MCAP, messages(hole=(20, 32)))
     for source, session in ((full, "whole"), (holed, "split")):
         words = ["import", source, "-o", tmp_path / session, "--plant", plant, "--gaps", "split"]
-        done = twinmatch(*words, "--map", *MAP)
+        done = run_twinmatch(*words, "--map", *MAP)
         assert done.returncode == 0, done.stderr
     assert "split into 2 stretches by gaps of 6.5 s" in done.stdout
     by_index = {sample.index: sample for sample in read_session(tmp_path / "whole").samples}
@@ -244,7 +244,7 @@ def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant
         assert (sample.stamp, sample.output) == (same.stamp, same.output)
         assert sample.disturbances == pytest.approx(same.disturbances)
         assert sample.input == same.input or 32 <= sample.index <= 35
-    assert twinmatch("replay", tmp_path / "split", "--plant", plant).returncode == 0
+    assert run_twinmatch("replay", tmp_path / "split", "--plant", plant).returncode == 0
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -254,12 +254,12 @@ def test_a_damaged_bag_is_one_line(tmp_path: Path, plant: Path, storage: Storage
     whole = file.read_bytes()
     for damaged in (b"", whole[: len(whole) // 2], b"\0" * 1000 + whole[1000:]):
         file.write_bytes(damaged)
-        done = twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
+        done = run_twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
         assert done.returncode == 2, done.stdout
         assert len(done.stderr.splitlines()) == 1
         assert "Traceback" not in done.stderr
     (source / "metadata.yaml").unlink()
-    done = twinmatch("import", source, "--list")
+    done = run_twinmatch("import", source, "--list")
     assert done.returncode == 2
     assert "has no metadata.yaml" in done.stderr
 
@@ -268,7 +268,7 @@ def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) ->
     first = tmp_path / "first"
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     words = ["import", source, "--plant", plant, "--map", *MAP, "-o", first]
-    assert twinmatch(*words).returncode == 0
+    assert run_twinmatch(*words).returncode == 0
     shutil.rmtree(source)
     entries = [
         "output=/plant/sample:output[0]",
@@ -276,7 +276,7 @@ def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) ->
         "reference=/plant/sample:reference[0]",
         "room=/plant/sample:disturbances[0]",
     ]
-    done = twinmatch("import", first, "--plant", plant, "--map", *entries, "-o", tmp_path / "second")
+    done = run_twinmatch("import", first, "--plant", plant, "--map", *entries, "-o", tmp_path / "second")
     assert done.returncode == 0, done.stderr
     once, twice = (read_session(tmp_path / name).samples for name in ("first", "second"))
     assert [(s.output, s.reference, s.disturbances) for s in twice] == [

@@ -123,7 +123,7 @@ HOSTILE = {
 @pytest.mark.parametrize("name", HOSTILE)
 def test_what_would_do_harm_is_refused_in_one_line(name: str) -> None:
     text, message = HOSTILE[name]
-    with within(60, 100):
+    with within(10, 100):
         try:
             parse_yaml(text, "file")
         except DocumentError as error:
@@ -148,7 +148,7 @@ def test_what_would_do_harm_is_refused_in_one_line(name: str) -> None:
     ],
 )
 def test_json_that_would_do_harm_is_refused(text: str, message: str) -> None:
-    with within(60, 100), pytest.raises(DocumentError, match=f"^file: .*{message}"):
+    with within(10, 100), pytest.raises(DocumentError, match=f"^file: .*{message}"):
         parse_json(text, "file")
 
 
@@ -169,7 +169,7 @@ def test_any_text_is_a_document_or_refused(text: str) -> None:
 def test_no_reader_of_files_lets_it_through(tmp_path: Path, name: str, read: Any) -> None:
     path = tmp_path / "file.yaml"
     path.write_text(HOSTILE[name][0])
-    with within(60, 100), pytest.raises(TwinmatchError, match=r"file\.yaml"):
+    with within(10, 100), pytest.raises(TwinmatchError, match=r"file\.yaml"):
         read(path)
 
 
@@ -185,14 +185,14 @@ def test_files_that_never_end_are_not_waited_for(tmp_path: Path, read: Any) -> N
         (tmp_path, "is a folder"),
         (tmp_path / "none", "No such file"),
     ):
-        with within(60, 50), pytest.raises(TwinmatchError, match=message):
+        with within(10, 50), pytest.raises(TwinmatchError, match=message):
             read(path)
 
 
 def test_metadata_and_qualities_of_service_that_would_do_harm_are_none(tmp_path: Path) -> None:
     for text, _ in HOSTILE.values():
         (tmp_path / "metadata.yaml").write_text(text)
-        with within(60, 100):
+        with within(10, 100):
             assert files_listed(tmp_path) == []
             assert parse_qos(text) == Qos()
 
@@ -219,7 +219,7 @@ def entry(**changes: object) -> str:
     ],
 )
 def test_no_field_of_a_candidate_takes_what_it_cannot_be(field: str, value: str) -> None:
-    with within(60, 50):
+    with within(10, 50):
         try:
             (found,) = parse_candidates(entry(**{field: value}), "file")
         except CandidateFileError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,6 @@ import scipy.io
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.commands import twinmatch
 from tests.support.plant_files import plant_file
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
@@ -302,17 +303,21 @@ def test_units_of_time_are_recognised_by_size(tmp_path: Path) -> None:
 def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path: Path) -> None:
     plant = plant_file(tmp_path, "block_command")
     table = written(tmp_path, CSV)
-    listed = twinmatch("import", table, "--list")
+    listed = run_twinmatch("import", table, "--list")
     assert listed.returncode == 0, listed.stderr
     assert "--map time=t output=T1 input=on" in listed.stdout
-    done = twinmatch("import", table, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
+    done = run_twinmatch("import", table, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
     assert done.returncode == 0, done.stderr
     assert "4 samples, one every 1 s" in done.stdout
     session = read_session(tmp_path / "session")
     assert session.plant == "block_command"
     assert session.samples[1].disturbances == (19.5,)
     assert session.counts == {"/plant/sample": 4, "/plant/temperature": 4}  # nobody recorded a set-point
-    again = run_twinmatch("replay", tmp_path / "session")  # by a process that does not know the plant yet
+    # A process that does not know the plant yet.
+    command = [sys.executable, "-m", "twinmatch.cli", "replay", str(tmp_path / "session")]
+    again = subprocess.run(
+        command, capture_output=True, text=True, check=False
+    )  # that does not know the plant
     assert again.returncode == 2
     assert "plant 'block_command': not known" in again.stderr
     assert "--plant block_command.py" in again.stderr
@@ -322,7 +327,7 @@ def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path
 def test_a_session_has_a_temperature_only_if_the_plant_has_one(tmp_path: Path) -> None:
     plant = plant_file(tmp_path, "block_in_kelvin", ('Output(unit="°C"', 'Output(unit="K"'))
     entries = [*MAP, "reference=T1"]
-    done = twinmatch(
+    done = run_twinmatch(
         "import", written(tmp_path, CSV), "--plant", plant, "--map", *entries, "-o", tmp_path / "session"
     )
     assert done.returncode == 0, done.stderr
@@ -330,7 +335,7 @@ def test_a_session_has_a_temperature_only_if_the_plant_has_one(tmp_path: Path) -
 
 
 def test_the_command_refuses_a_recording_of_nobodys_plant(tmp_path: Path) -> None:
-    done = twinmatch("import", written(tmp_path, CSV), "--map", *MAP, "-o", tmp_path / "session")
+    done = run_twinmatch("import", written(tmp_path, CSV), "--map", *MAP, "-o", tmp_path / "session")
     assert done.returncode == 2
     assert "the plant is missing; give --plant" in done.stderr
     assert not (tmp_path / "session").exists()
