@@ -28,7 +28,7 @@ FIRST = ("system", "test_golden.py", "nodes", "emulation", "showing", "camera_se
 APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
 """Files whose tests share nothing and take long: each is run by whichever worker is free."""
 
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("repeatable")
 
 

@@ -368,7 +368,7 @@ def test_ctrl_c_ends_a_replay_with_one_line_and_its_code() -> None:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("t / s")  # judging has begun
         process.send_signal(signal.SIGINT)
-        _, written = process.communicate(timeout=120)
+        _, written = process.communicate(timeout=360)
     assert process.returncode == 130
     assert written == "twinmatch: interrupted\n"
 

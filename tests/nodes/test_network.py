@@ -166,7 +166,7 @@ def test_a_middleware_that_is_not_installed_is_named_before_ros_starts(
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=360,
     )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1

@@ -205,7 +205,7 @@ def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., Liv
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=360,
     )
     assert second.returncode == 2
     assert "/plant/sample already has a publisher" in second.stderr

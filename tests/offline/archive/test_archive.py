@@ -172,7 +172,7 @@ def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, ma
         while not list(out.glob("*.json")) and running.poll() is None:
             time.sleep(0.05)
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does it: to all of the group
-        _, errors = running.communicate(timeout=60)
+        _, errors = running.communicate(timeout=360)
     assert running.returncode == 130, errors
     assert errors.strip().splitlines() == ["twinmatch: interrupted"]
     assert _is_gone(running.pid)

@@ -61,8 +61,8 @@ def address(idle: tuple[ExitStack, Path, str]) -> str:
     dask(stack, folder, "worker", address, "--nworkers", "2", "--nthreads", "1")
     from distributed import Client
 
-    with Client(address, set_as_default=False, timeout=60) as client:
-        client.wait_for_workers(2, timeout=120)
+    with Client(address, set_as_default=False, timeout=360) as client:
+        client.wait_for_workers(2, timeout=360)
     return address
 
 

@@ -265,7 +265,7 @@ def test_an_open_server_says_so(serve: Callable[..., Any]) -> None:
 )
 def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None:  # noqa: ARG001
     command = [sys.executable, "-m", "twinmatch.cli", "foxglove", *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=360)
     assert done.returncode == 2, done.stderr
     assert line in done.stderr
     assert len(done.stderr.splitlines()) == 1

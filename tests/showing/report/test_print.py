@@ -27,7 +27,7 @@ def test_it_prints_on_numbered_a4_pages(shipped: SessionReport, tmp_path: Path) 
         f"--print-to-pdf={tmp_path / 'report.pdf'}",
         (tmp_path / "report.html").as_uri(),
     ]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    subprocess.run(command, check=True, capture_output=True, timeout=360)
     pages = PdfReader(tmp_path / "report.pdf").pages
     assert 5 <= len(pages) <= 15
     for number, page in enumerate(pages, 1):
