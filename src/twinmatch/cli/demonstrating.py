@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from pathlib import Path
 
+from twinmatch.emulation.virtual_rig_program import speed
 from twinmatch.launching.page import add_page_options, page_of
 from twinmatch.shipped import shipped
 
 __all__ = ["add_arguments", "run"]
 
-SPEED = 10.0
-"""Plant time per wall time of the virtual rig; a machine too slow for it runs as fast as it can."""
 LONGEST = 60.0
 """Longest time that playing a recorded session takes, s."""
 
@@ -21,7 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("session", type=Path, nargs="?", help="session or recording to play instead")
     parser.add_argument(
-        "--speed", type=float, default=SPEED, help="speed of the virtual rig, times real time (default: 10)"
+        "--speed",
+        type=speed,
+        default=math.inf,
+        help="highest speed of the virtual rig, times real time (default: as fast as the machine allows)",
     )
     add_page_options(parser)
 
@@ -51,7 +54,9 @@ def _live(speed: float) -> int:
     with Progress("compiling, the first time only") as progress:
         rehearse(Peltier, TwinSettings(), progress.advance)
     session = Path("out") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
-    plan = LivePlan(config=shipped("config/demo.yaml"), session=session, virtual=VirtualPlan(speed=speed))
+    plan = LivePlan(
+        config=shipped("config/demo.yaml"), session=session, virtual=VirtualPlan(speed=speed, board="python")
+    )
     run = Live(plan)
     code = run_live(run)
     return code or _look_back(session)

@@ -6,6 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
+from twinmatch.emulation.virtual_rig_program import speed
 from twinmatch.launching.page import add_page_options, page_of
 from twinmatch.shipped import shipped
 
@@ -34,7 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-record", action="store_true", help="record nothing")
     parser.add_argument("--virtual", action="store_true", help="a virtual rig instead of the real one")
     parser.add_argument(
-        "--speed", type=float, default=1.0, help="speed of the virtual rig, times real time (default: 1)"
+        "--speed",
+        type=speed,
+        default=1.0,
+        help="highest speed of the virtual rig, times real time, or max (default: 1)",
     )
     parser.add_argument(
         "--fault", action="append", default=[], help="fault of the virtual rig: KIND@SECONDS; repeatable"

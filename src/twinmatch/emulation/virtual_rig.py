@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from twinmatch.emulation.arduino_pins import Drive
 from twinmatch.emulation.virtual_rig_board import SerialNoise, make_board
 from twinmatch.emulation.virtual_rig_camera import Serving, VirtualCamera
+from twinmatch.emulation.virtual_rig_clock import ClockServer
 from twinmatch.emulation.virtual_rig_plant import VirtualPlant
 from twinmatch.emulation.virtual_rig_time import RigSettings, VirtualPlantTime, VirtualRigError
 
@@ -63,6 +64,14 @@ class VirtualRig(VirtualPlantTime):
         for _ in range(self.slice):  # the other program may interfere at every millisecond
             self._drive = self._board.advance(0.001)
             self._noise.burst()
+
+    def lacks_image(self, clock: ClockServer) -> bool:
+        """Whether the newest image has not been taken yet by a reader that takes images."""
+        return self._camera.serves and clock.lacks(self._camera.stamp)
+
+    def show_again(self) -> None:
+        """Repeat the newest image."""
+        self._camera.show_again()
 
     def state(self) -> dict[str, object]:
         """Time, temperatures, drive, speed and active faults."""

@@ -58,6 +58,8 @@ class VirtualCamera:
         self._starts = 0
         self._tick = -1
         self._line = b""
+        self.stamp = 0
+        """Plant time of the newest image, ns."""
         self._serving = Serving.CAMERA
         self._process: subprocess.Popen[bytes] | None = None
         self._said: deque[str] = deque(maxlen=20)
@@ -88,8 +90,18 @@ class VirtualCamera:
             self._line = b"%.9f %.6f" % (tick / _RATE, plate)
         if self._garbage is not None:
             self._garbage.send()
-        if self._process is not None:
-            self._lead(self._process, b"%s %d\n" % (self._line, stamp))
+        self.stamp = stamp
+        self.show_again()
+
+    @property
+    def serves(self) -> bool:
+        """Whether there is a camera that takes images."""
+        return self._process is not None
+
+    def show_again(self) -> None:
+        """Send the newest image to the program, again if need be."""
+        if self._process is not None and self._line:
+            self._lead(self._process, b"%s %d\n" % (self._line, self.stamp))
 
     def serve(self, who: Serving) -> None:
         """Change the program at the camera's address."""

@@ -1,23 +1,31 @@
 """Plant time over a loopback TCP stream: one line per update, nanoseconds as text.
 
-The rig sends plant time; a slow reader misses updates. A reader keeps only the newest. It may report back, in
-the same form, up to which time it has processed everything: when plant time runs faster than the wall clock,
-the rig does not run far ahead of such readers.
+The rig sends plant time; a slow reader misses updates. A reader keeps only the newest. One that keeps step
+answers with lines, and a plant faster than real time waits for it:
+
+    drive NS     the process that commands the plant lets it go on up to this time
+    follow NS    another process does
+    image NS     the newest image that was taken from the camera
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
+import select
 import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from twinmatch.errors import TwinmatchError
 
 __all__ = ["ClockClient", "ClockError", "ClockServer", "Stillness", "parse_address"]
 
 _LONGEST = 32
+_PATIENCE = 30.0
+"""Wall time for which a plant waits for one reader, s; then it goes on without it until it speaks again."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
 
 
@@ -37,14 +45,43 @@ def parse_address(text: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
+@dataclass
+class _Reader:
+    """One connection, and what it lets the plant do."""
+
+    drives: bool = False
+    until: int | None = None
+    """Time up to which the plant may go, ns; None: it does not keep step."""
+    image: int | None = None
+    rest: bytes = b""
+    awaited: float | None = None
+    """Wall time since which the plant waits for it, s."""
+    given_up: bool = False
+
+    def take(self, line: bytes) -> None:
+        kind, _, number = line.partition(b" ")
+        if not (number.isdigit() and len(line) < _LONGEST):
+            return
+        if kind == b"image":
+            self.image = int(number)
+        elif kind in (b"drive", b"follow"):
+            self.drives, self.until = kind == b"drive", int(number)
+        self.awaited, self.given_up = None, False
+
+    def awaits(self, now: float) -> bool:
+        """Note that the plant waits for it; whether it is still worth it."""
+        self.awaited = now if self.awaited is None else self.awaited
+        self.given_up = self.given_up or now - self.awaited > _PATIENCE
+        return not self.given_up
+
+
 class ClockServer:
     """The rig's side. It has no thread: the rig's loop calls `accept` and `send`."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
         self._listener = socket.create_server((host, port), backlog=8)
         self._listener.setblocking(False)
-        self._clients: list[socket.socket] = []
-        self._done: dict[socket.socket, tuple[int, float]] = {}
+        self._clients: dict[socket.socket, _Reader] = {}
 
     @property
     def address(self) -> tuple[str, int]:
@@ -60,7 +97,7 @@ class ClockServer:
                 client.setblocking(False)
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-                self._clients.append(client)
+                self._clients[client] = _Reader()
 
     def send(self, stamp: int) -> None:
         """Send plant time, ns, to all clients."""
@@ -76,34 +113,49 @@ class ClockServer:
             if not whole:
                 self._drop(client)
 
-    def slowest(self, patience: float) -> int | None:
-        """The progress of the slowest client that reports it, ns; None if none does.
+    @property
+    def driven(self) -> bool:
+        """Whether a process that commands the plant keeps step."""
+        return any(reader.drives and not reader.given_up for reader in self._clients.values())
 
-        Clients without a report for `patience` (wall s) are not counted.
-        """
+    def limit(self, stamp: int) -> float:
+        """The time, ns, up to which all readers that keep step let the plant go, which is at `stamp` now."""
+        now, lowest = time.monotonic(), math.inf
+        for reader in self._clients.values():
+            if reader.until is None or (reader.until <= stamp and not reader.awaits(now)):
+                continue
+            lowest = min(lowest, reader.until)
+        return lowest
+
+    def lacks(self, image: int) -> bool:
+        """Whether a reader that takes images has not taken the one of this time, ns, yet."""
         now = time.monotonic()
-        for client in list(self._clients):
-            self._listen(client, now)
-        lively = [done for done, at in self._done.values() if now - at < patience]
-        return min(lively, default=None)
+        return any(
+            reader.image is not None and reader.image < image and reader.awaits(now)
+            for reader in self._clients.values()
+        )
 
-    def _listen(self, client: socket.socket, now: float) -> None:
-        try:
-            said = client.recv(4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            said = b""
-        if not said:
-            self._drop(client)
-            return
-        lines = [line for line in said.split(b"\n") if line.isdigit() and len(line) < _LONGEST]
-        if lines:
-            self._done[client] = (int(lines[-1]), now)
+    def listen(self, seconds: float = 0.0) -> None:
+        """Take what the readers say; wait for it at most this long."""
+        ready = select.select([self._listener, *self._clients], [], [], seconds)[0]
+        for client in ready:
+            if client is self._listener:
+                self.accept()
+                continue
+            try:
+                said = client.recv(4096)
+            except OSError:
+                said = b""
+            if not said:
+                self._drop(client)
+                continue
+            reader = self._clients[client]
+            *lines, reader.rest = (reader.rest + said).split(b"\n")
+            for line in lines:
+                reader.take(line)
 
     def _drop(self, client: socket.socket) -> None:
-        self._clients.remove(client)
-        self._done.pop(client, None)
+        del self._clients[client]
         client.close()
 
     def close(self) -> None:
@@ -111,7 +163,6 @@ class ClockServer:
         for client in (*self._clients, self._listener):
             client.close()
         self._clients.clear()
-        self._done.clear()
 
 
 class ClockClient:
@@ -125,6 +176,8 @@ class ClockClient:
         """The error that ended the thread, if any."""
         self._tell = tell
         self._connection: socket.socket | None = None
+        self._said: dict[str, int] = {}
+        self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="plant clock", daemon=True)
 
@@ -139,12 +192,16 @@ class ClockClient:
             self._thread.join(3.0)
         return not self._thread.is_alive()
 
-    def done(self, stamp: int) -> None:
-        """Report that everything up to this time, ns, is processed; lost without a connection."""
-        connection = self._connection
-        if connection is not None:
+    def say(self, kind: str, stamp: int) -> None:
+        """Tell the rig: `drive`, `follow` or `image`, and a plant time, ns; repeated after a reconnection."""
+        with self._lock:
+            self._said[kind] = stamp
+            self._send(kind)
+
+    def _send(self, kind: str) -> None:
+        if self._connection is not None:
             with contextlib.suppress(OSError):
-                connection.sendall(b"%d\n" % stamp)
+                self._connection.sendall(b"%s %d\n" % (kind.encode(), self._said[kind]))
 
     def _run(self) -> None:
         try:
@@ -159,7 +216,10 @@ class ClockClient:
                 with socket.create_connection(self.address, timeout=1.0) as connection:
                     self.error = ""
                     pause = _FIRST_PAUSE
-                    self._connection = connection
+                    with self._lock:
+                        self._connection = connection
+                        for kind in self._said:
+                            self._send(kind)
                     self._follow(connection)
             except (OSError, ClockError) as error:
                 self.error = str(error)
@@ -185,12 +245,12 @@ class ClockClient:
 
 
 class Stillness:
-    """Detects that a clock stands still."""
+    """Detects that nothing is heard of a clock. A rig that waits for its readers repeats the time."""
 
     def __init__(self, patience: float = 1.0) -> None:
         self._patience = patience
         self._last: int | None = None
-        self._moved = time.monotonic()
+        self._heard = time.monotonic()
         self.set_backs = 0
         """Number of times that the clock was set back, because the rig was restarted."""
 
@@ -198,10 +258,9 @@ class Stillness:
         """Take an update."""
         if self._last is not None and stamp < self._last:
             self.set_backs += 1
-        if stamp != self._last:
-            self._last, self._moved = stamp, time.monotonic()
+        self._last, self._heard = stamp, time.monotonic()
 
     def seconds(self) -> float:
-        """Wall time for which the clock has stood still, s; 0 up to the patience."""
-        still = time.monotonic() - self._moved
+        """Wall time for which nothing was heard, s; 0 up to the patience."""
+        still = time.monotonic() - self._heard
         return still if still > self._patience else 0.0

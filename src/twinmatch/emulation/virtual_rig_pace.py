@@ -23,6 +23,7 @@ class RigPace:
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
+        self._real = speed <= 1
         self._start = self._wall = time.monotonic()
         self._plant = 0.0
         self._marks: deque[tuple[float, float]] = deque([(self._start, 0.0)])
@@ -32,10 +33,15 @@ class RigPace:
         now = time.monotonic()
         self._mark(now, plant)
         due = self._wall + (plant - self._plant) / self.speed
-        late = math.inf if self.speed <= 1 else max(_LEAST, _MOST_LATE / self.speed)
+        late = math.inf if self._real else max(_LEAST, _MOST_LATE / self.speed)
         if now - due > late:
             self._wall, self._plant = now - late, plant
         return max(0.0, due - now)
+
+    def limit(self, speed: float, plant: float) -> None:
+        """Go on at another speed from plant time `plant`, s."""
+        if speed != self.speed:
+            self.speed, self._wall, self._plant = speed, time.monotonic(), plant
 
     def achieved(self) -> float:
         """Recent plant time per wall time."""

@@ -19,7 +19,7 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from twinmatch.emulation.virtual_rig_time import VirtualPlantTime
 
-__all__ = ["EXIT_LOST", "add_arguments", "run"]
+__all__ = ["EXIT_LOST", "add_arguments", "run", "speed"]
 
 EXIT_LOST = 1
 """Exit code after a part of the rig has ended unexpectedly."""
@@ -35,7 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plant", default="peltier", choices=("peltier", "tclab"), help="plant to emulate (default: peltier)"
     )
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="N", help="plant time per wall time, at most (default: 1)"
+        "--speed",
+        type=speed,
+        default=1.0,
+        metavar="N",
+        help="plant time per wall time, at most, or max (default: 1)",
+    )
+    parser.add_argument(
+        "--in-step",
+        action="store_true",
+        help="no faster than real time unless the graph that commands the plant keeps step",
     )
     parser.add_argument(
         "--board",
@@ -61,6 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def speed(text: str) -> float:
+    """A speed from the command line: a number, or `max`."""
+    return math.inf if text == "max" else float(text)
+
+
 def run(options: argparse.Namespace) -> int:
     """Run a virtual rig until its duration is over or a signal ends it, or send a command to one.
 
@@ -78,7 +92,12 @@ def run(options: argparse.Namespace) -> int:
 
     faults = tuple(fault for text in options.fault for fault in parse_faults(text))
     settings = RigSettings(
-        speed=options.speed, board=options.board, seed=options.seed, faults=faults, duration=options.duration
+        speed=options.speed,
+        in_step=options.in_step,
+        board=options.board,
+        seed=options.seed,
+        faults=faults,
+        duration=options.duration,
     )
     stopping: list[int] = []
     before = {number: signal.signal(number, lambda n, _: stopping.append(n)) for number in _STOPS}

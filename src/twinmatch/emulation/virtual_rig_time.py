@@ -1,7 +1,7 @@
 """Base of every virtual plant: a process that owns plant time, serves it, and accepts commands.
 
-Time advances in small slices, at a multiple of the wall clock's speed, and never far ahead of the readers of
-the clock.
+Time advances in small slices, at a multiple of the wall clock's speed. A plant that may run faster than real
+time goes in step with the readers of its clock that answer: it stands still until all of them let it go on.
 """
 
 from __future__ import annotations
@@ -28,11 +28,10 @@ _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
 _CLOCK_EVERY = 0.005
 """Longest wall time between two updates of the clock, s."""
-_LEASH = 0.25
-"""Most plant time that the rig runs ahead of readers that report their progress, s: well within the second
-that the board waits for a command."""
-_PATIENCE = 3.0
-"""Wall time after which a reader without reports is no longer waited for, s: it has crashed or hangs."""
+_REPEAT = 0.05
+"""Interval at which a plant that waits repeats its time or the newest image, wall s: either may get lost."""
+_SLICE = 20
+"""Longest slice, ms of plant time."""
 
 
 class VirtualRigError(TwinmatchError):
@@ -48,7 +47,9 @@ class RigSettings:
     """
 
     speed: float = 1.0
-    """Plant time per wall time, at most."""
+    """Plant time per wall time, at most; infinite: as fast as the machine allows."""
+    in_step: bool = False
+    """Whether plant time is faster than real time only while a process that commands the plant keeps step."""
     board: str = "auto"
     """One of `virtual_rig_board.BOARDS`; for the Peltier rig."""
     seed: int = 0
@@ -58,8 +59,8 @@ class RigSettings:
     """Plant time after which it ends, s."""
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.speed <= 1000:
-            msg = f"virtual rig: the speed is {self.speed}; give 0.01 to 1000 times the wall clock"
+        if not (0.01 <= self.speed <= 1000 or self.speed == math.inf):
+            msg = f"virtual rig: the speed is {self.speed}; give 0.01 to 1000 times the wall clock, or max"
             raise VirtualRigError(msg)
         if not self.duration > 0:
             raise VirtualRigError(f"virtual rig: the duration is {self.duration} s; it must be positive")
@@ -94,9 +95,12 @@ class VirtualPlantTime(ABC):
         self.ms = 0
         """Plant time since the start, ms."""
         self.pace = RigPace(self.settings.speed)
-        self.slice = min(20, max(1, round(5 * self.settings.speed)))
+        self._longest = max(1, round(min(5 * self.settings.speed, _SLICE)))
+        self.slice = self._longest
         """Plant time of one step, ms."""
         self._clock_sent = 0.0
+        self._told = 0
+        self._shown_at = 0.0
         with ExitStack() as stack:
             self.folder = stack.enter_context(private_folder())
             self._own = self.make(stack)
@@ -169,20 +173,25 @@ class VirtualPlantTime(ABC):
         """
         self.pace = RigPace(self.settings.speed)
         while not self._stop and self.elapsed < self.settings.duration:
+            self._control.attend()
+            self._clock.listen()
+            limit = self._limit()
+            if self.stamp >= limit:
+                self._stand()
+                watch()
+                continue
+            self.slice = self._longest
+            if limit < math.inf:
+                self.slice = min(self.slice, math.ceil((limit - self.stamp) / 1_000_000))
             wait = self.pace.wait(self.elapsed + self.slice / 1000)
             if wait > 0:
                 self.rest(wait)
-            if self._ahead_of_followers():
-                self._clock.send(self.stamp)  # they may have missed the newest update
-                self.rest(_CLOCK_EVERY / 5)
-                self._control.attend()
-                continue
             self.step()
-            self._control.attend()
             now = time.monotonic()
-            if now - self._clock_sent >= _CLOCK_EVERY or self.slice >= 5 * self.settings.speed:
-                self._clock.send(self.stamp)
-                self._clock_sent = now
+            if now - self._clock_sent >= _CLOCK_EVERY * (10 if limit < math.inf else 1) or self.slice >= (
+                5 * self.settings.speed
+            ):
+                self._send_clock(now)
                 watch()
 
     def step(self) -> None:
@@ -196,12 +205,37 @@ class VirtualPlantTime(ABC):
         """End children, sockets, port and folder."""
         self._stack.close()
 
-    def _ahead_of_followers(self) -> bool:
-        """Whether the readers of the clock lag behind; always False up to real time."""
-        if self.settings.speed <= 1:
-            return False
-        done = self._clock.slowest(_PATIENCE)
-        return done is not None and self.stamp - done > _LEASH * 1e9
+    def lacks_image(self, clock: ClockServer) -> bool:  # noqa: ARG002
+        """Whether the newest image has not been taken yet by a reader that takes images."""
+        return False
+
+    def show_again(self) -> None:  # noqa: B027 — most plants have no camera
+        """Repeat the newest image."""
+
+    def _limit(self) -> float:
+        """The time, ns, at which the plant has to wait; up to real time it never waits."""
+        speed = self.settings.speed
+        if speed <= 1:
+            return math.inf
+        if self.settings.in_step:
+            self.pace.limit(speed if self._clock.driven else 1.0, self.elapsed)
+        return self._clock.limit(self.stamp)
+
+    def _stand(self) -> None:
+        """Wait a moment for the readers, the time of which is told to them once they have every image."""
+        now = time.monotonic()
+        if self.lacks_image(self._clock):
+            if now - self._shown_at >= _REPEAT:
+                self._shown_at = now
+                self.show_again()
+        elif self._told != self.stamp or now - self._clock_sent >= _REPEAT:
+            self._send_clock(now)
+        self.rest(0.0)
+        self._clock.listen(0.002)
+
+    def _send_clock(self, now: float) -> None:
+        self._clock.send(self.stamp)
+        self._told, self._clock_sent = self.stamp, now
 
     def _require(self, fault: Fault) -> Fault:
         if self.KINDS is not None and fault.kind not in self.KINDS:

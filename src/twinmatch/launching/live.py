@@ -17,9 +17,11 @@ from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import LaunchError, Processes
 from twinmatch.launching.settled import Settled
 from twinmatch.nodes.messages import match_from, verdict_from
+from twinmatch.nodes.network import lease
 from twinmatch.nodes.node import Level, TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.twin import read_settings
 from twinmatch.sessions.spool import SampleSpool
@@ -40,7 +42,7 @@ READERS = "twin_simulator discriminator keeper live_watch"
 POLL = 0.1
 DISCOVERY = 2.0
 """Time to discover a graph that is already running, s."""
-SETTLE = 60.0
+SETTLE = 180.0
 """Longest wait for the verdicts still due when the profile has ended, s."""
 VIRTUAL_RIG_START = 90.0
 """Longest wait for the virtual rig, s; it may have to build firmware and board first."""
@@ -98,7 +100,8 @@ def run_live(live: Live) -> int:
         raise LaunchError(msg)
     view = view_on(live.console, "live", settings.period)
     try:
-        code = run([_watch_class(live, view)], ["live"])
+        with lease(PATIENCE if live.plan.in_step else None):
+            code = run([_watch_class(live, view)], ["live"])
     finally:
         view.close()
     for name in live.killed:
@@ -184,11 +187,20 @@ class _Supervision:
         """End all processes, heat off first."""
         self._live.killed += self.processes.stop(STOP_ORDER)
 
+    @property
+    def clock(self) -> str:
+        """Address of the virtual rig's clock."""
+        return self._addresses["clock"]
+
     def _start(self, name: str) -> None:
         plan = self._plan
+        follows = plan.in_step and name != "plant_clock"
+        self.processes.environment = {VARIABLE: self.clock} if follows else {}
         if name == "plant_clock":
-            address = f"address:={self._addresses['clock']}"
-            self.processes.start_module(name, "twinmatch.nodes.plant_clock", "--ros-args", "-p", address)
+            words = ["--ros-args", "-p", f"address:={self.clock}"]
+            if plan.in_step:
+                words += ["-p", f"patience:={PATIENCE}"]
+            self.processes.start_module(name, "twinmatch.nodes.plant_clock", *words)
         elif name == "twin":
             self.processes.start_module(name, "twinmatch.nodes.twin", *plan.twin_arguments())
         elif name == "recorder":
@@ -237,12 +249,16 @@ def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
             self._supervision = _Supervision(live, view)
             self._refuse_second_graph()
             self._supervision.start()
+            if live.plan.in_step:
+                self.step = InStep(self, self._supervision.clock)
             view.open()
             self.create_timer(POLL, self._look)
 
         def close(self) -> bool:
             """End the other processes."""
             view.close()
+            if self.step is not None:
+                self.step.close()
             self._supervision.stop()
             return True
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Final
 
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
+from twinmatch.nodes.step import PATIENCE
 
 __all__ = ["WIRINGS", "LivePlan", "VirtualPlan", "Wiring"]
 
@@ -18,7 +20,7 @@ class VirtualPlan:
     """A virtual rig instead of a real one."""
 
     speed: float = 1.0
-    """Plant time per wall time."""
+    """Plant time per wall time, at most; infinite: as fast as the machine allows."""
     faults: tuple[str, ...] = ()
     """Faults to inject, such as `drive-lost@300`."""
     board: str = "auto"
@@ -28,16 +30,9 @@ class VirtualPlan:
     @property
     def arguments(self) -> list[str]:
         """Command-line arguments for `twinmatch virtual-rig`."""
-        words = [
-            "--plant",
-            self.plant,
-            "--speed",
-            f"{self.speed:g}",
-            "--board",
-            self.board,
-            "--seed",
-            f"{self.seed}",
-        ]
+        speed = "max" if self.speed == math.inf else f"{self.speed:g}"
+        words = ["--in-step", "--plant", self.plant, "--speed", speed]
+        words += ["--board", self.board, "--seed", f"{self.seed}"]
         for fault in self.faults:
             words += ["--fault", fault]
         return words
@@ -62,8 +57,6 @@ class Wiring:
             found |= {"camera_bridge:host": host, "camera_bridge:port": port}
         if "serial" in addresses:
             found[f"{self.bridge}:port"] = addresses["serial"]
-        if "clock" in addresses:
-            found["plant_pace:address"] = addresses["clock"]
         return found
 
 
@@ -78,6 +71,15 @@ WIRINGS: Final = {
     "tclab": Wiring("twinmatch.nodes.tclab_rig", "tclab_bridge", _check_kit),
 }
 """By plant name."""
+
+_IN_STEP: Final = (
+    "camera_bridge:stall_timeout",
+    "camera_bridge:stale_after",
+    "pwm_bridge:clock_timeout",
+    "tclab_bridge:clock_timeout",
+    "tclab_bridge:deadline",
+)
+"""Deadlines by the wall clock, which mean nothing while the plant waits for its graph."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,11 @@ class LivePlan:
         """Whether the nodes run on the virtual rig's clock."""
         return self.virtual is not None
 
+    @property
+    def in_step(self) -> bool:
+        """Whether the plant waits for the graph, because it may run faster than real time."""
+        return self.virtual is not None and self.virtual.speed > 1
+
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:
         """ROS arguments of bridges and controller; `addresses` are those that the virtual rig prints."""
         words = ["--ros-args", "--params-file", str(self.config), "-p", f"controller:plant:={self.plant}"]
@@ -129,13 +136,15 @@ class LivePlan:
             found["serial"] = self.port
         for name, value in self.wiring.settings(found).items():
             words += ["-p", f"{name}:={value}"]
-        for name, value in self.overrides.items():
+        patient = dict.fromkeys(_IN_STEP if self.in_step else (), f"{PATIENCE}")
+        for name, value in {**patient, **self.overrides}.items():
             words += ["-p", f"{name}:={value}"]
         return [*words, *self._time()]
 
     def wait_for(self, readers: str) -> list[str]:
         """ROS arguments to hold back the first sample until these nodes (space-separated) subscribe."""
-        return ["-p", f"controller:readers:={readers}", "-p", "controller:wait_timeout:=30.0"]
+        patience = 30.0 if self.virtual is None else 180.0
+        return ["-p", f"controller:readers:={readers}", "-p", f"controller:wait_timeout:={patience}"]
 
     def twin_arguments(self) -> list[str]:
         """ROS arguments of the twin's nodes."""

@@ -34,8 +34,10 @@ class LaunchError(TwinmatchError):
 class Child:
     """One child process; each line of its output is shown with its name as prefix."""
 
-    def __init__(self, name: str, command: Sequence[str], show: Callable[[str], None]) -> None:
-        """Start it.
+    def __init__(
+        self, name: str, command: Sequence[str], show: Callable[[str], None], environment: Mapping[str, str]
+    ) -> None:
+        """Start it; `environment` is added to ours.
 
         Raises:
             LaunchError: the program cannot be started.
@@ -57,7 +59,8 @@ class Child:
                 stderr=subprocess.STDOUT,
                 text=True,
                 errors="replace",
-                env=_environment(),
+                # Unbuffered, so that lines arrive when they are written.
+                env={**os.environ, "PYTHONUNBUFFERED": "1", **environment},
                 start_new_session=True,
                 preexec_fn=follow_parent,  # noqa: PLW1509 — one prctl, nothing that takes a lock
             )
@@ -100,11 +103,13 @@ class Processes:
     def __init__(self, show: Callable[[str], None] = print) -> None:
         """Start without children; their output goes to `show`, line by line."""
         self._show = show
+        self.environment: dict[str, str] = {}
+        """Variables for the children that are started from now on."""
         self._children: dict[str, Child] = {}
 
     def start(self, name: str, command: Sequence[str]) -> Child:
         """Start a child under a name; raises as `Child`."""
-        child = Child(name, command, self._show)
+        child = Child(name, command, self._show, self.environment)
         self._children[name] = child
         return child
 
@@ -154,8 +159,3 @@ class Processes:
             if time.monotonic() > deadline:
                 msg = f"{name} was not ready after {seconds:g} s; see its output above"
                 raise LaunchError(msg)
-
-
-def _environment() -> dict[str, str]:
-    """Our environment, with Python's output unbuffered so that lines arrive when they are written."""
-    return {**os.environ, "PYTHONUNBUFFERED": "1"}

@@ -13,7 +13,7 @@ The class of the package `tclab` searches the USB bus for its port and accepts n
 as the answer whatever it is, and turns NaN into 100 %. So here the port is passed in, answers are checked,
 and NaN never reaches the package.
 
-Usage: python -m twinmatch.links.kit_keeper PORT DEADLINE
+Usage: python -m twinmatch.links.kit_keeper PORT DEADLINE [LONGEST WAIT FOR AN ANSWER]
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Reading(NamedTuple):
 class Kit(tclab.TCLab):
     """The package's class on a given port; the original constructor only searches the USB bus."""
 
-    def __init__(self, port: str) -> None:
+    def __init__(self, port: str, patience: float = _ANSWER) -> None:
         self.port, self.debug, self.baud = port, False, 0
         for baud in _BAUDS:
             try:
@@ -80,7 +80,7 @@ class Kit(tclab.TCLab):
                 f"kit at {port}: the device does not answer like a Temperature Control Lab; is the port "
                 "right?"
             )
-        self.sp.timeout = _ANSWER
+        self.sp.timeout = patience
         self.version = self._asked("VER")
         if "TCLab" not in self.version:
             raise KitAbsentError(
@@ -147,8 +147,10 @@ class Kit(tclab.TCLab):
         return answer
 
 
-def open_kit(port: str) -> Kit:
+def open_kit(port: str, patience: float = _ANSWER) -> Kit:
     """The kit on a port, or the first on the USB bus if the port is empty. Takes 2 s.
+
+    `patience` is the longest wait for an answer, s.
 
     Raises:
         KitAbsentError: there is no kit.
@@ -160,7 +162,7 @@ def open_kit(port: str) -> Kit:
                 raise KitAbsentError("kit: none on the USB bus; plug it in, or name its port with --port")
         else:
             require_port(port)
-        return Kit(port)
+        return Kit(port, patience)
 
 
 _OFFS = 5
@@ -238,7 +240,7 @@ def main(arguments: list[str]) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     signal.signal(signal.SIGHUP, lambda *_: sys.exit(0))
     try:
-        kit = open_kit(port)
+        kit = open_kit(port, *map(float, arguments[2:]))
     except KitAbsentError as error:
         os.write(1, f"absent {error}\n".encode())
         return EXIT_USER_ERROR

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import math
 import os
 import select
 import stat
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
@@ -31,6 +33,10 @@ _START = 20.0
 """Longest start, s: the package waits 2 s at each of two speeds."""
 _ANSWER = 3.0
 """Longest wait for an answer, s; the process gives up on the kit earlier."""
+_IN_STEP = 30.0, 12.0
+"""The same for a virtual kit in step, which may be suspended; when its process gives up, s."""
+_SHORT = 0.005
+"""Wait for an answer of a kit in step, s."""
 
 KitReading = tuple[float, float, float, float]
 """T1 and T2, °C, and the set power of both heaters, %."""
@@ -73,6 +79,8 @@ class KitLink:
         """
         require_package()
         self.port, self.firmware = port, ""
+        self.plant_time: Callable[[], object] | None = None
+        """Called while an answer of a virtual kit in step is awaited, to let a moment of plant time pass."""
         self._wanted, self._deadline = port, deadline
         self._process: subprocess.Popen[bytes] | None = None
         self._heard = b""
@@ -90,6 +98,8 @@ class KitLink:
             KitError: the kit does not work.
         """
         words = [sys.executable, "-m", "twinmatch.links.kit_keeper", self._wanted, f"{self._deadline}"]
+        if self.plant_time is not None:
+            words.append(f"{_IN_STEP[1]}")
         # In its own session: Ctrl-C reaches only the commanding process, which then ends this one.
         self._process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
@@ -148,14 +158,20 @@ class KitLink:
             os.write(self._process.stdin.fileno(), f"{line}\n".encode())
         except OSError as error:
             raise KitError(f"kit: the process that holds its port is gone ({error.strerror})") from error
-        return self._answer(_ANSWER)
+        return self._answer(_ANSWER if self.plant_time is None else _IN_STEP[0])
 
     def _answer(self, patience: float) -> tuple[str, str]:
         """The first word of an answer, and the rest."""
         assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018 — just checked
         pipe, deadline = self._process.stdout.fileno(), time.monotonic() + patience
         while b"\n" not in self._heard:
-            if not select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
+            left, wait = deadline - time.monotonic(), math.inf
+            if self.plant_time is not None:
+                self.plant_time()
+                wait = _SHORT
+            if not select.select([pipe], [], [], max(0.0, min(left, wait)))[0]:
+                if left > wait:
+                    continue
                 raise KitError(f"kit: the process that holds its port gave no answer for {patience:g} s")
             piece = os.read(pipe, 4096)
             if not piece:

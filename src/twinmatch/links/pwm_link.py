@@ -154,6 +154,24 @@ def _is_busy(error: Exception) -> bool:
     return getattr(error, "errno", None) in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error)
 
 
+class Patience:
+    """The time left for a reply: by the wall clock, and by that of a virtual plant in step, which may wait.
+
+    `plant_time` lets a moment of plant time pass for the board to reply, and returns it, s (None: no longer
+    in step).
+    """
+
+    def __init__(self, timeout: float, plant_time: Callable[[], float | None] | None = None) -> None:
+        self._plant_time = plant_time or (lambda: None)
+        self._end = time.monotonic() + timeout
+        self._plant_end = (self._plant_time() or 0.0) + timeout
+
+    def left(self) -> float:
+        """How long to wait before the next call, s; none if not positive."""
+        now = self._plant_time()
+        return _SHORT if now is not None and now < self._plant_end else self._end - time.monotonic()
+
+
 class Exchange:
     """An open port and the conversation on it.
 
@@ -161,8 +179,11 @@ class Exchange:
         PwmPortMissingError, PwmPortBusyError: the port cannot be opened.
     """
 
-    def __init__(self, port: str, settings: LinkSettings) -> None:
+    def __init__(
+        self, port: str, settings: LinkSettings, plant_time: Callable[[], float | None] | None = None
+    ) -> None:
         self.port = port
+        self._plant_time = plant_time
         self.settings = settings
         self._wire: serial.Serial | None = open_port(port, settings.timeout)
         # A random number, so that late replies to an earlier session are not taken for ours.
@@ -204,8 +225,8 @@ class Exchange:
             raise PwmPortLostError(msg)
         try:
             self._wire.write(line)
-            end = time.monotonic() + self.settings.timeout
-            while (left := end - time.monotonic()) > 0 and not self._talk.spoiled:
+            patience = Patience(self.settings.timeout, self._plant_time)
+            while (left := patience.left()) > 0 and not self._talk.spoiled:
                 self._wire.timeout = left
                 reply = self._talk.hear(self._wire.read(max(1, self._wire.in_waiting)))
                 if reply is not None:
@@ -234,6 +255,8 @@ class Exchange:
         return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")
 
 
+_SHORT = 0.005
+"""Wait for a reply of a board in step, s."""
 AMPERES_PER_COUNT = 5.0 / 1024 / 0.525
 """The converter has 1024 counts in 5 V; the driver gives 0.525 V for each ampere."""
 
@@ -261,6 +284,8 @@ class PwmLink:
     def __init__(self, port: str, settings: LinkSettings | None = None) -> None:
         self.port = port
         self.settings = settings or LinkSettings()
+        self.plant_time: Callable[[], float | None] | None = None
+        """Called while a reply is awaited from a virtual board in step; see `Patience`."""
         self.restarts = 0
         """Number of detected restarts of the board."""
         self._lock = threading.RLock()
@@ -296,7 +321,7 @@ class PwmLink:
         """
         with self._lock:
             self._drop()
-            self._exchange = Exchange(self.port, self.settings)
+            self._exchange = Exchange(self.port, self.settings, self.plant_time)
             self._cleared = False
             try:
                 banner = self._greet()

@@ -229,6 +229,8 @@ class CameraBridge(TwinmatchNode):
                 if received is not None:
                     number = received.number
                     self._take(received)
+                    if self.step is not None:
+                        self.step.image(received.frame.stamp)
         except Exception as error:  # handed to the main thread, which ends the process with it
             self._failure = error
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.time import Time
@@ -27,6 +28,8 @@ from twinmatch_msgs.msg import LoopSample
 
 __all__ = ["ControllerNode", "main"]
 
+RESEND = 0.2
+"""Interval at which the command is repeated in step, wall s."""
 REMEMBER = 60
 """Ticks for which a missed one is reported."""
 
@@ -84,8 +87,11 @@ class ControllerNode(TwinmatchNode):
                 )
         else:
             self._references = self.create_publisher(Float64, "plant/reference", LATCHED)
-        self.create_timer(self._gains.period, self._on_tick)
-        self.create_timer(self.values["command_period"], self._on_repeat)
+        every = self.create_timer if self.step is None else self.step.every
+        every(self._gains.period, self._on_tick)
+        every(self.values["command_period"], self._on_repeat)
+        if self.step is not None:  # while the plant waits for a command, none may be lost
+            self.create_timer(RESEND, self._on_repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.health.say("waiting")
         self.report_on()
 
@@ -173,7 +179,10 @@ class ControllerNode(TwinmatchNode):
     def _command(self, value: float) -> None:
         if self._wires is not None:
             index = round(self._loop.time / self._gains.period)
-            self._wires.command(value, index, self.get_clock().now().to_msg())
+            now = self._now()
+            self._wires.command(value, index, Time(nanoseconds=now).to_msg())
+            if self.step is not None:
+                self.step.sent(now)
 
     def _readers_there(self) -> bool:
         """Whether all nodes that must not miss a sample subscribe, or the wait for them is over."""
@@ -192,6 +201,8 @@ class ControllerNode(TwinmatchNode):
             self.get_logger().warning(text)
             self.health.flag("readers", Level.WARN, text)
         self._waiting_until = None
+        if self.step is not None:
+            self.step.drive()
         return True
 
     def _watch_missed(self) -> None:
@@ -204,7 +215,7 @@ class ControllerNode(TwinmatchNode):
             self.health.withdraw("missed")
 
     def _now(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+        return int(self.get_clock().now().nanoseconds) if self.step is None else self.step.now
 
 
 def main() -> None:

@@ -108,6 +108,8 @@ class ForecastPublisher:
 
 PATIENCE = 2.0
 """Time after which an unanswered match request is repeated, wall s."""
+BEHIND = 20
+"""Samples for which a plant in step goes on while a match is awaited."""
 LOOK = 0.5
 """Interval at which the pending request is checked, wall s."""
 SETTLED = "settled"
@@ -150,7 +152,14 @@ class DiscriminatorNode(SampleNode):
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
+        if self.step is not None:
+            self.step.wait_for(self._behind)
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _behind(self) -> bool:
+        """Whether a match has been awaited for so long that a plant in step should wait too."""
+        request = self._discriminator.request
+        return request is not None and (self._watch.last or 0) - request.sample > BEHIND
 
     def work(self, item: Sample | MatchReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""

@@ -6,6 +6,9 @@ import threading
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from twinmatch.nodes.output_gate import OutputGate
+from twinmatch.nodes.step import FOREVER, InStep
+
 __all__ = ["DriverThread"]
 
 
@@ -16,11 +19,20 @@ class DriverThread(ABC):
     CLOSING: ClassVar[float]
     """Default time in which the thread has to end, s."""
 
-    def __init__(self, first_pause: float, longest_pause: float) -> None:
-        """A lost link is retried after the first pause, s; each pause doubles, up to the longest, s."""
+    connected: bool
+    """Whether the hardware answered last."""
+    step: InStep | None = None
+    """Told which commands are applied, if the plant waits for them."""
+
+    def __init__(self, gate: OutputGate, first_pause: float, longest_pause: float) -> None:
+        """Apply what the gate passes.
+
+        A lost link is retried after the first pause, s; each pause doubles, up to the longest, s.
+        """
         self.failure: Exception | None = None
         """The error that ended the thread, if any."""
         self._ending, self._clear_wanted = threading.Event(), threading.Event()
+        self._gate = gate
         self._first_pause, self._longest_pause = first_pause, longest_pause
         self._attempts = 0
         self._thread = threading.Thread(target=self._run, name=self.NAME, daemon=True)
@@ -56,7 +68,10 @@ class DriverThread(ABC):
     def _run(self) -> None:
         try:
             while not self._ending.is_set():
+                commanded = self._gate.commanded
                 self._turn()
+                if self.step is not None:
+                    self.step.applied(commanded if self.connected else FOREVER)
         except Exception as error:  # handed to the main thread, which ends the process with it
             self.failure = error
         finally:

@@ -60,15 +60,15 @@ class KitDriver(DriverThread):
         `other` is the power of the second heater while commands pass, %.
         """
         self._other, self._pace = other, pace or KitPace()
-        super().__init__(self._pace.first_pause, self._pace.longest_pause)
-        self._link, self._gate, self._tell, self._health = link, gate, tell, health
+        super().__init__(gate, self._pace.first_pause, self._pace.longest_pause)
+        self._link, self._tell, self._health = link, tell, health
         self._known = False  # whether the kit has answered before
         self._sent: tuple[float, float] | None = None
         self._sent_at = 0.0
         self._said_at = 0.0
 
     @property
-    def connected(self) -> bool:
+    def connected(self) -> bool:  # type: ignore[override]
         """Whether the kit answered the last command."""
         return self._link.is_open and self._sent is not None
 

@@ -11,8 +11,11 @@ Other programs need none of this to read our topics, but without it they listen 
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import ipaddress
 import os
+import re
 import shlex
 import sys
 import tempfile
@@ -20,6 +23,7 @@ from collections.abc import Iterator, Mapping, MutableMapping
 from enum import Enum
 from pathlib import Path
 
+from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 __all__ = [
@@ -28,6 +32,7 @@ __all__ = [
     "Network",
     "NetworkError",
     "check_sockets",
+    "lease",
     "prepare",
     "shell_lines",
     "sockets_elsewhere",
@@ -44,6 +49,10 @@ PROFILES = {
 second for version 3 (Kilted and later), which also reads the first variable but cannot parse its file."""
 VERSIONS = {"FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps", "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds"}
 """Folder in `share/` of the Fast DDS version that belongs to each variable."""
+
+LEASE = "TWINMATCH_LEASE"
+"""Environment variable with another lease than that of the profile: the time after which a node that says
+nothing is forgotten, whole s. Where a plant waits for its graph, no suspended process may be forgotten."""
 
 DOMAIN = "ROS_DOMAIN_ID"
 LAST_DOMAIN = 232
@@ -106,12 +115,50 @@ def prepare(
                 "reinstall twinmatch"
             )
             raise NetworkError(msg)
-        environment[name] = str(profile)
+        environment[name] = str(_with_lease(profile, environment.get(LEASE, "")))
     # With any narrower range, rmw_fastrtps replaces the transports of the profile with its own.
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     for name in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"):
         environment.pop(name, None)
     return network
+
+
+@contextlib.contextmanager
+def lease(seconds: float | None) -> Iterator[None]:
+    """Let this process, if ROS has not started yet, and its children have this lease, s (None: as it is)."""
+    before = os.environ.get(LEASE)
+    if seconds is not None:
+        os.environ[LEASE] = f"{seconds:.0f}"
+    try:
+        yield
+    finally:
+        os.environ.pop(LEASE, None)
+        if before is not None:
+            os.environ[LEASE] = before
+
+
+def _with_lease(profile: Path, seconds: str) -> Path:
+    """A profile with another lease, in the user's cache; the profile itself if there is none.
+
+    Raises:
+        NetworkError: the lease is not a whole number, or the cache cannot be written.
+    """
+    if not seconds:
+        return profile
+    if not seconds.isdecimal():
+        raise NetworkError(f"network: {LEASE} is {seconds!r}; give whole seconds")
+    text = profile.read_text("utf-8")
+    found = re.sub(r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", text)
+    digest = hashlib.sha256(found.encode()).hexdigest()[:12]
+    made = cache_folder() / f"{profile.stem}-{digest}.xml"
+    try:
+        made.parent.mkdir(parents=True, exist_ok=True)
+        part = made.with_name(f"{made.name}.{os.getpid()}")
+        part.write_text(found, "utf-8")
+        part.replace(made)
+    except OSError as error:
+        raise NetworkError(f"network: {made} cannot be written ({error.strerror})") from error
+    return made
 
 
 def shell_lines(environment: Mapping[str, str] = os.environ) -> list[str]:

@@ -20,6 +20,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.step import InStep
 from twinmatch.parameters.declared import Parameter, ParameterError, Values, check
 
 PERIOD = 1.0
@@ -235,6 +236,8 @@ class TwinmatchNode(Node):
     """Why a parameter that is not changeable cannot be set while the node runs."""
     CLOSING: ClassVar[int] = 0
     """Time that `close` may take in addition to the runner's `TEARDOWN`, s."""
+    step: InStep | None = None
+    """Keeps a virtual plant in step with this process, if it runs faster than real time."""
 
     def __init__(self) -> None:
         """Read the parameters into `self.values`.

@@ -69,6 +69,8 @@ class OutputGate:
         self._guard = OutputGuard(limits)
         self._safety_clock = SafetyClock(clock_limits)
         self._index = 0
+        self.commanded = 0
+        """Stamp of the newest command, ns."""
         self._news = threading.Condition(threading.RLock())
 
     @property
@@ -94,7 +96,7 @@ class OutputGate:
         with self._news:
             now, times = self._now()
             self._guard.command(value, now, (times.stamps - stamp) / 1e9)
-            self._index = index
+            self._index, self.commanded = index, stamp
             self._news.notify_all()
 
     def temperature(self, celsius: float, stamp: int) -> None:
@@ -156,7 +158,7 @@ def gate_table(usual: GuardLimits, note: str = "") -> tuple[Parameter, ...]:
     return (
         silence,
         others[0],
-        Parameter("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 10.0),
+        Parameter("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 60.0),
         *others[1:],
         *runaway,
         replace(full, low=most / 255.0, high=most),

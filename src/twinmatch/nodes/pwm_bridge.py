@@ -68,6 +68,8 @@ class PwmBridge(GatedNode):
         if self.get_parameter("use_sim_time").value:
             settings = DriverSettings(repeat=self.values["repeat"], poll=SIMULATED_POLL)
         self._pwm_driver = PwmDriver(self._link, self.gate, self._tell, self.health, settings)
+        if self.step is not None:
+            self._pwm_driver.step, self._link.plant_time = self.step, self.step.breathe
         self.health.set("port", self.values["port"])
         self.report_on()
         self._pwm_driver.start()

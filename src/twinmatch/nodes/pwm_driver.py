@@ -64,11 +64,9 @@ class PwmDriver(DriverThread):
     ) -> None:
         """`tell` is called with each report of the board (None: unknown) and the sample it belongs to."""
         self._settings = settings or DriverSettings()
-        super().__init__(self._settings.first_pause, self._settings.longest_pause)
+        super().__init__(gate, self._settings.first_pause, self._settings.longest_pause)
         self.connected = False
-        """Whether the board answered the last request."""
         self._link = link
-        self._gate = gate
         self._tell = tell
         self._health = health
         self._known = False  # whether the board has been cleared before

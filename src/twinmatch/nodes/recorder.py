@@ -167,6 +167,8 @@ FLUSH = 0.4
 """Interval at which everything is flushed to disk, s."""
 LEAVE = 3.0
 """Time to finish the session at the end, s; part of the runner's `TEARDOWN`."""
+AHEAD = 100
+"""Messages queued for the disk above which a virtual plant in step waits."""
 MOST_WAITING = 64_000_000
 """Bytes queued for the disk above which messages are dropped."""
 
@@ -211,7 +213,9 @@ class RecorderNode(TwinmatchNode):
         self._taken = self._written = self._dropped = 0  # bytes, bytes, messages
         self._stopped: SessionError | None = None
         self._left = threading.Event()
-        self.worker = Worker(self._do, self.health, backlog=5000)
+        self.worker = worker = Worker(self._do, self.health, backlog=5000)
+        if self.step is not None:
+            self.step.wait_for(lambda: worker.depth > AHEAD)
         self._settings = NodeSettings(self, self._on_record)
         self._past = RecorderPast(self, self._keep, self._readers.__contains__)
         steady = Clock(clock_type=ClockType.STEADY_TIME)

@@ -10,7 +10,6 @@ import sys
 from twinmatch.nodes.camera_bridge import CameraBridge
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.plant_pace import PlantPace
 from twinmatch.nodes.pwm_bridge import PwmBridge
 from twinmatch.nodes.runner import run
 
@@ -19,7 +18,7 @@ __all__ = ["main"]
 
 def main() -> None:
     """Console script."""
-    sys.exit(run([CameraBridge, PwmBridge, ControllerNode, PlantPace, Keeper]))
+    sys.exit(run([CameraBridge, PwmBridge, ControllerNode, Keeper]))
 
 
 if __name__ == "__main__":

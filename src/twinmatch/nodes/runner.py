@@ -29,6 +29,7 @@ from rclpy.utilities import remove_ros_args
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes import network
 from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.step import InStep, step_of
 from twinmatch.parameters.declared import render
 from twinmatch.sessions.documents import DocumentError, read_yaml
 
@@ -98,6 +99,7 @@ class _Process:
     def __init__(self) -> None:
         self.nodes: list[TwinmatchNode] = []
         self.executor: Any = None  # created once ROS has started
+        self.step: InStep | None = None
         self.stop_requested = False
         _on_signals(self._request_stop)
 
@@ -115,6 +117,8 @@ class _Process:
         for kind in kinds:
             node = kind()
             self.nodes.append(node)
+            self.step = self.step or step_of(node)
+            node.step = self.step
             node.open()
             self.executor.add_node(node)
         if reach is network.Network.LOOPBACK:
@@ -136,7 +140,8 @@ class _Process:
         _on_signals(signal.SIG_IGN)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(TEARDOWN + max((node.CLOSING for node in self.nodes), default=0))
-        ended = [node.close() for node in self.nodes]
+        ended = [] if self.step is None else [self.step.close()]
+        ended += [node.close() for node in self.nodes]
         if self.executor is not None:
             for node in self.nodes:
                 self.executor.remove_node(node)

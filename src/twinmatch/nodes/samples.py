@@ -21,6 +21,9 @@ from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 from twinmatch_msgs.srv import Past
 
+AHEAD = 5
+"""Queued items above which a virtual plant in step waits."""
+
 
 class SampleWatch:
     """Checks the samples' indices and arrival, and reports gaps and silence."""
@@ -30,31 +33,32 @@ class SampleWatch:
         self._health = health
         self._silence = patience * period
         self._remember = remember
-        self._last: int | None = None
+        self.last: int | None = None
+        """Index of the newest sample."""
         self._arrived = 0.0
         self._since_gap = 0
         health.say("waiting for samples")
 
     def push(self, index: int, now: float) -> None:
         """Check a sample that arrived at `now` (s)."""
-        if self._last is None:
+        if self.last is None:
             self._health.say("working")
-        elif index != self._last + 1:
-            between = f"samples {self._last + 1} to {index - 1} are missing"
-            message = between if index > self._last else f"sample {index} came after sample {self._last}"
+        elif index != self.last + 1:
+            between = f"samples {self.last + 1} to {index - 1} are missing"
+            message = between if index > self.last else f"sample {index} came after sample {self.last}"
             self._health.count("gaps")
             self._health.flag("gap", Level.ERROR, f"{message}; windows start over")
             self._since_gap = 0
         self._since_gap += 1
         if self._since_gap > self._remember:
             self._health.withdraw("gap")
-        self._last, self._arrived = index, now
+        self.last, self._arrived = index, now
         self._health.set("sample", index)
 
     def look(self, now: float) -> None:
         """Report silence if no sample has arrived for too long; withdraw it once they arrive again."""
         silent = now - self._arrived
-        down = self._last is not None and silent > self._silence
+        down = self.last is not None and silent > self._silence
         self._health.flag_if(down, "silence", Level.WARN, f"no sample for {silent:.0f} s")
 
 
@@ -82,6 +86,8 @@ class TwinNode(TwinmatchNode):
         self._standstill = Standstill()
         self._standstill.start()
         self.worker = Worker(self.work, self.health)
+        if self.step is not None:
+            self.step.wait_for(lambda: self.worker is not None and self.worker.depth > AHEAD)
         self.report_on()
 
     @abstractmethod

@@ -54,7 +54,7 @@ class TCLabBridge(GatedNode):
             "Zero after this time without a command from this node, by the wall clock.",
             "s",
             0.6,
-            5.0,
+            60.0,
         ),
         Parameter("frame_id", "kit", "Frame of plant/reading and plant/applied."),
         *gate_table(LIMITS),
@@ -84,6 +84,8 @@ class TCLabBridge(GatedNode):
         self._kit_driver = KitDriver(
             self._link, self.gate, self._tell, self.health, other=self.values["second"], pace=pace
         )
+        if self.step is not None:
+            self._kit_driver.step, self._link.plant_time = self.step, self.step.breathe
         self.report_on()
         self._kit_driver.start()
 

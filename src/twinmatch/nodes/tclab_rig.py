@@ -9,7 +9,6 @@ import sys
 
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.plant_pace import PlantPace
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.tclab_bridge import TCLabBridge
 
@@ -18,7 +17,7 @@ __all__ = ["main"]
 
 def main() -> None:
     """Console script."""
-    sys.exit(run([TCLabBridge, ControllerNode, PlantPace, Keeper]))
+    sys.exit(run([TCLabBridge, ControllerNode, Keeper]))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,181 @@
+"""Keeps a virtual plant in step with this process, when the plant runs faster than real time.
+
+The process tells the virtual rig up to which plant time it may go on. The one that commands the plant lets it
+go on to the next tick or repetition of a command, once the command before has been applied; others let it go
+on for `LEAD`, once their queues are short. So load, or a process that was suspended, costs time and nothing
+else, while one that has ended is not waited for: its connection is gone.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
+
+__all__ = ["PATIENCE", "VARIABLE", "InStep", "step_of"]
+
+VARIABLE: Final = "TWINMATCH_IN_STEP"
+"""Environment variable with the HOST:PORT of the virtual rig's clock; the launch scripts set it."""
+PATIENCE: Final = 45.0
+"""Deadlines by the wall clock in a graph in step, s: more than the virtual rig waits for a process."""
+LEAD: Final = 2_000_000_000
+"""Plant time for which a process that commands nothing lets the plant go on, ns."""
+BREATH: Final = 5_000_000
+"""Plant time that passes while the board is waited for, per wait, ns."""
+LOOK: Final = 0.002
+"""Interval at which unfinished work is looked at again, wall s."""
+IDLE: Final = 0.2
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class _Task:
+    """Something done at regular plant times."""
+
+    def __init__(self, period: int, call: Callable[[], None]) -> None:
+        self.due = 0
+        self._period, self._call = period, call
+
+    def look(self, now: int) -> None:
+        """Do it if it is due; what was missed is not made up for."""
+        if now >= self.due:
+            self.due = (
+                now + self._period if self.due == 0 else now - (now - self.due) % self._period + self._period
+            )
+            self._call()
+
+
+class InStep:
+    """What this process has done, and the plant time up to which it lets the plant go on; thread-safe.
+
+    All times are plant time in ns. `node` receives /clock.
+    """
+
+    def __init__(self, node: Node, address: str) -> None:
+        """Connect to the virtual rig at `address`.
+
+        Raises:
+            ClockError: the address is invalid.
+        """
+        self._client = ClockClient(parse_address(address), lambda _: None)
+        self._news = threading.Condition()
+        self._now = 0
+        self._tasks: list[_Task] = []
+        self._driving = False
+        self._sent = 0
+        self._applied: float = 0
+        self._until = 0
+        self._busy = False
+        self._queues: list[Callable[[], bool]] = []
+        self._ending = False
+        self._thread = threading.Thread(target=self._run, name="in step", daemon=True)
+        node.create_subscription(Clock, "/clock", self._on_clock, NEWEST)
+        self._client.start()
+        self._thread.start()
+
+    @property
+    def now(self) -> int:
+        """Plant time, ns; 0 before the first /clock."""
+        return self._now
+
+    def every(self, period: float, call: Callable[[], None]) -> None:
+        """Call this every `period` s of plant time, in the thread of the executor.
+
+        Not a timer of ROS: two that are due at the same time do not always both fire while /clock stands.
+        """
+        self._tasks.append(_Task(round(period * 1e9), call))
+
+    def drive(self) -> None:
+        """From now on the plant waits for each call of `every`, and for the commands that are sent in it."""
+        self._driving = True
+
+    def sent(self, stamp: int) -> None:
+        """Note that a command of this time was sent to the node that applies it."""
+        self._sent = max(self._sent, stamp)
+
+    def applied(self, stamp: float) -> None:
+        """Note that commands up to this time are applied, or cannot be."""
+        if stamp != self._applied:
+            with self._news:
+                self._applied = stamp
+                self._news.notify()
+
+    def image(self, stamp: int) -> None:
+        """Note that the image of this time was taken."""
+        self._client.say("image", stamp)
+
+    def wait_for(self, queued: Callable[[], bool]) -> None:
+        """Let the plant wait whenever this returns True: too much is queued."""
+        self._queues.append(queued)
+
+    def breathe(self) -> float | None:
+        """Let a moment of plant time pass, so that the board answers; returns the time, s, None at the end."""
+        if self._ending:
+            return None
+        self._let(self._now + BREATH)
+        return self._now / 1e9
+
+    def close(self) -> bool:
+        """End the connection, so that the plant no longer waits; returns whether its threads ended."""
+        with self._news:
+            self._ending = True
+            self._news.notify()
+        self._thread.join(2.0)
+        return self._client.close() and not self._thread.is_alive()
+
+    def _on_clock(self, message: Clock) -> None:
+        now = message.clock.sec * 1_000_000_000 + message.clock.nanosec
+        self._busy, self._now = True, now
+        for task in self._tasks:
+            task.look(now)
+        with self._news:
+            self._busy = False
+            self._news.notify()
+
+    def _run(self) -> None:
+        while not self._ending:
+            settled = self._look()
+            with self._news:
+                if not self._ending:
+                    self._news.wait(IDLE if settled else LOOK)
+
+    def _look(self) -> bool:
+        """Let the plant go on if all work is done; returns whether it is."""
+        if not self._now:
+            return True  # not even the clock has been heard of
+        with self._news:
+            if self._busy or (self._driving and self._applied < self._sent):
+                return False
+            until = min(task.due for task in self._tasks) if self._driving else self._now + LEAD
+        if any(queued() for queued in self._queues):
+            return False
+        if self._driving or until - self._until >= LEAD // 4:
+            self._let(until)
+        return True
+
+    def _let(self, until: int) -> None:
+        with self._news:
+            if until > self._until:
+                self._until = until
+                self._client.say("drive" if self._driving else "follow", until)
+
+
+FOREVER: Final = math.inf
+"""For `applied`, where there is nobody to apply a command."""
+
+
+def step_of(node: Node) -> InStep | None:
+    """The step of this process, if it runs in step; `node` receives /clock.
+
+    Raises:
+        ClockError: the address in the environment is invalid.
+    """
+    address = os.environ.get(VARIABLE)
+    return InStep(node, address) if address else None
