@@ -116,7 +116,7 @@ class InStep:
         self._queues.append(queued)
 
     def breathe(self) -> float | None:
-        """Let a moment of plant time pass, so that the board answers; returns the time, s, None at the end."""
+        """Let a moment of plant time pass for the board to answer; returns the time, s (None: at the end)."""
         if self._ending:
             return None
         self._let(self._now + BREATH)
