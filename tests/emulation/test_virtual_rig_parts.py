@@ -6,13 +6,14 @@ import os
 import socket
 import subprocess
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.waiting import wait_for
+from tests.support.waiting import PATIENCE, wait_for
 from twinmatch import shipped
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.emulation import virtual_rig_board, virtual_rig_camera
@@ -39,6 +40,7 @@ from twinmatch.emulation.virtual_rig_faults import (
 )
 from twinmatch.emulation.virtual_rig_pace import RigPace
 from twinmatch.emulation.virtual_rig_plant import RICH_RIG, VirtualPlant
+from twinmatch.emulation.virtual_rig_time import VirtualPlantTime
 from twinmatch.plants import Peltier
 
 INFINITE = float("inf")
@@ -248,11 +250,124 @@ def test_a_clock_that_stands_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None
     stillness.tell(5)
     now = 10.9
     assert stillness.seconds() == 0
-    stillness.tell(5)
+    stillness.tell(5)  # the rig waits for its readers, and says so
     now = 11.5
+    assert stillness.seconds() == 0
+    now = 12.4
     assert stillness.seconds() == pytest.approx(1.5)
     stillness.tell(4)
     assert (stillness.seconds(), stillness.set_backs) == (0, 1)
+
+
+class Reader:
+    """A reader of a clock that keeps step."""
+
+    def __init__(self, server: ClockServer) -> None:
+        self.connection = socket.create_connection(server.address)
+        server.listen(PATIENCE)
+
+    def say(self, server: ClockServer, *lines: str) -> None:
+        self.connection.sendall("".join(f"{line}\n" for line in lines).encode())
+        server.listen(PATIENCE)
+
+
+def test_the_slowest_reader_that_keeps_step_limits_the_plant() -> None:
+    server = ClockServer()
+    rig, twin, _ = (Reader(server) for _ in range(3))
+    assert server.limit(0) == INFINITE
+    assert not server.driven
+    rig.say(server, "drive 100")
+    twin.say(server, "follow 70", "nonsense", "follow x")
+    assert server.driven
+    assert server.limit(60) == 70
+    twin.say(server, "follow 300")
+    assert server.limit(60) == 100
+    assert not server.lacks(90)
+    rig.say(server, "image 80")
+    assert server.lacks(90)
+    rig.say(server, "image 90")
+    assert not server.lacks(90)
+    rig.connection.close()  # as the kernel does for a process that was killed
+    server.listen(PATIENCE)
+    assert not server.driven
+    assert server.limit(60) == 300
+    twin.connection.close()
+    server.close()
+
+
+def test_a_reader_that_gives_no_sign_of_life_is_given_up_until_it_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 10.0
+    monkeypatch.setattr("twinmatch.emulation.virtual_rig_clock.time.monotonic", lambda: now)
+    server = ClockServer()
+    rig = Reader(server)
+    rig.say(server, "drive 100")
+    assert server.limit(99) == 100
+    now = 1000.0  # the plant was not waiting for it
+    assert server.limit(100) == 100
+    now = 1029.0
+    assert server.limit(100) == 100
+    now = 1031.0
+    assert server.limit(100) == INFINITE
+    assert not server.driven
+    rig.say(server, "drive 200")
+    assert server.limit(150) == 200
+    assert server.driven
+    rig.connection.close()
+    server.close()
+
+
+class Bare(VirtualPlantTime):
+    """A plant of nothing but time."""
+
+    board_kind = board_remark = "none"
+
+    def make(self, stack: ExitStack) -> dict[str, str]:  # noqa: ARG002
+        return {}
+
+    def advance(self) -> None:
+        self.ms += self.slice
+
+    def turn(self, kind: str, *, on: bool) -> None: ...
+
+    def state(self) -> dict[str, object]:
+        return {"time": self.elapsed}
+
+
+def test_a_plant_in_step_goes_exactly_as_far_as_it_is_let_and_waits_there() -> None:
+    heard: list[int] = []
+    with Bare(RigSettings(speed=INFINITE, in_step=True, duration=100.0)) as plant:
+        client = ClockClient(parse_address(plant.addresses["clock"]), heard.append)
+        client.start()
+        stops = [plant.stamp + round(1e9 * second) for second in (30.0, 30.1234, 77.0, 1000.0)]
+        waited: list[int] = []
+
+        def watch() -> None:
+            """Let it go on once it has waited at a stop for a while."""
+            waited.append(plant.stamp)
+            if not stops or plant.stamp >= stops[0]:
+                del stops[:1]
+            if stops:
+                client.say("drive", stops[0])
+
+        before = plant.stamp
+        plant.run(watch)
+        assert plant.elapsed == 100.0
+        assert client.close()
+    assert {before + 30_000_000_000, before + 30_124_000_000, before + 77_000_000_000} <= set(waited)
+    assert heard == sorted(heard)
+
+
+def test_without_a_process_that_drives_it_a_plant_in_step_keeps_real_time() -> None:
+    with Bare(RigSettings(speed=INFINITE, in_step=True, duration=0.3)) as plant:
+        plant.run()
+        wall, _ = plant.achieved()
+    assert wall >= 0.29
+    with Bare(RigSettings(speed=INFINITE, duration=10_000.0)) as plant:
+        plant.run()
+        _, speed = plant.achieved()
+    assert speed > 100
 
 
 def test_control_answers_each_line(tmp_path: Path) -> None:

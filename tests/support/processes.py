@@ -71,7 +71,12 @@ class Process:
     @property
     def children(self) -> list[int]:
         """Process ids of what it has started."""
-        threads = Path(f"/proc/{self.id}/task").glob("*/children")
+        return self.children_of(self.id)
+
+    @staticmethod
+    def children_of(process: int) -> list[int]:
+        """Process ids of what a process has started."""
+        threads = Path(f"/proc/{process}/task").glob("*/children")
         return [int(child) for thread in threads for child in thread.read_text().split()]
 
     def wait_until(self, condition: Callable[[], T], what: str, patience: float = PATIENCE) -> T:
