@@ -273,7 +273,7 @@ class Reader:
 
 def test_the_slowest_reader_that_keeps_step_limits_the_plant() -> None:
     server = ClockServer()
-    rig, twin, _ = (Reader(server) for _ in range(3))
+    rig, twin, page = (Reader(server) for _ in range(3))  # a page reads the time and says nothing
     assert server.limit(0) == INFINITE
     assert not server.driven
     rig.say(server, "drive 100")
@@ -292,6 +292,7 @@ def test_the_slowest_reader_that_keeps_step_limits_the_plant() -> None:
     assert not server.driven
     assert server.limit(60) == 300
     twin.connection.close()
+    page.connection.close()
     server.close()
 
 
