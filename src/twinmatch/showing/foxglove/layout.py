@@ -150,17 +150,9 @@ def _titled(title: str, **settings: Any) -> _Panel:
 
 
 def _plot(title: str, label: str, lines: Sequence[dict[str, Any]], **settings: Any) -> _Panel:
-    usual = {
-        "xAxisVal": "timestamp",
-        "yAxisLabel": label,
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "showLegend": True,
-        "legendDisplay": "floating",
-        "showPlotValuesInLegend": True,
-        "isSynced": True,
-        "sidebarDimension": 240,
-    }
+    shown = ("showXAxisLabels", "showYAxisLabels", "showLegend", "showPlotValuesInLegend", "isSynced")
+    usual = {"xAxisVal": "timestamp", "yAxisLabel": label, **dict.fromkeys(shown, True)}
+    usual |= {"legendDisplay": "floating", "sidebarDimension": 240}
     return _titled(title, paths=list(lines), **{**usual, **settings})
 
 
@@ -193,12 +185,8 @@ def _verdict(rig: str) -> dict[str, _Panel]:
         "fault": f"{score}.fault",
         "order": f"{score}.order",
     }
-    whole = {
-        "diffEnabled": False,
-        "diffMethod": "custom",
-        "diffTopicPath": "",
-        "showFullMessageForDiff": False,
-    }
+    whole: dict[str, Any] = {"diffEnabled": False, "showFullMessageForDiff": False}
+    whole |= {"diffMethod": "custom", "diffTopicPath": ""}
     return {
         "Indicator!level": _titled(
             "Trust",

@@ -18,22 +18,6 @@ from twinmatch.showing.style import LEVELS
 from twinmatch.showing.summary import TrustRange
 from twinmatch.showing.verdicts import COLUMNS, LEVEL_WORDS, Event, row
 
-__all__ = [
-    "NO_CANDIDATE",
-    "NO_SAMPLE",
-    "alarm",
-    "events_table",
-    "family_table",
-    "first_screen",
-    "nodes",
-    "notice",
-    "reasons",
-    "status",
-    "tiles",
-    "what_if",
-    "what_to_do",
-]
-
 RECENT = 80
 """Events in the table."""
 SILENCE = 5.0

@@ -28,7 +28,7 @@ SOURCE = ("reference_source", "profile.lowest", "profile.highest")
 
 
 class Requests:
-    """`Actions` through a node. Callable from any thread; the work is done in the node's own thread.
+    """What can be asked for on the page. Callable from any thread; the work is done in the node's own.
 
     Without `control` there is no publisher or client that could move the rig.
     """
@@ -44,7 +44,8 @@ class Requests:
     ) -> None:
         """Make clients; `later` queues a function for the node's thread, `plant` returns the plant in use."""
         self._node, self._state, self._later, self._plant = node, state, later, plant
-        self._control = control
+        self.control = control
+        """Whether the page may set the set-point, clear faults and stop."""
         self._pause = node.create_client(SetBool, "player/pause")
         self._rate = node.create_client(SetParameters, "player/set_parameters")
         self._what_if = node.create_client(WhatIf, "twin/what_if")
@@ -57,11 +58,6 @@ class Requests:
             self._reference = node.create_publisher(
                 Float64, "plant/reference", RELIABLE, event_callbacks=quiet
             )
-
-    @property
-    def control(self) -> bool:
-        """Whether the page may set the set-point, clear faults and stop."""
-        return self._control
 
     def pause(self, paused: bool) -> None:
         """Pause the player of a session, or continue."""
@@ -98,17 +94,17 @@ class Requests:
 
     def clear_fault(self) -> None:
         """Allow the output to be driven again after a fault."""
-        if self._control:
+        if self.control:
             self._call(self._clear, Trigger.Request(), "the node that drives the plant", self._show_result)
 
     def stop(self) -> None:
         """Hold the output at zero."""
-        if self._control:
+        if self.control:
             self._call(self._stop, Trigger.Request(), "the node that drives the plant", self._show_result)
 
     def set_point(self, level: float) -> None:
         """Send the controller a set-point, once its parameters show that it follows one."""
-        if not self._control:
+        if not self.control:
             return
 
         def send(answer: Any) -> None:

@@ -29,18 +29,6 @@ from twinmatch.showing.verdicts import (
 )
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = [
-    "CAPACITY",
-    "DashboardState",
-    "DriveReport",
-    "Notice",
-    "RollingTable",
-    "TwinRow",
-    "WhatIfAnswer",
-    "envelope",
-    "update_sentence",
-]
-
 CAPACITY = 36_000
 """Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
 EVENTS = 400

@@ -11,19 +11,6 @@ from twinmatch.comparing import TrustLevel
 from twinmatch.showing.style import GRID, LEVELS, SET_POINT, TEXT
 from twinmatch.showing.verdicts import Mark
 
-__all__ = [
-    "BUTTONS",
-    "DARK",
-    "FONT",
-    "MARKS",
-    "MARK_INKS",
-    "MARK_SIGNS",
-    "SHAPES",
-    "SIGNS",
-    "THEME",
-    "panel",
-]
-
 FONT = "system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'DejaVu Sans', sans-serif"
 
 SIGNS = {
@@ -56,51 +43,36 @@ BUTTONS = """
 SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "diamond", Mark.WARNING: "triangle", Mark.BAD: "x"}
 """Markers of the time line: their shape distinguishes them without colour."""
 
-THEME = Theme(
-    json={
-        "attrs": {
-            "Plot": {
-                "background_fill_color": "#FFFFFF",
-                "border_fill_color": None,
-                "outline_line_color": None,
-                "min_border_left": 78,
-                "min_border_right": 12,
-                "min_border_top": 4,
-                "min_border_bottom": 4,
-            },
-            "Axis": {
-                "axis_label_text_font": FONT,
-                "axis_label_text_font_size": "12px",
-                "axis_label_text_font_style": "normal",
-                "axis_label_text_color": TEXT,
-                "axis_line_color": "#8C8C8C",
-                "major_label_text_font": FONT,
-                "major_label_text_font_size": "12px",
-                "major_label_text_color": TEXT,
-                "major_tick_line_color": "#8C8C8C",
-                "minor_tick_line_color": None,
-            },
-            "Grid": {"grid_line_color": GRID, "grid_line_alpha": 0.7},
-            "Legend": {
-                "label_text_font": FONT,
-                "label_text_font_size": "12px",
-                "border_line_color": None,
-                "background_fill_alpha": 0.0,
-                "padding": 0,
-                "margin": 0,
-                "spacing": 14,
-                "glyph_width": 22,
-            },
-            "BaseColorBar": {
-                "major_label_text_font": FONT,
-                "major_label_text_font_size": "12px",
-                "title_text_font": FONT,
-                "title_text_font_size": "12px",
-                "title_text_font_style": "normal",
-            },
-        }
-    }
-)
+
+def _letters(kind: str) -> dict[str, object]:
+    """Font of one kind of text in a chart."""
+    return {f"{kind}_text_font": FONT, f"{kind}_text_font_size": "12px"}
+
+
+_BORDERS = {"min_border_left": 78, "min_border_right": 12, "min_border_top": 4, "min_border_bottom": 4}
+_ATTRIBUTES = {
+    "Plot": {
+        "background_fill_color": "#FFFFFF",
+        **dict.fromkeys(("border_fill_color", "outline_line_color")),
+        **_BORDERS,
+    },
+    "Axis": {
+        **_letters("axis_label"),
+        **_letters("major_label"),
+        "axis_label_text_font_style": "normal",
+        **dict.fromkeys(("axis_label_text_color", "major_label_text_color"), TEXT),
+        **dict.fromkeys(("axis_line_color", "major_tick_line_color"), "#8C8C8C"),
+        "minor_tick_line_color": None,
+    },
+    "Grid": {"grid_line_color": GRID, "grid_line_alpha": 0.7},
+    "Legend": {
+        **_letters("label"),
+        **{"border_line_color": None, "background_fill_alpha": 0.0, "padding": 0, "margin": 0},
+        **{"spacing": 14, "glyph_width": 22},
+    },
+    "BaseColorBar": {**_letters("major_label"), **_letters("title"), "title_text_font_style": "normal"},
+}
+THEME = Theme(json={"attrs": _ATTRIBUTES})
 
 _STYLE = Path(__file__).with_name("panel.css").read_text(encoding="utf-8")
 

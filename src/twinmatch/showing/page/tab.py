@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bokeh.document import Document
 from bokeh.models import CustomJS, Div, Toggle
@@ -15,8 +16,11 @@ from twinmatch.showing.page.charts import ChartFeed, TimeCharts, bands, seconds_
 from twinmatch.showing.page.heatmaps import GapMatrix, ThermalImage
 from twinmatch.showing.page.state import DashboardState
 from twinmatch.showing.page.style import FONT, THEME, panel
-from twinmatch.showing.page.widgets import Actions, PlayerButtons, QuestionForm, RigButtons, SpanButtons
+from twinmatch.showing.page.widgets import PlayerButtons, QuestionForm, RigButtons, SpanButtons
 from twinmatch.showing.style import LEVELS, TEXT
+
+if TYPE_CHECKING:
+    from twinmatch.showing.page.requests import Requests
 
 __all__ = ["REFRESH", "Tab"]
 
@@ -39,7 +43,7 @@ class Tab:
     """One tab. Nothing in it grows: charts drop their oldest points, texts are replaced."""
 
     def __init__(
-        self, state: DashboardState, actions: Actions, clock: Callable[[], float] = time.monotonic
+        self, state: DashboardState, requests: Requests, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Show a state; `clock` is the one that its times are taken from."""
         self._state, self._clock = state, clock
@@ -55,9 +59,9 @@ class Tab:
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
         self._every = Toggle(label="all orders", name="every", width=110)
         self._span = SpanButtons()
-        self._player = PlayerButtons(actions)
-        self._question = QuestionForm(actions, described.reference.label)
-        self._rig = RigButtons(actions, described.reference.label) if actions.control else None
+        self._player = PlayerButtons(requests)
+        self._question = QuestionForm(requests, described.reference.label)
+        self._rig = RigButtons(requests, described.reference.label) if requests.control else None
         if self._rig is not None:
             self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}

@@ -2,46 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from bokeh.models import Button, NumericInput, RadioButtonGroup, Row
 
 from twinmatch.showing.page.health import PlayerState
 from twinmatch.showing.page.style import BUTTONS
 
-__all__ = ["RATES", "Actions", "PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
+if TYPE_CHECKING:
+    from twinmatch.showing.page.requests import Requests
+
+__all__ = ["RATES", "PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
 
 SPANS = (("5 min", 300.0), ("20 min", 1200.0), ("1 h", 3600.0), ("all", 0.0))
 """Labels and seconds; 0: everything that is kept."""
 DEFAULT_SPAN = 1
 RATES = (1.0, 10.0, 50.0, 200.0, 0.0)
 """Speeds on the page, recorded seconds per second; 0: as fast as possible."""
-
-
-class Actions(Protocol):
-    """The actions; each may be called from any thread and returns at once."""
-
-    @property
-    def control(self) -> bool:
-        """Whether the page may set the set-point, clear faults and stop."""
-
-    def pause(self, paused: bool) -> None:
-        """Pause the player of a session, or continue."""
-
-    def rate(self, rate: float) -> None:
-        """Set its speed in recorded seconds per second; 0: as fast as possible."""
-
-    def what_if(self, level: float, hold: float | None) -> None:
-        """Ask for a forecast with the set-point at a level, and back after a time (s; None: it stays)."""
-
-    def set_point(self, level: float) -> None:
-        """Send the controller a set-point."""
-
-    def clear_fault(self) -> None:
-        """Allow the output to be driven again after a fault."""
-
-    def stop(self) -> None:
-        """Hold the output at zero."""
 
 
 _AT_END = {"align-items": "flex-end", "flex-wrap": "wrap"}
@@ -64,9 +41,9 @@ class SpanButtons:
 class PlayerButtons:
     """Pause and speed of a session being played; hidden when there is none."""
 
-    def __init__(self, actions: Actions) -> None:
-        """Pass clicks on to `actions`."""
-        self._actions = actions
+    def __init__(self, requests: Requests) -> None:
+        """Pass clicks on to `requests`."""
+        self._requests = requests
         self._player: PlayerState | None = None
         self._pause = Button(label="Pause", width=100, button_type="primary", stylesheets=[BUTTONS])
         self._pause.on_click(self._on_pause)
@@ -88,19 +65,19 @@ class PlayerButtons:
 
     def _on_pause(self) -> None:
         if self._player is not None:
-            self._actions.pause(not self._player.paused)
+            self._requests.pause(not self._player.paused)
 
     def _on_rate(self, _name: str, _old: Any, new: int | None) -> None:
         if self._player is not None and new is not None and RATES[new] != self._player.rate:
-            self._actions.rate(RATES[new])
+            self._requests.rate(RATES[new])
 
 
 class QuestionForm:
     """The what-if question: a forecast for another set-point. Asking does not move the plant."""
 
-    def __init__(self, actions: Actions, label: str) -> None:
-        """Pass questions on to `actions`; `label` names the set-point."""
-        self._actions = actions
+    def __init__(self, requests: Requests, label: str) -> None:
+        """Pass questions on to `requests`; `label` names the set-point."""
+        self._requests = requests
         self._level = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
         self._hold = NumericInput(
             title="for / s (empty: it stays)", mode="float", low=0.001, width=150, stylesheets=[BUTTONS]
@@ -112,24 +89,24 @@ class QuestionForm:
     def _on_ask(self) -> None:
         if self._level.value is not None:
             hold = None if self._hold.value is None else float(self._hold.value)
-            self._actions.what_if(float(self._level.value), hold)
+            self._requests.what_if(float(self._level.value), hold)
 
 
 class RigButtons:
     """Set-point, clearing a fault and stop, for a page that may control."""
 
-    def __init__(self, actions: Actions, label: str) -> None:
-        """Pass clicks on to `actions`; `label` names the set-point."""
-        self._actions = actions
+    def __init__(self, requests: Requests, label: str) -> None:
+        """Pass clicks on to `requests`; `label` names the set-point."""
+        self._requests = requests
         self._input = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
         ask = Button(label="Set", width=70, button_type="primary", stylesheets=[BUTTONS])
         ask.on_click(self._on_ask)
         clear = Button(label="Clear fault", width=110, button_type="warning", stylesheets=[BUTTONS])
-        clear.on_click(actions.clear_fault)
+        clear.on_click(requests.clear_fault)
         stop = Button(label="Output off", width=110, button_type="danger", stylesheets=[BUTTONS])
-        stop.on_click(actions.stop)
+        stop.on_click(requests.stop)
         self.root = Row(self._input, ask, clear, stop, name="rig", spacing=8, styles=_AT_END)
 
     def _on_ask(self) -> None:
         if self._input.value is not None:
-            self._actions.set_point(float(self._input.value))
+            self._requests.set_point(float(self._input.value))

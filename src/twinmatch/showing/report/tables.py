@@ -29,23 +29,6 @@ from twinmatch.showing.verdicts import events, match_word, refusal
 from twinmatch.signals import FloatArray
 from twinmatch.twin import MatchReport
 
-__all__ = [
-    "Cell",
-    "ReportTable",
-    "coefficient_table",
-    "criterion_tables",
-    "event_table",
-    "family_table",
-    "forecast_tables",
-    "gap_table",
-    "identified_table",
-    "leader_forecast_table",
-    "match_table",
-    "nominal_table",
-    "order_table",
-    "structure_table",
-]
-
 Item = TypeVar("Item")
 
 
