@@ -42,7 +42,7 @@ MODULES = {
 class LiveRun:
     """live.py in a process of its own."""
 
-    def __init__(self, folder: Path, *options: str) -> None:
+    def __init__(self, folder: Path, *options: str, ends: bool = True) -> None:
         self.folder = folder
         self.session = folder / "run"
         self.output = folder / "live.txt"
@@ -50,7 +50,7 @@ class LiveRun:
         config.write_text(
             "controller:\n  ros__parameters:\n"
             "    profile.levels: [30.0, 45.0, 30.0]\n    profile.holds: [40.0, 90.0, 40.0]\n"
-            "    profile.repeat: false\n    exit_at_end: true\n"
+            f"    profile.repeat: {str(not ends).lower()}\n    exit_at_end: {str(ends).lower()}\n"
         )
         command = [sys.executable, LIVE, "--virtual", "--speed", "max", "--config", config]
         self.process = Process(*command, "--session", self.session, *options, output=self.output)
@@ -94,6 +94,12 @@ class LiveRun:
         os.kill(victim, signal.SIGKILL)
         return victim
 
+    def restarts(self, name: str) -> None:
+        """Kill a process and wait for the one that replaces it."""
+        victim = self.shoot(name)
+        self.process.said(f"{name} ended with code -9; restarting it")
+        self.wait_until(lambda: self.child(name) not in (None, victim), f"another {name}")
+
     def end(self) -> int:
         return self.process.end(signal.SIGINT)
 
@@ -102,8 +108,8 @@ class LiveRun:
 def live_run(tmp_path: Path) -> Iterator[Callable[..., LiveRun]]:
     runs: list[LiveRun] = []
 
-    def start(*options: str) -> LiveRun:
-        runs.append(LiveRun(tmp_path, *options))
+    def start(*options: str, ends: bool = True) -> LiveRun:
+        runs.append(LiveRun(tmp_path, *options, ends=ends))
         return runs[-1]
 
     yield start
@@ -200,21 +206,24 @@ def test_without_the_rigs_process_the_output_is_off_within_two_seconds_of_the_pl
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["twin", "recorder", "plant_clock"])
-def test_what_may_be_restarted_is_and_nothing_recorded_is_lost(
-    name: str, live_run: Callable[..., LiveRun]
+def test_processes_are_restarted_and_nothing_recorded_is_lost_and_a_second_graph_is_refused(
+    live_run: Callable[..., LiveRun],
 ) -> None:
-    run = live_run()
+    """All in one run, whose profile does not end."""
+    run = live_run(ends=False)
     run.wait_until_driving()
-    victim = run.shoot(name)
-    run.wait_until(lambda: f"{name} ended with code -9; restarting it" in run.text, "a word of the loss")
-    run.wait_until(lambda: run.child(name) not in (None, victim), "another process")
-    if name == "recorder":
-        run.wait_until((run.folder / "run_2").is_dir, "another folder")
+    second = subprocess.run(
+        [sys.executable, LIVE, "--virtual", "--no-record"], capture_output=True, text=True, check=False
+    )
+    assert second.returncode == 2
+    assert "/plant/sample already has a publisher" in second.stderr
+    assert run.state()["pwm"] != 0
+    for name in ("twin", "recorder", "plant_clock"):
+        run.restarts(name)
+    run.wait_until((run.folder / "run_2").is_dir, "another folder")
     assert run.end() == 0, run.text
-    if name == "recorder":
-        repair_session(run.session)
-        assert len(read_session(run.session).samples) > 3
+    repair_session(run.session)
+    assert len(read_session(run.session).samples) > 3
 
 
 @pytest.mark.slow
@@ -224,23 +233,6 @@ def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[...
     run.shoot("virtual_rig")
     assert run.process.wait() == 3, run.text
     assert "virtual_rig was lost" in run.text
-
-
-@pytest.mark.slow
-def test_a_second_graph_in_the_same_place_is_refused(live_run: Callable[..., LiveRun]) -> None:
-    run = live_run()
-    run.wait_until_driving()
-    command = [sys.executable, LIVE, "--virtual", "--no-record"]
-    second = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=360,
-    )
-    assert second.returncode == 2
-    assert "/plant/sample already has a publisher" in second.stderr
-    assert run.state()["pwm"] != 0
 
 
 @pytest.mark.parametrize(
