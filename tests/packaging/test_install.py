@@ -18,6 +18,8 @@ PROJECT = Path(__file__).resolve().parents[2]
 SCRIPTS = re.findall(
     r'^(\w+) = "(twinmatch\.\S+):main"', (PROJECT / "pyproject.toml").read_text(), re.MULTILINE
 )
+MAIN = re.compile(r"^(def main\(|main = program\()", re.MULTILINE)
+"""How a module of a program defines its main function."""
 
 
 def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:
@@ -71,12 +73,12 @@ def test_console_script_has_its_module(name: str, module: str) -> None:
     assert source.stem == ("cli" if name == "twinmatch" else name)
     if not source.exists():
         source = source.with_suffix("") / "__init__.py"
-    assert "def main(" in source.read_text()
+    assert MAIN.search(source.read_text())
 
 
 def test_every_node_has_a_console_script() -> None:
     nodes = PROJECT / "src" / "twinmatch" / "nodes"
-    modules = {path.stem for path in nodes.glob("*.py") if "def main() -> None" in path.read_text()}
+    modules = {path.stem for path in nodes.glob("*.py") if MAIN.search(path.read_text())}
     assert modules == dict(SCRIPTS).keys() - {"twinmatch"}
 
 
