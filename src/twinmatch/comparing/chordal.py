@@ -27,20 +27,6 @@ from numpy.typing import NDArray
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "add",
-    "exact_distance",
-    "frequency_grid",
-    "highest",
-    "minors",
-    "multiply",
-    "scale",
-    "squared_distance",
-    "value",
-    "with_derivatives",
-    "with_powers_of_j",
-]
-
 
 @compiled
 def _two_sum(a: float, b: float) -> tuple[float, float]:

@@ -25,15 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "MODEL_PROGRAM",
-    "TRIVIAL_PROGRAM",
-    "InformationGain",
-    "code_length",
-    "information_gain",
-    "two_part_length",
-]
-
 TRIVIAL_PROGRAM = 15
 """Length of the program that only prints the table (paper, section IV)."""
 
@@ -48,14 +39,12 @@ _EXACT = 2.0**52  # below this a scaled value still resolves halves
 
 @dataclass(frozen=True, slots=True)
 class InformationGain:
-    """Saving in length when a signal is written with a model; `float()` of it is the gain."""
+    """Saving in length when a signal is written with a model."""
 
     trivial_length: int
     """l(t): program and table of the measured values, characters."""
     model_length: int
     """l(p): program and table of what the model leaves unexplained, characters."""
-    decimals: int
-    """Decimals both tables were rounded to; gains at different decimals cannot be compared."""
 
     @property
     def gain(self) -> int:
@@ -66,9 +55,6 @@ class InformationGain:
     def explanation(self) -> float:
         """I / l(t), at most 1; negative when the model is worse than the bare table."""
         return self.gain / self.trivial_length
-
-    def __float__(self) -> float:
-        return float(self.gain)
 
 
 def code_length(values: ArrayLike, decimals: int) -> int:
@@ -136,7 +122,7 @@ def information_gain(
     start: FloatArray = observed[:copied]
     rest: FloatArray = _differences(observed[copied:], modelled[copied:], copied)
     model = code_length(start, decimals) + code_length(rest, decimals)
-    return InformationGain(TRIVIAL_PROGRAM + trivial, MODEL_PROGRAM + model, decimals)
+    return InformationGain(TRIVIAL_PROGRAM + trivial, MODEL_PROGRAM + model)
 
 
 def two_part_length(model_length: float, parameters: int, samples: int) -> float:

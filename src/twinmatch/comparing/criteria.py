@@ -29,25 +29,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.comparing.code_length import information_gain, two_part_length
+from twinmatch.comparing.code_length import InformationGain, information_gain, two_part_length
 from twinmatch.comparing.models import SimoModel, ahead, deviations, operating_level
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.fitting import BoxJenkins
 from twinmatch.signals import FloatArray, Window
-
-__all__ = [
-    "AkaikeWeights",
-    "Criteria",
-    "OrderScore",
-    "akaike_weights",
-    "bic",
-    "choose_order",
-    "common_order",
-    "mdl",
-    "naic",
-    "score",
-    "score_orders",
-]
 
 
 def naic(loss: float, n_parameters: int, n_samples: int) -> float:
@@ -103,6 +89,23 @@ class Criteria:
     mdl: float
     two_part_length: float = math.nan
     """l(p) including the parameters, characters (`two_part_length`); NaN where not computed."""
+
+    @classmethod
+    def of(
+        cls, gain: InformationGain, loss: float, *, parameters: int, coefficients: int, count: int
+    ) -> Criteria:
+        """From gain and loss on `count` samples; the two-part length charges for `coefficients` of the
+        model's `parameters`."""
+        return cls(
+            trivial_length=gain.trivial_length,
+            model_length=gain.model_length,
+            gain=gain.gain,
+            explanation=gain.explanation,
+            naic=naic(loss, parameters, count),
+            bic=bic(loss, parameters, count),
+            mdl=mdl(loss, parameters, count),
+            two_part_length=two_part_length(gain.model_length, coefficients, count),
+        )
 
     def __add__(self, other: Criteria) -> Criteria:
         """Combine two outputs: lengths and criteria add, as in the paper's table."""
@@ -180,17 +183,9 @@ def _criteria(model: BoxJenkins, r: FloatArray, output: FloatArray, offset: floa
     simulated = model.simulate(r, outputs=output[:copied])
     gain = information_gain(output + offset, simulated + offset, decimals=decimals, copied=copied)
     errors = model.prediction_errors(r, output)
-    loss = float(np.mean(errors**2))
-    n, count = model.n_parameters, len(output)
-    return Criteria(
-        trivial_length=gain.trivial_length,
-        model_length=gain.model_length,
-        gain=gain.gain,
-        explanation=gain.explanation,
-        naic=naic(loss, n, count),
-        bic=bic(loss, n, count),
-        mdl=mdl(loss, n, count),
-        two_part_length=two_part_length(gain.model_length, model.order.nb + model.order.nf, count),
+    loss, order = float(np.mean(errors**2)), model.order
+    return Criteria.of(
+        gain, loss, parameters=model.n_parameters, coefficients=order.nb + order.nf, count=len(output)
     )
 
 

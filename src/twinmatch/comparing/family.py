@@ -9,8 +9,6 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Candidate", "Family"]
-
 
 @dataclass(frozen=True, eq=False)
 class Candidate:

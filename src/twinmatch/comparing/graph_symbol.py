@@ -35,8 +35,6 @@ from twinmatch.signals import FloatArray
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["GraphSymbol", "graph_symbol", "spectral_roots"]
-
 
 @dataclass(frozen=True, eq=False)
 class GraphSymbol:

@@ -39,8 +39,6 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, PidGains, gains_of, linearised
 from twinmatch.signals import FloatArray
 
-__all__ = ["Scales", "loop_controller", "loop_plant", "stability_margin"]
-
 
 def stability_margin(plant: Any, controller: Any) -> float:
     """Stability margin b(P, C) of the loop u = −C y around y = P u, 0 (not stable) to 1.

@@ -19,16 +19,6 @@ from twinmatch.dynamics import Parameters, PidGains, Sensor, simulate_window
 from twinmatch.fitting import ORDERS, BoxJenkins, estimate_ladder
 from twinmatch.signals import FloatArray, Window
 
-__all__ = [
-    "OperatingLevel",
-    "SimoModel",
-    "ahead",
-    "deviations",
-    "identify",
-    "operating_level",
-    "twin_response",
-]
-
 LEAD = 20
 """Samples before the first step of a window whose mean is its steady input, as a schedule keeps them."""
 

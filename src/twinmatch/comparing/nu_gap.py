@@ -30,16 +30,6 @@ from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "GraphSymbol",
-    "graph_symbol",
-    "inner_product",
-    "nu_gap",
-    "nu_gap_matrix",
-    "nu_gap_of",
-    "turns",
-]
-
 ZERO = 1e-8
 """Below this |c| counts as zero: κ is 1 to the last bit."""
 

@@ -46,19 +46,6 @@ from twinmatch.dynamics import (
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "ANGLES",
-    "HOLD",
-    "LoopConditions",
-    "PlantGaps",
-    "linearised_in_loop",
-    "plant_gap",
-    "plant_gaps",
-    "response_slopes",
-    "spans_of",
-    "symbol_in_loop",
-]
-
 HOLD = 240
 """Samples for which a set-point is held."""
 

@@ -31,23 +31,6 @@ from numpy.typing import NDArray
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "Column",
-    "DiscriminationError",
-    "Polynomial",
-    "column_of",
-    "even_part",
-    "exact",
-    "is_hurwitz",
-    "multiply",
-    "roots_of_even_part",
-    "split",
-    "to_half_plane",
-    "trim",
-    "trim_top",
-    "without_unstable_common_factor",
-]
-
 
 class DiscriminationError(TwinmatchError):
     """A model or table that cannot be scored or compared; the message says which and why."""

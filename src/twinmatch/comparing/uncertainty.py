@@ -35,19 +35,6 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "CONFIDENCE",
-    "FamilyUncertainty",
-    "Uncertain",
-    "directions",
-    "disturbed_pair",
-    "estimates",
-    "failing_draws",
-    "family_uncertainty",
-    "fitting_scales",
-    "turn",
-]
-
 Complex = NDArray[np.complex128]
 
 HALVINGS = 7

@@ -25,20 +25,6 @@ from twinmatch.comparing.uncertainty import (
 from twinmatch.dynamics import Parameters, PidGains
 from twinmatch.errors import TwinmatchError
 
-__all__ = [
-    "ADMITTED",
-    "DECIDED_FROM",
-    "REFUSED",
-    "CandidateScore",
-    "Certainty",
-    "ForecastScore",
-    "TrustLevel",
-    "Verdict",
-    "judge_uncertainty",
-    "nominal_of",
-    "with_margins",
-]
-
 ADMITTED: Final = "admitted"
 """The match is now a candidate of the family."""
 REFUSED: Final = "refused"

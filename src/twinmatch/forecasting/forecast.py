@@ -10,8 +10,6 @@ import numpy as np
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
-__all__ = ["CONFIDENCE", "HORIZONS", "Band", "Forecast", "ForecastError", "horizons_for", "time_scale"]
-
 
 class ForecastError(TwinmatchError):
     """A forecast that cannot be made: no candidate yet, or an invalid set-point profile."""

@@ -27,8 +27,6 @@ from twinmatch.dynamics import (
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["Outlook", "StateFilter", "drift_of"]
-
 DRIFT: Final = 2e-4
 """Drift of a state from the equations per second, in units of its span: 0.03 K on the rig."""
 UNKNOWN: Final = 0.03

@@ -31,8 +31,6 @@ import numpy as np
 from twinmatch.forecasting.forecast import CONFIDENCE
 from twinmatch.signals import FloatArray
 
-__all__ = ["PERSISTENCE", "Calibration", "Ledger", "leads_of"]
-
 LEADS: Final = (1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0)
 """Leads at which quotients are learned, s; between them the width is interpolated over log time."""
 _PRIOR: Final = 12
@@ -183,8 +181,8 @@ class Ledger:
 
     def keep(self, names: Iterable[str]) -> None:
         """Keep only the accounts of these candidates."""
-        held = {*names, PERSISTENCE}
-        self._accounts = {name: account for name, account in self._accounts.items() if name in held}
+        kept_names = {*names, PERSISTENCE}
+        self._accounts = {name: account for name, account in self._accounts.items() if name in kept_names}
 
     def inherit(self, name: str, predecessor: str) -> None:
         """Give a candidate a copy of its predecessor's account, if there is one."""

@@ -16,8 +16,6 @@ from twinmatch.dynamics import Drive, Output
 from twinmatch.forecasting.forecast import ForecastError
 from twinmatch.signals import FloatArray
 
-__all__ = ["SetPoints"]
-
 _SLACK = 1e-9
 """Relative tolerance of a row's time: 3 × 0.1 s is not exactly 0.3 s."""
 

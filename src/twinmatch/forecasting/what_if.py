@@ -18,19 +18,6 @@ from twinmatch.forecasting.forecast import Forecast, ForecastError
 from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.set_points import SetPoints
 
-__all__ = [
-    "MOST_SAMPLES",
-    "NEAR",
-    "Moment",
-    "Peak",
-    "Question",
-    "WhatIfResult",
-    "largest_input",
-    "settling_time",
-    "time_to_reach",
-    "what_if",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Moment:

@@ -22,8 +22,6 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["BLOCK", "TRIAL", "Balance", "Movement"]
-
 BLOCK: Final = 10.0
 """Length of a block, s: corrections are learned from the means of blocks."""
 _WARMTH_TIME: Final = 150.0

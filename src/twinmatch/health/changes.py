@@ -23,8 +23,6 @@ from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import Sample
 
-__all__ = ["ChangeDetector", "DetectedChange", "Hypothesis", "Kind", "hypotheses"]
-
 
 class Kind(Enum):
     """What has changed."""
@@ -282,13 +280,13 @@ class ChangeDetector:
             longer = nothing - float(before[-oldest - 1]) - cost
             if longer > gain - _WORTH:
                 belief, dated = early, 0
-        held = self._tracked.blocks[-age]
+        onset = self._tracked.blocks[-age]
         change = DetectedChange(
             hypothesis=h,
             gain=gain,
             lead=gain - order[1][0],
-            first=held.first,
-            before=float(held.before[self._tracked.level].values[h.index]),
+            first=onset.first,
+            before=float(onset.before[self._tracked.level].values[h.index]),
             value=float(belief.values[h.index]),
             begun=dated > 0,
             rivals=tuple(f[1].kind for f in order[1:]),

@@ -10,19 +10,6 @@ from twinmatch.dynamics import Plant
 from twinmatch.health.traces import DriveEffect, Repeats
 from twinmatch.signals import Sample
 
-__all__ = [
-    "BLINDING",
-    "PRECEDENCE",
-    "SLOW",
-    "Alarm",
-    "Evidence",
-    "Fault",
-    "FaultSentences",
-    "Health",
-    "State",
-    "signed",
-]
-
 
 class State(Enum):
     """How the plant is at one sample."""
@@ -135,14 +122,14 @@ class FaultSentences:
         self.output = f"the {plant.output.text or plant.output.name}"
         self.unit = f" {plant.output.unit}".rstrip()
         self.input = plant.drive.unit or plant.drive.name
-        self.sensor = f"look at the {plant.output.sensor}"
-        self.surroundings = f"look at {plant.surroundings}"
+        self.sensor = f"the {plant.output.sensor}"
+        self.surroundings = plant.surroundings
 
     def impossible(self, sample: Sample) -> Evidence:
         """A sample with impossible values."""
         reason = (
             f"{self.output} is {sample.output:g}{self.unit} at {sample.input:g} {self.input} and "
-            f"set-point {sample.reference:g}{self.unit}, which is impossible: {self.sensor}"
+            f"set-point {sample.reference:g}{self.unit}, which is impossible: look at {self.sensor}"
         )
         return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
 
@@ -150,7 +137,7 @@ class FaultSentences:
         """A step that the plant cannot have made."""
         reason = (
             f"{self.output} jumped from {before.output:.4g} to {sample.output:.4g}{self.unit} in one sample, "
-            f"{abs(unexplained):.3g}{self.unit} more than the plant can explain: {self.sensor}"
+            f"{abs(unexplained):.3g}{self.unit} more than the plant can explain: look at {self.sensor}"
         )
         return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
 
@@ -159,13 +146,14 @@ class FaultSentences:
         reason = (
             f"{self.output} has been stuck at {sample.output:g}{self.unit} for "
             f"{repeats.count * self._period:g} s, while the plant should have moved "
-            f"{signed(repeats.expected)}{self.unit} and the reading should have shown noise: {self.sensor}"
+            f"{signed(repeats.expected)}{self.unit} and the reading should have shown noise: "
+            f"look at {self.sensor}"
         )
         return Evidence(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
 
     def late(self, index: int, effect: DriveEffect, lag: float, *, sure: bool) -> Evidence:
         """Readings that lag behind the plant."""
-        reason = f"{self.output} follows the drive with a delay of {lag:g} s: {self.sensor}"
+        reason = f"{self.output} follows the drive with a delay of {lag:g} s: look at {self.sensor}"
         return Evidence(Fault.SENSOR_LATE, sure, index - effect.length, reason)
 
     def lost(self, index: int, effect: DriveEffect, *, sure: bool) -> Evidence:

@@ -27,8 +27,6 @@ from twinmatch.health.balance import Movement
 from twinmatch.health.traces import DriveEffect
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["ErrorModel", "LaggedEffect", "SimulatedSpan", "TrackedSample", "advanced", "is_lagged"]
-
 _MEMORY: Final = (300.0, 600.0)
 """Number of stretches over which the variance at rest and that of the share are averaged."""
 _FIRST: Final = (10.0, 100.0)

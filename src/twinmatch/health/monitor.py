@@ -26,8 +26,6 @@ from twinmatch.health.slow_changes import SlowChanges
 from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
 from twinmatch.signals import Sample
 
-__all__ = ["Monitor"]
-
 _REACH: Final = 1.2
 """Factor by which the drive, or all else, may move the plant further in one sample than the twin says."""
 _CONFIRM: Final = 3

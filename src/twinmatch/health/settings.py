@@ -10,8 +10,6 @@ from twinmatch.dynamics import Parameters, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
 
-__all__ = ["HealthError", "HealthSettings"]
-
 
 class HealthError(TwinmatchError):
     """Settings that cannot separate healthy from faulty."""

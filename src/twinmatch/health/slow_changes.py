@@ -11,8 +11,6 @@ from twinmatch.health.faults import Evidence, Fault, FaultSentences, signed
 from twinmatch.health.settings import HealthSettings
 from twinmatch.signals import Sample
 
-__all__ = ["SlowChanges"]
-
 _NAMES: Final = {
     Kind.LOSSES: Fault.LOSSES_CHANGED,
     Kind.ROOM: Fault.ROOM_CHANGED,
@@ -163,7 +161,9 @@ class SlowChanges:
         if h.kind is Kind.SENSOR and not any(rival in (Kind.ROOM, Kind.LOSSES) for rival in change.rivals):
             named = False  # changed surroundings, if not modelled, look the same as an offset
         if named:
-            reason = f"{self._describe(change)}: look at {self._to_check(h.kind)}"
+            sentences = self._sentences
+            places = {Kind.DRIVE: "drive, wires and supply", Kind.SENSOR: sentences.sensor}
+            reason = f"{self._describe(change)}: look at {places.get(h.kind, sentences.surroundings)}"
             return Evidence(_NAMES[h.kind], enough and material, change.first, reason, slow=True)
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
@@ -181,15 +181,8 @@ class SlowChanges:
         listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
         return (
             f"the plant no longer behaves as before; {listed} may have changed, "
-            f"which these readings cannot distinguish: {self._sentences.surroundings}"
+            f"which these readings cannot distinguish: look at {self._sentences.surroundings}"
         )
-
-    def _to_check(self, kind: Kind) -> str:
-        if kind is Kind.DRIVE:
-            return "drive, wires and supply"
-        if kind is Kind.SENSOR:
-            return self._sentences.sensor.removeprefix("look at ")
-        return self._sentences.surroundings.removeprefix("look at ")
 
     def _describe(self, change: DetectedChange) -> str:
         """Say what has changed, and by how much."""

@@ -13,8 +13,6 @@ import numpy as np
 
 from twinmatch.health.balance import Movement
 
-__all__ = ["DriveEffect", "Effect", "Lag", "Repeats"]
-
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
 _LEAST_EFFECT: Final = 15.0

@@ -14,8 +14,6 @@ from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["LEVELS", "REACH", "Block", "TrackedBlocks", "joined"]
-
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Levels of assumed model error, in units of that of a real rig."""
 _BLIND: Final = 4
@@ -144,8 +142,8 @@ class TrackedBlocks:
         careful = len(LEVELS) - 1 - self.known // _CAREFUL
         for level, belief in enumerate(self._beliefs):
             watched = traces if level == self.level else None
-            held, cost = self.tracker.run(belief, stretch, max(level, careful), traces=watched)
-            after.append(held)
+            following, cost = self.tracker.run(belief, stretch, max(level, careful), traces=watched)
+            after.append(following)
             costs.append(cost)
         self._recover(after, costs)
         self.blocks.append(Block(first.index, stretch, self._beliefs, tuple(costs)))

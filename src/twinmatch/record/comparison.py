@@ -10,8 +10,6 @@ from typing import Any
 
 from twinmatch.record.trees import Tree
 
-__all__ = ["comparable", "differences"]
-
 RENAMED = {
     "residual_y": "driven_rms_y",
     "residual_u": "closed_rms_u",

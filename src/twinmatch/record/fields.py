@@ -13,8 +13,6 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["Form", "RecordError", "RecordField", "fields_of", "values_name"]
-
 
 class RecordError(TwinmatchError):
     """A record has missing or invalid content."""

@@ -16,18 +16,6 @@ from twinmatch.dynamics import Parameters
 from twinmatch.plants import records
 from twinmatch.record.fields import Form, RecordError, RecordField, fields_of, values_name
 
-__all__ = [
-    "Tree",
-    "document_of",
-    "fill",
-    "object_of",
-    "parameters_document",
-    "parameters_of",
-    "parameters_tree",
-    "tree_of",
-    "tree_of_message",
-]
-
 Tree = dict[str, Any]
 
 Recorded = TypeVar("Recorded")

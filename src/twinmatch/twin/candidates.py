@@ -38,8 +38,6 @@ from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import StructureFits, watched
 
-__all__ = ["UNSCORED", "CandidatePool", "FamilyScores"]
-
 
 class FamilyScores(NamedTuple):
     """The scores of all candidates; the fields are those of a verdict."""

@@ -31,8 +31,6 @@ from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import watched
 from twinmatch.twin.trust import BandCheck, BandHistory, trust_level
 
-__all__ = ["Discriminator", "Outcome", "Step", "Twin"]
-
 
 class Step(NamedTuple):
     """The results of one sample or match."""

@@ -28,8 +28,6 @@ from twinmatch.forecasting import (
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
-__all__ = ["ForecastSettings", "Forecaster", "Snapshot"]
-
 _RUN_IN: Final = (60.0, 300.0)
 """Newest stretch over which a new candidate tracks the plant before use, s: if its states are known, and if
 the hidden ones have to be estimated. Slow samples need longer, as their horizons do."""

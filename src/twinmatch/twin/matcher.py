@@ -15,8 +15,6 @@ from twinmatch.fitting.match import without_fit
 from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
 
-__all__ = ["MatchReport", "MatchRequest", "carry_out", "one_thread"]
-
 _blas = cache(ThreadpoolController)
 
 

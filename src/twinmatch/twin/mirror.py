@@ -30,8 +30,6 @@ from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
 from twinmatch.signals import FloatArray, Sample, Window
 
-__all__ = ["Mirror", "MirrorState", "Residuals", "nrmse", "residuals", "response_on", "window_fit"]
-
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s."""
 
@@ -155,9 +153,9 @@ class Mirror:
 
     def _transferred(self, states: FloatArray, new: Parameters, found: FloatArray) -> FloatArray:
         """States of another structure: those of the present one where it has them, the rest from `found`."""
-        held = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
+        kept = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
         here = zip(new.model.states, found.tolist(), strict=True)
-        return np.array([held.get(name, there) for name, there in here])
+        return np.array([kept.get(name, there) for name, there in here])
 
     def _estimated(self, new: Parameters) -> FloatArray:
         """The states at the next tick, estimated from the newest samples."""

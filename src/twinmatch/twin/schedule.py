@@ -37,8 +37,6 @@ from twinmatch.comparing.models import LEAD
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import Sample, Window
 
-__all__ = ["InputSchedule", "Schedule", "ScheduleError", "ScheduleSettings", "Trigger"]
-
 
 class ScheduleError(TwinmatchError):
     """Settings that do not make a schedule."""
@@ -173,8 +171,8 @@ class Schedule:
         return Trigger(index, window, True, self._point(window))
 
     def _window(self, first: int, last: int) -> Window:
-        held = [s for s in self._samples if first <= s.index <= last]
-        return Window.from_samples(held, self.period)
+        samples = [s for s in self._samples if first <= s.index <= last]
+        return Window.from_samples(samples, self.period)
 
 
 class InputSchedule(Schedule):

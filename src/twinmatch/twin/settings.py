@@ -23,8 +23,6 @@ from twinmatch.plants import Peltier
 from twinmatch.twin.forecaster import ForecastSettings
 from twinmatch.twin.schedule import ScheduleSettings
 
-__all__ = ["TrustLimits", "TwinError", "TwinSettings"]
-
 _REGIME: Final = 100.0
 """Width of a regime, in units of the output's noise."""
 
@@ -106,7 +104,7 @@ class TwinSettings:
         """
         model = plant.model(structure)
         noise = plant.output.noise
-        held = gains_for(plant, period, gains)
+        running = gains_for(plant, period, gains)
         return cls(
             plant=plant,
             period=period,
@@ -116,7 +114,7 @@ class TwinSettings:
             free=model.structure.free,
             start=model.parameters(),
             noise=Noise.of(plant),
-            gains=held,
+            gains=running,
             sensor=plant.sensor or Sensor(),
             decimals=plant.output.decimals + 1,
             regime_width=_REGIME * noise,

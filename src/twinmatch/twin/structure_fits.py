@@ -24,8 +24,6 @@ from twinmatch.forecasting import time_scale
 from twinmatch.signals import Window
 from twinmatch.twin.structures import StructureChoice, choose_structure
 
-__all__ = ["NewestSamples", "StructureFits", "watched"]
-
 CHOICE_S: Final = (900.0, 1200.0, 1200.0)
 """Time before the first choice, between two choices, and length of the newest stretch that is compared, s."""
 LONGEST_S: Final = 2400.0
@@ -126,8 +124,8 @@ class StructureFits:
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         """The structures that compete and can still be run, best fit first."""
-        able = (held for held in self._fits.values() if not held[1].model.lost)
-        return tuple(candidate for candidate, _ in sorted(able, key=lambda held: held[1].charge))
+        able = (fit for fit in self._fits.values() if not fit[1].model.lost)
+        return tuple(candidate for candidate, _ in sorted(able, key=lambda fit: fit[1].charge))
 
     def push(self, window: Window, *, excited: bool) -> None:
         """Take one window of the schedule, of a healthy plant; choose and fit if that is due.

@@ -23,14 +23,11 @@ from typing import Final
 import numpy as np
 
 from twinmatch.comparing import information_gain
-from twinmatch.comparing.code_length import two_part_length
-from twinmatch.comparing.criteria import Criteria, bic, mdl, naic
+from twinmatch.comparing.criteria import Criteria
 from twinmatch.dynamics import FROM_PLANT_FILE, LoopGains, Model, Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
-
-__all__ = ["StructureChoice", "StructureScore", "choose_structure", "prediction_errors", "score_structure"]
 
 NOISE_ORDER: Final = 12
 """Order of the noise model: longer than the loop's time constants, small compared with a window."""
@@ -151,13 +148,13 @@ def choose_structure(
     Raises:
         FittingError: no window, one too short, or no structure.
     """
-    held = [windows] if isinstance(windows, Window) else list(windows)
+    several = [windows] if isinstance(windows, Window) else list(windows)
     before = {s.name: s.fitted for s in previous.scores} if previous else {}
     scores = []
     for model in models:
         try:
             fitted = fit_structure(
-                held,
+                several,
                 model,
                 start=before.get(model.structure_name),
                 noise=noise,
@@ -168,7 +165,7 @@ def choose_structure(
         except TwinmatchError:
             if not model.is_external:
                 raise
-    samples = (min(w.first for w in held), max(w.last for w in held))
+    samples = (min(w.first for w in several), max(w.last for w in several))
     if (
         previous is not None
         and previous.samples[1] < samples[0]
@@ -197,20 +194,9 @@ def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
         gain = information_gain(
             np.concatenate(measured) + offset, np.concatenate(simulated) + offset, decimals=decimals
         )
-        n, count = fitted.n_parameters, errors.size
         losses.append(loss)
-        scores.append(
-            Criteria(
-                trivial_length=gain.trivial_length,
-                model_length=gain.model_length,
-                gain=gain.gain,
-                explanation=gain.explanation,
-                naic=naic(loss, n, count),
-                bic=bic(loss, n, count),
-                mdl=mdl(loss, n, count),
-                two_part_length=two_part_length(gain.model_length, n, count),
-            )
-        )
+        n = fitted.n_parameters
+        scores.append(Criteria.of(gain, loss, parameters=n, coefficients=n, count=errors.size))
     total = sum(scores[1:], scores[0])
     return StructureScore(fitted, tuple(scores), total, total, tuple(losses))
 

@@ -10,8 +10,6 @@ from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import Forecast
 from twinmatch.signals import FloatArray
 
-__all__ = ["BandCheck", "BandHistory", "LeaderConfidence", "check_band", "trust_level"]
-
 _NEIGHBOURS: Final = 10.0
 """Spans of output closer than this, in units of its noise, are merged: samples of a fast step are that far
 apart."""
