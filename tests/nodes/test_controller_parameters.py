@@ -11,8 +11,7 @@ import yaml
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
-from twinmatch.nodes.controller import ControllerNode
-from twinmatch.nodes.controller_parameters import controller_table, profile_from
+from twinmatch.nodes.controller import ControllerNode, controller_table, profile_from
 from twinmatch.nodes.recorder import RecorderNode
 from twinmatch.parameters.declared import check, render
 from twinmatch.parameters.twin import twin_table

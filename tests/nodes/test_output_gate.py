@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from twinmatch.nodes.output_gate import OutputGate, Times
+from twinmatch.nodes.output_gate import ClockTimes, OutputGate
 from twinmatch.safety import FaultKind
 
 SECOND = 1_000_000_000
@@ -17,15 +17,17 @@ class Clocks:
     """Three clocks that a test sets."""
 
     def __init__(self, stamps: float = 1000.0, plant: float = 1000.0, wall: float = 50.0) -> None:
-        self.times = Times(round(stamps * SECOND), round(plant * SECOND), round(wall * SECOND))
+        self.times = ClockTimes(round(stamps * SECOND), round(plant * SECOND), round(wall * SECOND))
 
-    def __call__(self) -> Times:
+    def __call__(self) -> ClockTimes:
         return self.times
 
     def step(self, stamps: float, plant: float | None = None, wall: float | None = None) -> None:
         """Let the clocks continue by so many seconds; all alike if only one number is given."""
         moves = (stamps, stamps if plant is None else plant, stamps if wall is None else wall)
-        self.times = Times(*(now + round(by * SECOND) for now, by in zip(self.times, moves, strict=True)))
+        self.times = ClockTimes(
+            *(now + round(by * SECOND) for now, by in zip(self.times, moves, strict=True))
+        )
 
     @property
     def stamp(self) -> int:

@@ -19,9 +19,9 @@ from twinmatch.emulation import arduino_model
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink, PwmVersionError
 from twinmatch.links.pwm_protocol import Flags
+from twinmatch.nodes.driver import DriverPace, PwmDriver
 from twinmatch.nodes.node import Health, Level
-from twinmatch.nodes.output_gate import OutputGate, Times
-from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
+from twinmatch.nodes.output_gate import ClockTimes, OutputGate
 from twinmatch.safety import FaultKind, GuardLimits
 
 PATIENT = LinkSettings(timeout=1.0)
@@ -40,7 +40,7 @@ class Bench:
         self.health = Health()
         self.gate = OutputGate(self._clocks, GuardLimits(command_timeout=3.0, temperature_timeout=10.0))
         self.link = PwmLink(board.port, link)
-        settings = DriverSettings(first_pause=0.02, longest_pause=0.1)
+        settings = DriverPace(first_pause=0.02, longest_pause=0.1)
         self.driver = PwmDriver(self.link, self.gate, self._tell, self.health, settings)
         self.pwm: float | None = None
         self.fail_to_tell = False
@@ -81,9 +81,9 @@ class Bench:
         assert self.driver.close(30.0)
         self.board.close()
 
-    def _clocks(self) -> Times:
+    def _clocks(self) -> ClockTimes:
         now = time.monotonic_ns()
-        return Times(now, now, now)
+        return ClockTimes(now, now, now)
 
     def _tell(self, applied: Applied | None, sample: int) -> None:
         if self.fail_to_tell:

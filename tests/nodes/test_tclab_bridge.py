@@ -26,7 +26,7 @@ from tests.support.processes import Process
 from tests.support.ros import Listener
 from tests.support.waiting import wait_for
 from twinmatch.control import Profile
-from twinmatch.nodes.controller_parameters import controller_table, profile_from
+from twinmatch.nodes.controller import controller_table, profile_from
 from twinmatch.nodes.tclab_bridge import TCLabBridge
 from twinmatch.parameters.declared import check, render
 from twinmatch.plants import TCLab

@@ -2,31 +2,135 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
+from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
-from twinmatch.control import Loop, Profile
+from twinmatch.control import ControlError, Loop, Profile
 from twinmatch.dynamics import Pid, Plant, PlantError
-from twinmatch.nodes.controller_parameters import changed_profile, controller_table, profile_from
-from twinmatch.nodes.node import Level, Report, TwinmatchNode, count_readers, missing_readers
-from twinmatch.nodes.runner import run
-from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_readers, missing_readers
+from twinmatch.nodes.runner import program
+from twinmatch.nodes.sample_messages import sample_message, time_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
-from twinmatch.nodes.wires import Wires, wires_of
-from twinmatch.parameters.declared import Parameter, ParameterError, Values
-from twinmatch.parameters.loop import pid_gains
-from twinmatch.plants import Peltier, find_plant
-from twinmatch_msgs.msg import LoopSample
+from twinmatch.parameters.declared import Parameter, ParameterError, Values, group
+from twinmatch.parameters.loop import loop_parameters, pid_gains
+from twinmatch.plants import Peltier, find_plant, written_name
+from twinmatch_msgs.msg import LoopSample, PlantCommand, PlantReading, PwmCommand
 
-__all__ = ["ControllerNode", "main"]
+_SOURCE = "Where the set-point comes from: the profile below, or the topic plant/reference."
+_LOWEST = "Lowest accepted set-point, also from the topic; it can only be raised while the node runs."
+_HIGHEST = "Highest accepted set-point; it can only be lowered while the node runs."
+_RAMP = "Rate at which the set-point changes; 0: in steps."
+_REPEATED = "Interval at which the command is repeated; the bridge treats silence as a fault."
+_LEVELS = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
+"""Levels of the default profile, as fractions of the range of sensible set-points."""
+
+
+def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
+    """Name, default, meaning, unit and range of the parameters of a plant's controller.
+
+    Raises:
+        PlantError: the plant file defines no controller.
+    """
+    if plant.loop is None:
+        raise PlantError(
+            f"plant {plant.name}: its file has no `loop`; only a plant with one can be controlled"
+        )
+    y, (low, high) = plant.output, plant.output.span
+    first, last = y.set_points or y.span
+    levels = [first + (last - first) * share for share in _LEVELS]
+    sources = ("profile", "topic")
+    changing = partial(Parameter, changeable=True)
+    return (
+        Parameter("plant", written_name(plant), "The plant: its name, or the file that defines it."),
+        *loop_parameters(plant),
+        Parameter("reference_source", sources[0], _SOURCE, choices=sources),
+        changing("profile.levels", levels, "Set-points, one after the other.", y.unit, low, high),
+        changing("profile.holds", [300.0] * 4, "How long each of them is held.", "s", 0.1, 1e6),
+        changing("profile.repeat", True, "Repeat the profile; otherwise the last level is held."),
+        changing("profile.ramp", 0.0, _RAMP, f"{y.unit}/s", 0.0, high - low),
+        changing("profile.lowest", max(low, y.safe[0]), _LOWEST, y.unit, low, high),
+        changing("profile.highest", min(high, y.safe[1]), _HIGHEST, y.unit, low, high),
+        Parameter("exit_at_end", False, "Exit at the end of a profile that is not repeated."),
+        Parameter("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
+        Parameter("command_period", 0.25, _REPEATED, "s", 0.01, 1.0),
+        Parameter("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
+        READERS,
+        Parameter("wait_timeout", 10.0, "Longest wait for them, by the wall clock.", "s", 0.1, 3600.0),
+    )
+
+
+def profile_from(values: Mapping[str, Any]) -> Profile | None:
+    """The profile from checked parameter values; None if the set-point comes from the topic.
+
+    Raises:
+        ControlError: the profile cannot be run, a range is empty, or `exit_at_end` would never take effect.
+    """
+    low, high = values["profile.lowest"], values["profile.highest"]
+    unit = find_plant(values["plant"]).output.unit
+    if not low < high:
+        msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} {unit}"
+        raise ControlError(msg)
+    if values["reference_source"] == "topic":
+        if values["exit_at_end"]:
+            raise ControlError("controller: exit_at_end needs a profile; a topic has no end")
+        return None
+    if values["exit_at_end"] and values["profile.repeat"]:
+        raise ControlError(
+            "controller: with profile.repeat, exit_at_end would never take effect; set one of them to false"
+        )
+    given = group(values, "profile.")
+    given |= {name: tuple(given[name]) for name in ("levels", "holds")}
+    return Profile(**given, unit=unit)
+
+
+def changed_profile(before: Mapping[str, Any], values: Mapping[str, Any]) -> Profile | None:
+    """The profile from values some of which were changed while the controller runs.
+
+    The range of set-points was chosen for this rig when the controller started, so it can only shrink.
+
+    Raises:
+        ControlError: as for `profile_from`, or the range would grow.
+    """
+    for name, outside in (("lowest", float.__lt__), ("highest", float.__gt__)):
+        was, wanted = before[f"profile.{name}"], values[f"profile.{name}"]
+        if outside(wanted, was):
+            msg = (
+                f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
+                f"is outside {was:g}; restart the controller with it"
+            )
+            raise ControlError(msg)
+    return profile_from(values)
+
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For readings, of which only the newest counts."""
+
+
+class PlantTopics(NamedTuple):
+    """The topics of a controller's readings and commands, and the fields of their messages."""
+
+    reading: str
+    reading_type: Any
+    output: str
+    command: str
+    command_type: Any
+    input: str
+
+
+GENERAL = PlantTopics("plant/reading", PlantReading, "output", "plant/command", PlantCommand, "input")
+"""The topics of any plant."""
+PELTIER = PlantTopics("plant/temperature", Temperature, "temperature", "plant/pwm_command", PwmCommand, "pwm")
+"""The Peltier rig has its own, older topics, which are named for its temperature and its PWM."""
 
 RESEND = 0.2
 """Interval at which the command is repeated in step, wall s."""
@@ -69,13 +173,16 @@ class ControllerNode(TwinmatchNode):
         """Set-point published or received last."""
         self._waiting_until: float | None = time.monotonic() + values["wait_timeout"]
         self._missed_at = (0, 0)  # count and index
-        self._wires: Wires | None = None
+        self._wiring = PELTIER if self._plant is Peltier else GENERAL
+        self._commands: Any = None
 
     def open(self) -> None:
         """Subscribe to readings and start to tick."""
         # Loading the compiled step takes a quarter of a second: too long for the first tick.
         Pid(self._gains).step(0.0, 0.0)
-        self._wires = wires_of(self._plant)(self, self._on_reading)
+        wiring = self._wiring
+        self.create_subscription(wiring.reading_type, wiring.reading, self._on_reading, NEWEST)
+        self._commands = self.create_publisher(wiring.command_type, wiring.command, 10)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         if self._profile is None:
             # A latched reader gets the set-point published before it started, but nothing from publishers
@@ -117,14 +224,16 @@ class ControllerNode(TwinmatchNode):
 
     def close(self) -> bool:
         """Put the drive at rest."""
-        if self._wires is not None:
+        if self._commands is not None:
             self._command(self._plant.drive.rest)
-            self._wires.publisher.wait_for_all_acked(Duration(seconds=0.2))
-            self._wires = None
+            self._commands.wait_for_all_acked(Duration(seconds=0.2))
+            self._commands = None
         return True
 
-    def _on_reading(self, stamped: Any, output: float, disturbances: tuple[float, ...]) -> None:
-        now, stamp = self._now(), Time.from_msg(stamped).nanoseconds
+    def _on_reading(self, message: Any) -> None:
+        now, stamp = self._now(), Time.from_msg(message.header.stamp).nanoseconds
+        output = getattr(message, self._wiring.output)
+        disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
         self._loop.measure(output, min(stamp, now) if stamp else now, disturbances)
 
@@ -177,10 +286,11 @@ class ControllerNode(TwinmatchNode):
         return reference
 
     def _command(self, value: float) -> None:
-        if self._wires is not None:
-            index = round(self._loop.time / self._gains.period)
-            now = self._now()
-            self._wires.command(value, index, Time(nanoseconds=now).to_msg())
+        if self._commands is not None:
+            index, now = round(self._loop.time / self._gains.period), self._now()
+            message = self._wiring.command_type(index=index, **{self._wiring.input: value})
+            message.header.stamp = time_message(now)
+            self._commands.publish(message)
             if self.step is not None:
                 self.step.sent(now)
 
@@ -218,9 +328,7 @@ class ControllerNode(TwinmatchNode):
         return int(self.get_clock().now().nanoseconds) if self.step is None else self.step.now
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([ControllerNode]))
+main = program(ControllerNode)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import ClassVar
 
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -11,10 +10,8 @@ from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.virtual_rig_clock import ClockClient, Stillness, parse_address
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.parameters.declared import Parameter
-
-__all__ = ["CLOCK", "PlantClock", "main"]
 
 CLOCK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """The QoS with which ROS 2 subscribes to /clock: only the newest message counts."""
@@ -70,9 +67,7 @@ class PlantClock(TwinmatchNode):
         self._publisher.publish(Clock(clock=Time(nanoseconds=stamp).to_msg()))
 
 
-def main() -> None:
-    """Console script."""
-    sys.exit(run([PlantClock]))
+main = program(PlantClock)
 
 
 if __name__ == "__main__":

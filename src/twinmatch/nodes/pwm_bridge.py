@@ -8,9 +8,10 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Temperature
 
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
+from twinmatch.nodes.driver import PwmDriver
+from twinmatch.nodes.gated import NAN, GatedNode, fault_text
 from twinmatch.nodes.node import Report
-from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_table
-from twinmatch.nodes.pwm_driver import DriverSettings, PwmDriver
+from twinmatch.nodes.output_gate import gate_table
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
@@ -20,10 +21,7 @@ from twinmatch.plants import Peltier
 from twinmatch.safety import GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand
 
-NAN = float("nan")
 _TIMEOUT = "Longest wait for an answer of the board, by the wall clock."
-SIMULATED_POLL = 0.004
-"""Longest sleep of the driver when the plant's clock may run many times faster than the wall clock, s."""
 
 
 class PwmBridge(GatedNode):
@@ -51,7 +49,6 @@ class PwmBridge(GatedNode):
         values = self.values
         self._link = PwmLink(values["port"], LinkSettings(values["timeout"], values["retries"]))
         self.make_gate()
-        self._pwm_driver: PwmDriver | None = None
 
     def open(self) -> None:
         """Subscribe, and start to search for the board."""
@@ -64,34 +61,8 @@ class PwmBridge(GatedNode):
             )
         )
         self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
-        settings = DriverSettings(repeat=self.values["repeat"])
-        if self.get_parameter("use_sim_time").value:
-            settings = DriverSettings(repeat=self.values["repeat"], poll=SIMULATED_POLL)
-        self._pwm_driver = PwmDriver(self._link, self.gate, self._tell, self.health, settings)
-        if self.step is not None:
-            self._pwm_driver.step, self._link.plant_time = self.step, self.step.breathe
         self.health.set("port", self.values["port"])
-        self.report_on()
-        self._pwm_driver.start()
-
-    @property
-    def failure(self) -> Exception | None:
-        """The error that ended the driver's thread, if any."""
-        return None if self._pwm_driver is None else self._pwm_driver.failure
-
-    @property
-    def board_there(self) -> bool:
-        """Whether the board answers."""
-        return self._pwm_driver is not None and self._pwm_driver.connected
-
-    def clear_board(self) -> None:
-        """Clear the fault latched by the board."""
-        if self._pwm_driver is not None:
-            self._pwm_driver.clear()
-
-    def close(self) -> bool:
-        """Set zero and release the board."""
-        return self._pwm_driver is None or self._pwm_driver.close()
+        self.drive(PwmDriver(self._link, self.gate, self._tell, self.health, self.pace))
 
     def report(self) -> Report:
         """The gate, and the number of board restarts."""

@@ -5,20 +5,13 @@ If one of them fails, all end, and the board's own deadline switches the output 
 
 from __future__ import annotations
 
-import sys
-
 from twinmatch.nodes.camera_bridge import CameraBridge
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.pwm_bridge import PwmBridge
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 
-__all__ = ["main"]
-
-
-def main() -> None:
-    """Console script."""
-    sys.exit(run([CameraBridge, PwmBridge, ControllerNode, Keeper]))
+main = program(CameraBridge, PwmBridge, ControllerNode, Keeper)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,9 @@ from typing import ClassVar
 from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitLink, KitReading
-from twinmatch.nodes.kit_driver import KitDriver, KitPace
-from twinmatch.nodes.output_gate import GatedNode, fault_text, gate_table
+from twinmatch.nodes.driver import KitDriver
+from twinmatch.nodes.gated import NAN, GatedNode, fault_text
+from twinmatch.nodes.output_gate import gate_table
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
@@ -18,9 +19,8 @@ from twinmatch.plants import TCLab
 from twinmatch.safety import GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 
-NAN = float("nan")
-SIMULATED_POLL = 0.004
-"""Longest sleep of the driver when the plant's clock may run many times faster than the wall clock, s."""
+_PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
+_DEADLINE = "Zero after this time without a command from this node, by the wall clock."
 
 
 class TCLabBridge(GatedNode):
@@ -43,19 +43,10 @@ class TCLabBridge(GatedNode):
         runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
     )
     PARAMETERS: ClassVar = (
-        Parameter(
-            "port", "", "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
-        ),
+        Parameter("port", "", _PORT),
         Parameter("second", 0.0, "Power of heater 2 while heater 1 is driven.", "%", 0.0, 100.0),
         Parameter("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
-        Parameter(
-            "deadline",
-            1.0,
-            "Zero after this time without a command from this node, by the wall clock.",
-            "s",
-            0.6,
-            60.0,
-        ),
+        Parameter("deadline", 1.0, _DEADLINE, "s", 0.6, 60.0),
         Parameter("frame_id", "kit", "Frame of plant/reading and plant/applied."),
         *gate_table(LIMITS),
     )
@@ -70,7 +61,6 @@ class TCLabBridge(GatedNode):
         values = self.values
         self._link = KitLink(values["port"], values["deadline"])
         self.make_gate()
-        self._kit_driver: KitDriver | None = None
 
     def open(self) -> None:
         """Subscribe, and connect to the kit."""
@@ -79,34 +69,9 @@ class TCLabBridge(GatedNode):
         )
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
-        simulated = bool(self.get_parameter("use_sim_time").value)
-        pace = KitPace(self.values["repeat"], SIMULATED_POLL if simulated else KitPace.poll)
-        self._kit_driver = KitDriver(
-            self._link, self.gate, self._tell, self.health, other=self.values["second"], pace=pace
-        )
-        if self.step is not None:
-            self._kit_driver.step, self._link.plant_time = self.step, self.step.breathe
-        self.report_on()
-        self._kit_driver.start()
-
-    @property
-    def failure(self) -> Exception | None:
-        """The error that ended the driver's thread, if any."""
-        return None if self._kit_driver is None else self._kit_driver.failure
-
-    @property
-    def board_there(self) -> bool:
-        """Whether the kit answers."""
-        return self._kit_driver is not None and self._kit_driver.connected
-
-    def clear_board(self) -> None:
-        """Allow the kit to be driven again after it fell silent."""
-        if self._kit_driver is not None:
-            self._kit_driver.clear()
-
-    def close(self) -> bool:
-        """Set zero and release the kit."""
-        return self._kit_driver is None or self._kit_driver.close()
+        driver = KitDriver(self._link, self.gate, self._tell, self.health, self.pace)
+        driver.other = self.values["second"]
+        self.drive(driver)
 
     def _on_command(self, message: PlantCommand) -> None:
         self.gate.command(message.input, message.index, nanoseconds(message.header.stamp))

@@ -5,19 +5,12 @@ If one of them fails, all end, and the process that holds the kit's port switche
 
 from __future__ import annotations
 
-import sys
-
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import program
 from twinmatch.nodes.tclab_bridge import TCLabBridge
 
-__all__ = ["main"]
-
-
-def main() -> None:
-    """Console script."""
-    sys.exit(run([TCLabBridge, ControllerNode, Keeper]))
+main = program(TCLabBridge, ControllerNode, Keeper)
 
 
 if __name__ == "__main__":
