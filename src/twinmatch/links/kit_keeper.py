@@ -27,14 +27,14 @@ import signal
 import sys
 import termios
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import serial
 import tclab
 from tclab import tclab as package
 
 from twinmatch.errors import EXIT_USER_ERROR
-from twinmatch.links.kit_link import KitAbsentError, KitError, require_port
+from twinmatch.links.kit_link import KitAbsentError, KitError, KitReading, require_port
 
 _BAUDS = (115200, 9600)
 """Firmware before 1.2.3 uses the lower rate."""
@@ -45,19 +45,6 @@ _POSSIBLE = (-60.0, 300.0)
 """Range of its 10-bit converter, °C."""
 _ROUNDED = 1.0
 """Rounding of the command, %: firmware before 1.4 takes whole percents."""
-
-
-class Reading(NamedTuple):
-    """A kit's answer to a command."""
-
-    first: float
-    """Temperature T1, °C."""
-    second: float
-    """Temperature T2, °C."""
-    power: float
-    """Set power of heater 1, %."""
-    other: float
-    """Set power of heater 2, %."""
 
 
 class Kit(tclab.TCLab):
@@ -87,7 +74,7 @@ class Kit(tclab.TCLab):
                 f"kit at {port}: the device reports {self.version[:40]!r}, which is not TCLab firmware"
             )
 
-    def drive(self, power: float, other: float) -> Reading:
+    def drive(self, power: float, other: float) -> KitReading:
         """Set both heaters, %, and read both sensors.
 
         Raises:
@@ -98,7 +85,7 @@ class Kit(tclab.TCLab):
             if not 0.0 <= value <= 100.0:  # true for NaN too
                 raise KitError(f"kit: the command is {value}; it must be within 0 to 100 %")
         set_to = [self._heater(name, value) for name, value in (("Q1", power), ("Q2", other))]
-        return Reading(self._temperature("T1"), self._temperature("T2"), *set_to)
+        return KitReading(self._temperature("T1"), self._temperature("T2"), *set_to)
 
     def off(self) -> None:
         """Switch both heaters off.

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from twinmatch.errors import TwinmatchError
 
@@ -38,8 +39,18 @@ _IN_STEP = 30.0, 12.0
 _SHORT = 0.005
 """Wait for an answer of a kit in step, s."""
 
-KitReading = tuple[float, float, float, float]
-"""T1 and T2, °C, and the set power of both heaters, %."""
+
+class KitReading(NamedTuple):
+    """A kit's answer to a command."""
+
+    first: float
+    """Temperature T1, °C."""
+    second: float
+    """Temperature T2, °C."""
+    power: float
+    """Set power of heater 1, %."""
+    other: float
+    """Set power of heater 2, %."""
 
 
 def require_package() -> None:
@@ -123,8 +134,7 @@ class KitLink:
             raise KitSilentError(rest)
         if kind != "read":
             raise KitError(rest)
-        first, second, set_to, other_set = map(float, rest.split())
-        return first, second, set_to, other_set
+        return KitReading(*map(float, rest.split()))
 
     def clear(self) -> None:
         """Allow the heaters to be driven again after the deadline has passed.
