@@ -54,7 +54,7 @@ def test_message(level: Level) -> None:
 def test_watch_of_gaps_and_silence() -> None:
     health = Health()
     watch = SampleWatch(health, period=1.0, patience=5, remember=2)
-    watch.look(1000.0)
+    watch.check(1000.0)
     assert health.report()[:2] == (Level.OK, "waiting for samples")
     watch.push(7, 0.0)
     watch.push(8, 1.0)
@@ -68,9 +68,9 @@ def test_watch_of_gaps_and_silence() -> None:
     watch.push(3, 5.0)
     assert "sample 3 came after sample 13" in health.report().message
     assert health.report().values["gaps"] == "2"
-    watch.look(10.0)
+    watch.check(10.0)
     assert "no sample" not in health.report().message
-    watch.look(10.1)
+    watch.check(10.1)
     assert "no sample for 5 s" in health.report().message
     # The dashboard leaves this out once a replay has ended, so it must know the words.
     roster = NodeReports(
@@ -79,7 +79,7 @@ def test_watch_of_gaps_and_silence() -> None:
     )
     assert "no sample" not in roster.message("matcher")
     watch.push(4, 10.2)
-    watch.look(10.2)
+    watch.check(10.2)
     assert "no sample" not in health.report().message
 
 

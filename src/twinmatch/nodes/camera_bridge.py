@@ -36,7 +36,7 @@ SMOOTHING = 0.2
 """Weight of the newest reading in the estimate of the clock's speed."""
 
 
-class RosPast:
+class WallToRos:
     """Estimates the speed of the ROS clock from its readings; real time has speed 1."""
 
     def __init__(self) -> None:
@@ -148,7 +148,7 @@ class CameraBridge(TwinmatchNode):
         self._image_gap = 1e9 / values["image_rate"] if values["image_rate"] else 0.0
         settings = ClientSettings(stall_timeout=values["stall_timeout"])
         self._camera = ThermalClient(values["host"], values["port"], settings)
-        self._past = RosPast()
+        self._past = WallToRos()
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
         self._failure: Exception | None = None

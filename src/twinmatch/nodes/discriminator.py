@@ -110,7 +110,7 @@ PATIENCE = 2.0
 """Time after which an unanswered match request is repeated, wall s."""
 BEHIND = 20
 """Samples for which a plant in step goes on while a match is awaited."""
-LOOK = 0.5
+CHECK = 0.5
 """Interval at which the pending request is checked, wall s."""
 SETTLED = "settled"
 """Key on /diagnostics: newest sample up to which everything is judged."""
@@ -154,7 +154,7 @@ class DiscriminatorNode(SampleNode):
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         if self.step is not None:
             self.step.wait_for(self._behind)
-        self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(CHECK, self._repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _behind(self) -> bool:
         """Whether a match has been awaited for so long that a plant in step should wait too."""
@@ -213,7 +213,7 @@ class DiscriminatorNode(SampleNode):
         last = request.first + len(request.reference) - 1
         self.health.set("waiting for a match of", f"{request.first} to {last}")
 
-    def _look(self) -> None:
+    def _repeat(self) -> None:
         """Repeat a request that was not answered."""
         pending = self._pending
         if pending is None or time.monotonic() - self._requested_at < PATIENCE:

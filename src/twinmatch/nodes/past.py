@@ -90,7 +90,7 @@ class Stream:
         """The samples to fetch now; live samples are held back until then."""
         self._give = give
         self._end = 0  # index of the newest sample passed on, plus one
-        self._held: deque[Sample] = deque()
+        self._live: deque[Sample] = deque()
 
     @property
     def begun(self) -> bool:
@@ -100,10 +100,10 @@ class Stream:
     def push(self, sample: Sample) -> None:
         """Take a live sample."""
         if self.missing is not None:
-            self._held.append(sample)
+            self._live.append(sample)
         elif sample.index > self._end:
             self.missing = Missing(self._end, sample.index - 1)
-            self._held.append(sample)
+            self._live.append(sample)
         else:
             self._pass_on(sample)
 
@@ -126,10 +126,10 @@ class Stream:
     def skip(self) -> None:
         """Skip what is still missing, and pass on what was held back."""
         self.missing = None
-        held, self._held = self._held, deque()
-        if held:
-            self._pass_on(held.popleft())  # possibly with a gap before it
-        for sample in held:
+        live, self._live = self._live, deque()
+        if live:
+            self._pass_on(live.popleft())  # possibly with a gap before it
+        for sample in live:
             self.push(sample)
 
     def _pass_on(self, sample: Sample) -> None:
@@ -137,7 +137,7 @@ class Stream:
         self._give(sample)
 
 
-LOOK = 0.05
+INTERVAL = 0.05
 """Interval between two checks for missing samples, wall s."""
 PATIENCE = 6.0
 """Time without progress after which a node gives up on what is missing, wall s."""
@@ -175,9 +175,9 @@ class CatchingUp:
         self._fresh = True
         self._opened, self._connected = time.monotonic(), False
         self._matches = 0
-        node.create_timer(LOOK, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(INTERVAL, self.request, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def look(self) -> None:
+    def request(self) -> None:
         """Request what is missing, unless a request is pending; give up after `PATIENCE`."""
         missing, now = self._stream.missing, time.monotonic()
         if missing is None:
@@ -193,8 +193,8 @@ class CatchingUp:
                 self._since = now  # the worker is busy with what was fetched
                 return
             count = 0 if self._fresh else missing.last + 1 - missing.first
-            request = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
-            self._requests.send(request, now)
+            wanted = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
+            self._requests.send(wanted, now)
 
     def _settled(self, now: float) -> bool:
         """Whether the readers of this node are connected; results for fetched samples follow at once."""
@@ -223,7 +223,7 @@ class CatchingUp:
         if progress:
             self._since = None
             self._node.health.withdraw("past")
-            self.look()
+            self.request()
 
 
 def all_connected(node: Node) -> bool:

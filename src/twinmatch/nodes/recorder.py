@@ -97,9 +97,9 @@ class NodeSettings:
         self._clients: dict[str, list[Any]] = {}
         self._asked: dict[str, float] = {}  # when, s; without those that have answered
         self._known: set[str] = set()
-        self._answered: set[str] = set()  # since the last look
+        self._answered: set[str] = set()  # since the last call
 
-    def look(self) -> None:
+    def ask(self) -> None:
         """Ask new nodes; call it periodically."""
         found = {
             f"{namespace.rstrip('/')}/{name}"
@@ -161,7 +161,7 @@ def _read(path: str) -> str:
         return ""  # unknown: then the session records no candidates
 
 
-LOOK = 0.2
+SEARCH = 0.2
 """Interval between two searches for new topics, s."""
 FLUSH = 0.4
 """Interval at which everything is flushed to disk, s."""
@@ -219,7 +219,7 @@ class RecorderNode(TwinmatchNode):
         self._settings = NodeSettings(self, self._on_record)
         self._past = RecorderPast(self, self._keep, self._readers.__contains__)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(LOOK, self._on_look, clock=steady)
+        self.create_timer(SEARCH, self._on_search, clock=steady)
         self.create_timer(FLUSH, partial(self.worker.put, self._recording.flush), clock=steady)
         self.get_logger().info(f"recording into {self._recording.folder}")
         self.health.say("recording")
@@ -269,14 +269,14 @@ class RecorderNode(TwinmatchNode):
         self._recording.close()
         self._left.set()
 
-    def _on_look(self) -> None:
+    def _on_search(self) -> None:
         if self.get_clock().now().nanoseconds == 0:
             return  # the clock of this run has not started
         namespace = self.get_namespace()
         for name, kinds in self.get_topic_names_and_types():
             if wanted(name, namespace, self.values["also"], self.values["leave_out"]):
                 self._subscribe(name, kinds)
-        self._settings.look()
+        self._settings.ask()
 
     def _subscribe(self, name: str, kinds: list[str]) -> None:
         publishers = self.count_publishers(name)

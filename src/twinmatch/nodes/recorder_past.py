@@ -116,7 +116,7 @@ class InOrder:
                     self._write(name, messages.popleft())
 
 
-LOOK = 0.1
+INTERVAL = 0.1
 """Interval at which the next request is considered, wall s."""
 PATIENCE = 10.0
 """Time without progress after which the session starts where the recorder started, wall s."""
@@ -143,7 +143,9 @@ class RecorderPast:
         self._order = InOrder(lambda name, it: write(name, it.data, it.stamp), self._sample, self._kinds)
         self._copies = Copies()
         self._since = 0.0
-        self._timer = node.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(
+            INTERVAL, self._request, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def take(self, name: str, data: bytes, now: int) -> bool:
         """Whether a message may be written at once; otherwise it is held back and written later."""
@@ -171,7 +173,7 @@ class RecorderPast:
             if not self._is_copy(name, data):
                 self._write(name, data, now)
 
-    def _look(self) -> None:
+    def _request(self) -> None:
         if self._waiting is None or self._until is None:
             return
         now = time.monotonic()
@@ -205,7 +207,7 @@ class RecorderPast:
         if all_said and (self._next >= self._until or at_the_end):
             self.finish()
         elif progress:
-            self._look()
+            self._request()
 
     def _is_copy(self, name: str, data: bytes) -> bool:
         """Whether a message was fetched too."""

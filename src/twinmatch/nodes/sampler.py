@@ -147,9 +147,9 @@ def types_of(place: str, text: str) -> dict[str, str]:
 
 SEARCH: Final = 0.2
 """Interval between two searches for topics, s."""
-LOOKS: Final = 20
+CHECKS: Final = 20
 """Checks for complete samples per sampling period."""
-LOOK: Final = (0.002, 0.05)
+INTERVAL: Final = (0.002, 0.05)
 """Shortest and longest interval between two checks, s."""
 REMEMBER: Final = 60
 """Ticks for which a missed one is reported."""
@@ -210,7 +210,7 @@ class SamplerNode(TwinmatchNode):
         self._waiting = True
         period = self.values["period"]
         self.create_timer(SEARCH, self._on_search, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(min(max(period / LOOKS, LOOK[0]), LOOK[1]), self._on_look)
+        self.create_timer(min(max(period / CHECKS, INTERVAL[0]), INTERVAL[1]), self._on_check)
         if self.values["paced_by"] == TIMER:
             self.create_timer(period, lambda: self._sampler.tick(self._now()))
         self.health.say("waiting for topics")
@@ -245,7 +245,7 @@ class SamplerNode(TwinmatchNode):
 
     def _on_search(self) -> None:
         try:
-            self._topics.look()
+            self._topics.search()
             for name, source in self._sources.items():
                 kinds = [self._topics.kinds.get(channel.topic, "") for channel in source.channels]
                 if name not in self._ready and all(kinds):
@@ -284,9 +284,9 @@ class SamplerNode(TwinmatchNode):
                     value = source.value([number for number, _ in fresh.values()])
                     self._sampler.take(name, value, min(when for _, when in fresh.values()), now)
                     fresh.clear()
-        self._on_look()
+        self._on_check()
 
-    def _on_look(self) -> None:
+    def _on_check(self) -> None:
         for sample in self._sampler.collect(self._now()):
             if self._readers_there():
                 if self._first is None:

@@ -55,7 +55,7 @@ class SampleWatch:
         self.last, self._arrived = index, now
         self._health.set("sample", index)
 
-    def look(self, now: float) -> None:
+    def check(self, now: float) -> None:
         """Report silence if no sample has arrived for too long; withdraw it once they arrive again."""
         silent = now - self._arrived
         down = self.last is not None and silent > self._silence
@@ -146,7 +146,7 @@ class SampleNode(TwinNode):
 
     def report(self) -> Report:
         """Queue, gaps, silence."""
-        self._watch.look(time.monotonic())
+        self._watch.check(time.monotonic())
         return super().report()
 
     def _depth(self) -> int:
@@ -162,7 +162,7 @@ class SampleNode(TwinNode):
         self.health.withdraw("sample")
         self._stream.push(sample)
         if self._stream.missing is not None:
-            self._catching_up.look()
+            self._catching_up.request()
 
     def _on_next(self, sample: Sample) -> None:
         self._watch.push(sample.index, time.monotonic())

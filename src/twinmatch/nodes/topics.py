@@ -160,7 +160,7 @@ class ForeignTopics:
         """The number of publishers of a topic now."""
         return int(self._node.count_publishers(self._names[topic]))
 
-    def look(self) -> None:
+    def search(self) -> None:
         """Find topics, and resubscribe where publishers changed; to be called a few times a second.
 
         Raises:
