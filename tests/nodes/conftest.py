@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
-from tests.support.processes import Process, Processes
+from tests.support.processes import Process, Processes, Start
 from tests.support.ros import Listener, listening
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.sessions import write_session
@@ -33,7 +33,7 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
 
 
 @pytest.fixture
-def start(processes: Processes) -> Callable[..., Process]:
+def start(processes: Processes) -> Start:
     """Start a node: `start("matcher", "-p", "seed:=3")`."""
 
     def start_node(name: str, *ros_arguments: str) -> Process:
@@ -44,7 +44,7 @@ def start(processes: Processes) -> Callable[..., Process]:
 
 
 @pytest.fixture
-def start_script(tmp_path: Path) -> Iterator[Callable[[str], Process]]:
+def start_script(tmp_path: Path) -> Iterator[Start]:
     """Start a Python program given as text."""
     made = Processes(tmp_path / "scripts")
     yield lambda text: made.start(sys.executable, "-c", text)

@@ -22,18 +22,20 @@ from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
 
 from tests.support.camera import CameraProgram
-from tests.support.processes import Process, Processes
+from tests.support.processes import Processes, Start
 from twinmatch.emulation.lepton import EmulatedLepton, LeptonSettings
 from twinmatch.links.thermal_frame import encode_frame
 from twinmatch.nodes.network import sockets_elsewhere
 
 pytestmark = pytest.mark.ros
 
+Camera = Callable[..., CameraProgram]
+
 FAST = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @pytest.fixture
-def camera(processes: Processes) -> Callable[..., CameraProgram]:
+def camera(processes: Processes) -> Camera:
     """Start an emulated camera that serves, on a free port or a given one: `camera("--plate", "60")`."""
 
     def start_camera(*arguments: str, port: int = 0) -> CameraProgram:
@@ -95,9 +97,7 @@ def stamp_of(message: Any) -> float:
     return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
 
 
-def test_an_emulated_lepton_is_seen(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
-) -> None:
+def test_an_emulated_lepton_is_seen(start: Start, camera: Camera, ears: Ears) -> None:
     bridge = start("camera_bridge", "-p", f"port:={camera('--plate', '60').port}", "-p", "image_rate:=0.0")
     ears.until(lambda: len(ears.temperatures) > 20 and ears.level == b"\x00", "temperatures and health")
     newest = ears.temperatures[-1]
@@ -128,7 +128,7 @@ def test_an_emulated_lepton_is_seen(
 
 
 def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
+    start: Start, camera: Camera, ears: Ears
 ) -> None:
     """A correction every 4 s takes 0.9 s: eight frames that repeat the one before."""
     port = camera("--plate", "60", "--flat-field-period", "4").port
@@ -146,9 +146,7 @@ def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
     assert int(ears.values["repeated or frozen frames"]) >= 8
 
 
-def test_a_camera_that_goes_and_comes_back(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
-) -> None:
+def test_a_camera_that_goes_and_comes_back(start: Start, camera: Camera, ears: Ears) -> None:
     first = camera("--plate", "40")
     start("camera_bridge", "-p", f"port:={first.port}", "-p", "stale_after:=1.0")
     ears.go_on()
@@ -166,7 +164,7 @@ def test_a_camera_that_goes_and_comes_back(
 
 
 def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
+    start: Start, camera: Camera, ears: Ears
 ) -> None:
     program = camera("--plate", "40")
     start("camera_bridge", "-p", f"port:={program.port}", "-p", "stall_timeout:=0.5")
@@ -178,9 +176,7 @@ def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
     ears.until(lambda: ears.level == b"\x00", "health")
 
 
-def test_no_camera_at_the_start_is_waited_for(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
-) -> None:
+def test_no_camera_at_the_start_is_waited_for(start: Start, camera: Camera, ears: Ears) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -191,7 +187,7 @@ def test_no_camera_at_the_start_is_waited_for(
 
 
 def test_an_image_too_small_for_the_region_is_shown_but_not_measured(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
+    start: Start, camera: Camera, ears: Ears
 ) -> None:
     start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "roi.x:=75")
     ears.until(lambda: "leave the image of 60 by 80" in ears.warning, "the warning")
@@ -234,7 +230,7 @@ class Liar:
                     client.sendall(b"\xff" * 500 if self.lies else data)
 
 
-def test_bad_frames_are_counted_and_good_ones_taken_again(start: Callable[..., Process], ears: Ears) -> None:
+def test_bad_frames_are_counted_and_good_ones_taken_again(start: Start, ears: Ears) -> None:
     liar = Liar()
     try:
         start("camera_bridge", "-p", f"port:={liar.port}")
@@ -248,9 +244,7 @@ def test_bad_frames_are_counted_and_good_ones_taken_again(start: Callable[..., P
         liar.close()
 
 
-def test_rates_can_be_limited(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears
-) -> None:
+def test_rates_can_be_limited(start: Start, camera: Camera, ears: Ears) -> None:
     port = camera("--plate", "40").port
     start("camera_bridge", "-p", f"port:={port}", "-p", "temperature_rate:=2.0", "-p", "image_rate:=1.0")
     ears.until(lambda: len(ears.temperatures) >= 6 and len(ears.raw) >= 2, "some of each")
@@ -259,9 +253,7 @@ def test_rates_can_be_limited(
     assert len(ears.raw) < len(ears.temperatures)
 
 
-def test_stamps_are_of_the_simulated_clock(
-    start: Callable[..., Process], camera: Callable[..., CameraProgram], ears: Ears, listener: Any
-) -> None:
+def test_stamps_are_of_the_simulated_clock(start: Start, camera: Camera, ears: Ears, listener: Any) -> None:
     clock = listener.node.create_publisher(Clock, "/clock", 10)
     start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "use_sim_time:=true")
     now = Clock()
@@ -283,7 +275,7 @@ def test_stamps_are_of_the_simulated_clock(
         (["-p", "hots:=pi"], "there is no parameter hots; did you mean host?"),
     ],
 )
-def test_wrong_parameters_end_it(start: Callable[..., Process], arguments: list[str], line: str) -> None:
+def test_wrong_parameters_end_it(start: Start, arguments: list[str], line: str) -> None:
     bridge = start("camera_bridge", *arguments)
     assert bridge.wait() == 2
     assert line in bridge.text

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from std_srvs.srv import SetBool
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.nodes.messages import match_from, verdict_from
 from twinmatch.nodes.topics import EVERYTHING
@@ -43,9 +43,7 @@ AROUND = 20
 class Run:
     """Player, twin and recorder, and what is received of them."""
 
-    def __init__(
-        self, start: Callable[..., Process], listener: Listener, session: Path, folder: Path, rate: float
-    ) -> None:
+    def __init__(self, start: Start, listener: Listener, session: Path, folder: Path, rate: float) -> None:
         self.listener, self._start = listener, start
         self.scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
         self.matches = listener.hear(Match, "twin/match", EVERYTHING)
@@ -151,9 +149,7 @@ class Run:
 
 
 @pytest.fixture
-def begin(
-    start: Callable[..., Process], listener: Listener, session: Path, tmp_path: Path
-) -> Callable[[float], Run]:
+def begin(start: Start, listener: Listener, session: Path, tmp_path: Path) -> Callable[[float], Run]:
     return lambda rate: Run(start, listener, session, tmp_path, rate)
 
 

@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
 from twinmatch.dynamics import Pid
@@ -74,7 +74,7 @@ def bench(listener: Listener) -> Bench:
     return Bench(listener)
 
 
-def test_samples_are_steps_of_the_pid(start: Callable[..., Process], bench: Bench) -> None:
+def test_samples_are_steps_of_the_pid(start: Start, bench: Bench) -> None:
     references = bench.listener.hear(Float64, "plant/reference", LATCHED)
     start("controller", *FAST, "-p", "profile.levels:=[40.0, 60.0]", "-p", "profile.holds:=[1.0, 1.0]")
     bench.feed(lambda: len(bench.samples) >= 50, "samples")
@@ -98,7 +98,7 @@ def test_samples_are_steps_of_the_pid(start: Callable[..., Process], bench: Benc
     assert len(bench.commands) > len(samples), "commands are repeated between ticks"
 
 
-def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Process], bench: Bench) -> None:
+def test_the_pid_is_exactly_the_one_of_the_plant(start: Start, bench: Bench) -> None:
     """From the second sample on a `Pid` that followed the first two computes the same."""
     start("controller", "-p", "period:=1.0", "-p", "profile.levels:=[26.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 4, "samples")
@@ -110,9 +110,7 @@ def test_the_pid_is_exactly_the_one_of_the_plant(start: Callable[..., Process], 
         assert sample.input == pytest.approx(pid.step(sample.reference, sample.output), abs=1e-9)
 
 
-def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
-    start: Callable[..., Process], bench: Bench
-) -> None:
+def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "profile.levels:=[30.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 20, "samples")
     bench.listener.spin_until(
@@ -133,7 +131,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(
     assert again.input == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Process], bench: Bench) -> None:
+def test_an_old_stamp_is_an_old_temperature(start: Start, bench: Bench) -> None:
     bench.stamp = 1000
     start("controller", *FAST)
     bench.feed(lambda: bench.said("s old; is the camera working?"), "the warning")
@@ -141,7 +139,7 @@ def test_an_old_stamp_is_an_old_temperature(start: Callable[..., Process], bench
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_last_word_is_zero(start: Callable[..., Process], bench: Bench, number: signal.Signals) -> None:
+def test_the_last_word_is_zero(start: Start, bench: Bench, number: signal.Signals) -> None:
     process = start("controller", *FAST)
     bench.feed(lambda: any(m.pwm for m in bench.commands), "a command")
     assert process.end(number) == 0
@@ -151,7 +149,7 @@ def test_the_last_word_is_zero(start: Callable[..., Process], bench: Bench, numb
     assert len(bench.commands) == heard
 
 
-def test_a_defect_commands_zero_first(start_script: Callable[[str], Process], bench: Bench) -> None:
+def test_a_defect_commands_zero_first(start_script: Start, bench: Bench) -> None:
     process = start_script("""
 import sys
 from twinmatch.nodes import controller
@@ -172,7 +170,7 @@ sys.exit(run([Defect]))
     assert "fell over" in process.text
 
 
-def test_it_ends_with_the_profile(start: Callable[..., Process], bench: Bench) -> None:
+def test_it_ends_with_the_profile(start: Start, bench: Bench) -> None:
     process = start(
         "controller",
         *FAST,
@@ -185,7 +183,7 @@ def test_it_ends_with_the_profile(start: Callable[..., Process], bench: Bench) -
     assert 37 <= bench.samples[-1].index <= 39
 
 
-def test_the_set_point_may_come_from_a_topic(start: Callable[..., Process], bench: Bench) -> None:
+def test_the_set_point_may_come_from_a_topic(start: Start, bench: Bench) -> None:
     latched = bench.listener.node.create_publisher(Float64, "plant/reference", LATCHED)
     latched.publish(Float64(data=33.0))
     start("controller", *FAST, "-p", "reference_source:=topic")
@@ -202,7 +200,7 @@ def test_the_set_point_may_come_from_a_topic(start: Callable[..., Process], benc
     assert list(bench.samples[-1].reference) == [44.0]
 
 
-def test_the_profile_can_be_changed_while_it_runs(start: Callable[..., Process], bench: Bench) -> None:
+def test_the_profile_can_be_changed_while_it_runs(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "profile.levels:=[30.0, 31.0]", "-p", "profile.holds:=[1000.0, 1000.0]")
     client = bench.listener.node.create_client(SetParameters, "controller/set_parameters")
     bench.feed(lambda: bench.samples and client.service_is_ready(), "samples")
@@ -239,9 +237,7 @@ def test_the_profile_can_be_changed_while_it_runs(start: Callable[..., Process],
     assert asked() == 51.0
 
 
-def test_a_narrower_range_holds_for_the_set_point_that_stands(
-    start: Callable[..., Process], bench: Bench
-) -> None:
+def test_a_narrower_range_holds_for_the_set_point_that_stands(start: Start, bench: Bench) -> None:
     latched = bench.listener.node.create_publisher(Float64, "plant/reference", LATCHED)
     latched.publish(Float64(data=70.0))
     start("controller", *FAST, "-p", "reference_source:=topic")
@@ -252,7 +248,7 @@ def test_a_narrower_range_holds_for_the_set_point_that_stands(
     bench.feed(lambda: list(bench.samples[-1].reference) == [60.0], "the highest set-point")
 
 
-def test_it_waits_for_its_readers(start: Callable[..., Process], bench: Bench) -> None:
+def test_it_waits_for_its_readers(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=2", "-p", "wait_timeout:=30.0")
     bench.feed(lambda: bench.said("waiting"), "the report")
     assert not bench.samples
@@ -262,13 +258,13 @@ def test_it_waits_for_its_readers(start: Callable[..., Process], bench: Bench) -
     assert bench.samples[0].index == 0
 
 
-def test_readers_that_do_not_come_are_said(start: Callable[..., Process], bench: Bench) -> None:
+def test_readers_that_do_not_come_are_said(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=5", "-p", "wait_timeout:=0.5")
     bench.feed(lambda: bench.said("of 5 subscribers; started without them"), "the warning")
     assert bench.samples
 
 
-def test_ticks_follow_the_clock(start: Callable[..., Process], bench: Bench) -> None:
+def test_ticks_follow_the_clock(start: Start, bench: Bench) -> None:
     """Twenty times as fast, and not at all when it stands."""
     clock = bench.listener.node.create_publisher(Clock, "/clock", 10)
     start(
@@ -316,9 +312,7 @@ def test_ticks_follow_the_clock(start: Callable[..., Process], bench: Bench) -> 
         (["-p", "pid.hihg:=3.0"], "did you mean pid.high?"),
     ],
 )
-def test_wrong_parameters_are_one_line(
-    start: Callable[..., Process], arguments: list[str], line: str
-) -> None:
+def test_wrong_parameters_are_one_line(start: Start, arguments: list[str], line: str) -> None:
     process = start("controller", *arguments)
     assert process.wait() == 2
     assert re.search(re.escape(line), process.text)

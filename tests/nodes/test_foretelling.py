@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.forecasting import Question, what_if
 from twinmatch.nodes.messages import (
@@ -85,7 +84,7 @@ def ask(listener: Listener) -> Asker:
 
 
 def test_every_sample_has_the_offline_forecast(
-    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """And every leader the offline one; the answers at the end are the core's to the last bit."""
     assert len(offline.forecasts) > len(steps) / 2
@@ -121,7 +120,7 @@ def test_every_sample_has_the_offline_forecast(
 
 
 def test_questions_are_answered_while_a_match_is_awaited(
-    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """Matching stops after the first match: verdicts wait, answers do not."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
@@ -155,7 +154,7 @@ def test_questions_are_answered_while_a_match_is_awaited(
 
 
 def test_a_discriminator_that_was_killed_answers_again(
-    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
@@ -175,7 +174,7 @@ def test_a_discriminator_that_was_killed_answers_again(
 
 
 def test_invalid_questions_are_answered_in_one_line(
-    start: Callable[..., Process], listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """And the next one is answered; what went wrong with a question is not a fault of the node."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.emulation.virtual_rig_clock import ClockServer
 
@@ -51,7 +51,7 @@ def ticking() -> Iterator[Ticking]:
 
 
 def test_plant_time_becomes_the_clock_and_standing_is_an_error(
-    start: Callable[..., Process], listener: Listener, ticking: Ticking
+    start: Start, listener: Listener, ticking: Ticking
 ) -> None:
     begin = ticking.stamp
     clock = listener.hear(Clock, "/clock", CLOCK)
@@ -71,7 +71,7 @@ def test_plant_time_becomes_the_clock_and_standing_is_an_error(
     listener.spin_until(lambda: health[-1].status[0].level == b"\0", "its withdrawal")
 
 
-def test_an_address_has_to_be_given(start: Callable[..., Process]) -> None:
+def test_an_address_has_to_be_given(start: Start) -> None:
     node = start("plant_clock")
     assert node.wait() == 2
     assert node.text.strip() == "clock address '': give HOST:PORT, as the virtual rig prints it"

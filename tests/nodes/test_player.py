@@ -4,7 +4,6 @@ When recorded messages are due."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.nodes.player import Pace, PlayerError, class_of, playing_profile
 from twinmatch.nodes.sample_messages import sample_from
@@ -36,7 +35,7 @@ def counted(number: int, period: float) -> list[Sample]:
     return [Sample(k, EPOCH + round(k * period * 1e9), 50.0, 20.0 + k, 0.0) for k in range(number)]
 
 
-def test_every_byte_arrives(start: Callable[..., Process], listener: Listener, session: Path) -> None:
+def test_every_byte_arrives(start: Start, listener: Listener, session: Path) -> None:
     recorded = [message.data for message in read_session(session).messages(["/plant/sample"])]
     heard: list[bytes] = []
     listener.node.create_subscription(LoopSample, "plant/sample", heard.append, EVERYTHING, raw=True)
@@ -46,9 +45,7 @@ def test_every_byte_arrives(start: Callable[..., Process], listener: Listener, s
     assert player.wait() == 0
 
 
-def test_a_session_of_the_first_form_is_played_as_one_of_today(
-    start: Callable[..., Process], listener: Listener
-) -> None:
+def test_a_session_of_the_first_form_is_played_as_one_of_today(start: Start, listener: Listener) -> None:
     path = Path(__file__).resolve().parents[1] / "sessions" / "first_form"
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
     player = start("player", "-p", f"session:={path}", "-p", "rate:=0.0")
@@ -58,7 +55,7 @@ def test_a_session_of_the_first_form_is_played_as_one_of_today(
     assert player.wait() == 0
 
 
-def test_slow_reader_loses_nothing(start: Callable[..., Process], listener: Listener, tmp_path: Path) -> None:
+def test_slow_reader_loses_nothing(start: Start, listener: Listener, tmp_path: Path) -> None:
     """More samples than any queue between holds, to a reader that takes none for a second."""
     samples = counted(7000, 0.1)
     path = write_session(tmp_path / "long", samples)
@@ -72,9 +69,7 @@ def test_slow_reader_loses_nothing(start: Callable[..., Process], listener: List
     assert player.wait() == 0
 
 
-def test_clock_goes_with_the_samples(
-    start: Callable[..., Process], listener: Listener, tmp_path: Path
-) -> None:
+def test_clock_goes_with_the_samples(start: Start, listener: Listener, tmp_path: Path) -> None:
     samples = counted(21, 1.0)
     path = write_session(tmp_path / "timed", samples)
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
@@ -93,7 +88,7 @@ def test_clock_goes_with_the_samples(
     assert max(times) == samples[-1].stamp
 
 
-def test_pause_and_continue(start: Callable[..., Process], listener: Listener, tmp_path: Path) -> None:
+def test_pause_and_continue(start: Start, listener: Listener, tmp_path: Path) -> None:
     path = write_session(tmp_path / "paused", counted(50, 1.0))
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
@@ -109,9 +104,7 @@ def test_pause_and_continue(start: Callable[..., Process], listener: Listener, t
     assert player.wait() == 0
 
 
-def test_rate_is_changed_while_it_plays(
-    start: Callable[..., Process], listener: Listener, tmp_path: Path
-) -> None:
+def test_rate_is_changed_while_it_plays(start: Start, listener: Listener, tmp_path: Path) -> None:
     """At recorded speed this would take an hour."""
     path = write_session(tmp_path / "hour", counted(3600, 1.0))
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
@@ -137,7 +130,7 @@ def test_rate_is_changed_while_it_plays(
     assert player.wait() == 0
 
 
-def test_end_is_on_diagnostics(start: Callable[..., Process], listener: Listener, tmp_path: Path) -> None:
+def test_end_is_on_diagnostics(start: Start, listener: Listener, tmp_path: Path) -> None:
     path = write_session(tmp_path / "short", counted(20, 0.1))
     listener.hear(LoopSample, "plant/sample", EVERYTHING)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
@@ -147,9 +140,7 @@ def test_end_is_on_diagnostics(start: Callable[..., Process], listener: Listener
     assert {entry.key: entry.value for entry in health[-1].status[0].values}["messages"] == "41"
 
 
-def test_recorded_namespace_gives_way_to_the_players(
-    start: Callable[..., Process], listener: Listener, session: Path
-) -> None:
+def test_recorded_namespace_gives_way_to_the_players(start: Start, listener: Listener, session: Path) -> None:
     heard = listener.hear(LoopSample, "/rig7/plant/sample", EVERYTHING)
     player = start("player", "-r", "__ns:=/rig7", "-p", f"session:={session}", "-p", "rate:=0.0")
     assert player.wait() == 0
@@ -169,7 +160,7 @@ def test_recorded_namespace_gives_way_to_the_players(
         (["-p", "session:=SESSION", "-p", "rate:=-1.0"], "player: parameter rate is -1.0; allowed: 0 to"),
     ],
 )
-def test_refusals(start: Callable[..., Process], session: Path, arguments: list[str], line: str) -> None:
+def test_refusals(start: Start, session: Path, arguments: list[str], line: str) -> None:
     process = start("player", *(argument.replace("SESSION", str(session)) for argument in arguments))
     assert process.wait() == 2
     assert line in process.text

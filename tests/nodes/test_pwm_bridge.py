@@ -22,7 +22,7 @@ from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
 from tests.support import boards
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_protocol import Flags
@@ -155,7 +155,7 @@ def rig(listener: Listener) -> Iterator[Rig]:
 
 
 def test_commands_reach_the_pins_and_what_was_applied_is_reported(
-    start: Callable[..., Process], rig: Rig, any_board: Any
+    start: Start, rig: Rig, any_board: Any
 ) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.until(lambda: rig.applied, "a report")
@@ -175,7 +175,7 @@ def test_commands_reach_the_pins_and_what_was_applied_is_reported(
 
 
 def test_a_killed_bridge_costs_at_most_the_boards_deadline(
-    start_script: Callable[[str], Process], rig: Rig, any_board: Any
+    start_script: Start, rig: Rig, any_board: Any
 ) -> None:
     arguments = ["-p", f"port:={any_board.port}", *QUIET]
     bridge = start_script(SCRIPT.format(arguments=", ".join(map(repr, arguments))))
@@ -189,9 +189,7 @@ def test_a_killed_bridge_costs_at_most_the_boards_deadline(
     assert after.time - before.time == pytest.approx(1.05, abs=0.005)
 
 
-def test_a_frozen_bridge_lets_go_and_stays_off(
-    start: Callable[..., Process], rig: Rig, any_board: Any
-) -> None:
+def test_a_frozen_bridge_lets_go_and_stays_off(start: Start, rig: Rig, any_board: Any) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.drive(200.0, any_board)
     bridge.freeze()
@@ -204,7 +202,7 @@ def test_a_frozen_bridge_lets_go_and_stays_off(
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_with_zero(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino, number: signal.Signals
+    start: Start, rig: Rig, board: StandInArduino, number: signal.Signals
 ) -> None:
     bridge = start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(200.0, board)
@@ -228,7 +226,7 @@ def test_a_signal_ends_it_with_zero(
     ],
 )
 def test_doubt_is_zero_and_latches_until_cleared(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino, kind: str, break_it: dict[str, Any]
+    start: Start, rig: Rig, board: StandInArduino, kind: str, break_it: dict[str, Any]
 ) -> None:
     limits = ["-p", "command_timeout:=2.0", "-p", "temperature_timeout:=3.0"]
     start("pwm_bridge", "-p", f"port:={board.port}", *limits)
@@ -250,7 +248,7 @@ def test_doubt_is_zero_and_latches_until_cleared(
 
 @pytest.mark.parametrize(("reference", "pwm"), [(60.0, 255.0), (0.0, -255.0)], ids=["heating", "cooling"])
 def test_a_runaway_is_zero(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino, reference: float, pwm: float
+    start: Start, rig: Rig, board: StandInArduino, reference: float, pwm: float
 ) -> None:
     limits = ["-p", "runaway.gain_time:=1.0", "-p", "runaway.patience:=20.0"]
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET, *limits)
@@ -259,9 +257,7 @@ def test_a_runaway_is_zero(
     rig.wait_for_fault("runaway", board)
 
 
-def test_stop_is_a_fault_that_is_asked_for(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino
-) -> None:
+def test_stop_is_a_fault_that_is_asked_for(start: Start, rig: Rig, board: StandInArduino) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(120.0, board)
     assert rig.call("stop").success
@@ -270,7 +266,7 @@ def test_stop_is_a_fault_that_is_asked_for(
     rig.drive(120.0, board)
 
 
-def test_a_cable_pulled_and_put_back(start: Callable[..., Process], rig: Rig, any_board: Any) -> None:
+def test_a_cable_pulled_and_put_back(start: Start, rig: Rig, any_board: Any) -> None:
     start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.drive(120.0, any_board)
     any_board.unplug()
@@ -287,7 +283,7 @@ def test_a_cable_pulled_and_put_back(start: Callable[..., Process], rig: Rig, an
 
 
 def test_a_bridge_started_before_there_is_a_board_drives_once_there_is(
-    start: Callable[..., Process], rig: Rig, any_board: Any
+    start: Start, rig: Rig, any_board: Any
 ) -> None:
     any_board.unplug()
     start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
@@ -332,7 +328,7 @@ def simulated(rig: Rig) -> Iterator[SimulatedTime]:
 
 
 def test_a_simulated_clock_that_stands_still_is_zero(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino, simulated: SimulatedTime
+    start: Start, rig: Rig, board: StandInArduino, simulated: SimulatedTime
 ) -> None:
     """Although commands and temperatures keep arriving: in their time none of them is old."""
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
@@ -346,7 +342,7 @@ def test_a_simulated_clock_that_stands_still_is_zero(
 
 
 def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino, simulated: SimulatedTime
+    start: Start, rig: Rig, board: StandInArduino, simulated: SimulatedTime
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.drive(120.0, board)
@@ -357,7 +353,7 @@ def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
 
 
 def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino
+    start: Start, rig: Rig, board: StandInArduino
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.pwm, rig.stamp = 120.0, lambda: 0
@@ -366,9 +362,7 @@ def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
     assert rig.fault == ""
 
 
-def test_no_samples_no_runaway_watch_and_that_is_said(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino
-) -> None:
+def test_no_samples_no_runaway_watch_and_that_is_said(start: Start, rig: Rig, board: StandInArduino) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(50.0, board)
     rig.until(lambda: "runaway is not monitored" in rig.warnings(), "the warning")
@@ -376,9 +370,7 @@ def test_no_samples_no_runaway_watch_and_that_is_said(
     rig.until(lambda: "not monitored" not in rig.warnings(), "samples that are seen")
 
 
-def test_two_controllers_are_warned_of(
-    start: Callable[..., Process], rig: Rig, board: StandInArduino
-) -> None:
+def test_two_controllers_are_warned_of(start: Start, rig: Rig, board: StandInArduino) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.until(lambda: rig.warnings() and "more than one node" not in rig.warnings(), "health")
     other = rig.listener.node.create_publisher(PwmCommand, "plant/pwm_command", 10)
@@ -395,14 +387,14 @@ def test_two_controllers_are_warned_of(
         (["-p", "prot:=/dev/ttyACM1"], "there is no parameter prot; did you mean port?"),
     ],
 )
-def test_wrong_parameters_end_it(start: Callable[..., Process], arguments: list[str], line: str) -> None:
+def test_wrong_parameters_end_it(start: Start, arguments: list[str], line: str) -> None:
     bridge = start("pwm_bridge", *arguments)
     assert bridge.wait() == 2
     assert line in bridge.text
 
 
 def test_another_protocol_ends_it_in_one_line(
-    start: Callable[..., Process], board: StandInArduino, monkeypatch: pytest.MonkeyPatch
+    start: Start, board: StandInArduino, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinmatch.emulation.arduino_model.PROTOCOL", 9)
     bridge = start("pwm_bridge", "-p", f"port:={board.port}")

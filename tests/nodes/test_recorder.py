@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, String
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.ros import Listener
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
@@ -68,11 +67,8 @@ def rig(listener: Listener) -> Rig:
     return Rig(listener)
 
 
-Record = Callable[..., Process]
-
-
 @pytest.fixture
-def record(start: Callable[..., Process], tmp_path: Path) -> Record:
+def record(start: Start, tmp_path: Path) -> Start:
     """Start a recorder; it records into `run` in the test's folder."""
     return lambda *arguments: start(
         "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0", *arguments
@@ -104,7 +100,7 @@ def wait_for_recorded(folder: Path, **counts: int) -> None:
     wait_for(enough, lambda: str(written(folder)))
 
 
-def test_everything_is_recorded_as_it_was_sent(record: Record, rig: Rig, tmp_path: Path) -> None:
+def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path: Path) -> None:
     rig.references.publish(Float64(data=40.0))
     process = record()
     rig.wait_for_reader()
@@ -142,7 +138,7 @@ def test_everything_is_recorded_as_it_was_sent(record: Record, rig: Rig, tmp_pat
     assert sample.type_hash == SAMPLE.type_hash
 
 
-def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Record, rig: Rig, tmp_path: Path) -> None:
+def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Start, rig: Rig, tmp_path: Path) -> None:
     """Twenty times the rig: 20 samples, 180 images and temperatures a second."""
     process = record()
     rig.wait_for_reader()
@@ -163,7 +159,7 @@ def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Record, rig: Rig, tm
 
 @pytest.mark.parametrize("after", [0.7, 1.5])
 def test_a_killed_recorder_loses_less_than_a_second(
-    record: Record, rig: Rig, tmp_path: Path, after: float
+    record: Start, rig: Rig, tmp_path: Path, after: float
 ) -> None:
     process = record()
     rig.wait_for_reader()
@@ -188,7 +184,7 @@ def test_a_killed_recorder_loses_less_than_a_second(
 
 
 def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
-    record: Record, listener: Listener, tmp_path: Path
+    record: Start, listener: Listener, tmp_path: Path
 ) -> None:
     mine, other = Rig(listener, "/one/"), Rig(listener, "/two/")
     process = record("-r", "__ns:=/one", "-p", "leave_out:=[thermal/]", "-p", "also:=[/weather]")
@@ -209,7 +205,7 @@ def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
 
 
 def test_a_publisher_that_offers_less_is_received_too(
-    record: Record, listener: Listener, rig: Rig, tmp_path: Path
+    record: Start, listener: Listener, rig: Rig, tmp_path: Path
 ) -> None:
     process = record()
     rig.wait_for_reader()
@@ -229,7 +225,7 @@ def test_a_publisher_that_offers_less_is_received_too(
 
 
 def test_parameters_of_the_nodes_are_in_the_session(
-    record: Record, start: Callable[..., Process], rig: Rig, tmp_path: Path
+    record: Start, start: Start, rig: Rig, tmp_path: Path
 ) -> None:
     family = tmp_path / "family.yaml"
     family.write_text("candidates:\n  - {name: a, operating_point: 40.0, seebeck: 0.08}\n")
@@ -256,7 +252,7 @@ def test_parameters_of_the_nodes_are_in_the_session(
 
 
 def test_a_node_that_was_killed_before_it_answered_is_asked_again(
-    record: Record, start: Callable[..., Process], rig: Rig, tmp_path: Path
+    record: Start, start: Start, rig: Rig, tmp_path: Path
 ) -> None:
     graph = rig.listener.node
     lost = start("matcher", "-p", "seed:=6")
@@ -278,7 +274,7 @@ def test_a_node_that_was_killed_before_it_answered_is_asked_again(
 
 
 def test_a_recorded_run_of_the_twin_verifies(
-    record: Record, start: Callable[..., Process], listener: Listener, session: Path, tmp_path: Path
+    record: Start, start: Start, listener: Listener, session: Path, tmp_path: Path
 ) -> None:
     """Everything together: a plant, the twin beside it, the recorder beside both; then the same verdicts."""
     process = record()
@@ -304,7 +300,7 @@ def test_a_recorded_run_of_the_twin_verifies(
     assert counts["/twin/leader"] >= 1
 
 
-def test_files_are_split(record: Record, rig: Rig, tmp_path: Path) -> None:
+def test_files_are_split(record: Start, rig: Rig, tmp_path: Path) -> None:
     process = record("-p", "split_s:=0.5")
     rig.wait_for_reader()
     for k in range(100):
@@ -319,7 +315,7 @@ def test_files_are_split(record: Record, rig: Rig, tmp_path: Path) -> None:
         assert reader.message_count == sum(session.counts.values())
 
 
-def test_too_little_room_is_one_line(start: Callable[..., Process], tmp_path: Path) -> None:
+def test_too_little_room_is_one_line(start: Start, tmp_path: Path) -> None:
     process = start(
         "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=900000000.0"
     )
@@ -328,16 +324,14 @@ def test_too_little_room_is_one_line(start: Callable[..., Process], tmp_path: Pa
     assert not (tmp_path / "run").exists()
 
 
-def test_a_session_that_exists_is_refused(record: Record, tmp_path: Path) -> None:
+def test_a_session_that_exists_is_refused(record: Start, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     process = record()
     assert process.wait() == 2
     assert "exists already" in process.text
 
 
-def test_a_full_disk_ends_it_with_one_line(
-    start_script: Callable[[str], Process], rig: Rig, tmp_path: Path
-) -> None:
+def test_a_full_disk_ends_it_with_one_line(start_script: Start, rig: Rig, tmp_path: Path) -> None:
     """A limit on the size of files stands for the disk; the session is readable up to there."""
     process = start_script(f"""
 import resource, sys
@@ -371,7 +365,7 @@ main()
 
 
 def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
-    start_script: Callable[[str], Process], rig: Rig, tmp_path: Path
+    start_script: Start, rig: Rig, tmp_path: Path
 ) -> None:
     process = start_script(f"""
 import sys, time
@@ -402,7 +396,7 @@ main()
     assert len(session.samples) > 5
 
 
-def test_rates_and_silence_are_on_diagnostics(record: Record, rig: Rig) -> None:
+def test_rates_and_silence_are_on_diagnostics(record: Start, rig: Rig) -> None:
     record()
     rig.wait_for_reader()
     for k in range(40):
@@ -421,9 +415,7 @@ def test_rates_and_silence_are_on_diagnostics(record: Record, rig: Rig) -> None:
     assert 5 < float(rate) < 21
 
 
-def test_a_type_that_is_not_installed_is_named(
-    rig: Rig, start_script: Callable[[str], Process], tmp_path: Path
-) -> None:
+def test_a_type_that_is_not_installed_is_named(rig: Rig, start_script: Start, tmp_path: Path) -> None:
     start_script(f"""
 import sys
 from twinmatch.nodes import recorder
@@ -445,7 +437,7 @@ recorder.main()
 
 
 def test_with_simulated_time_the_times_are_those_of_the_clock(
-    record: Record, rig: Rig, tmp_path: Path
+    record: Start, rig: Rig, tmp_path: Path
 ) -> None:
     clock = rig.listener.node.create_publisher(Clock, "/clock", 10)
     process = record("-p", "use_sim_time:=true")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import signal
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 
 pytestmark = pytest.mark.ros
 
@@ -56,7 +55,7 @@ sys.modules["rclpy.experimental.events_executor"] = None  # as before rclpy 7.1.
 """
 
 
-def test_nodes_run_without_the_events_executor(start_script: Callable[[str], Process]) -> None:
+def test_nodes_run_without_the_events_executor(start_script: Start) -> None:
     process = start_script(
         WITHOUT_EVENTS + program(before="print(runner.EventsExecutor.__name__, flush=True)")
     )
@@ -67,9 +66,7 @@ def test_nodes_run_without_the_events_executor(start_script: Callable[[str], Pro
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signal_ends_with_zero_and_leaves_nothing(
-    start_script: Callable[[str], Process], number: signal.Signals
-) -> None:
+def test_signal_ends_with_zero_and_leaves_nothing(start_script: Start, number: signal.Signals) -> None:
     process = start_script(program())
     process.said("^up$")
     files = shared_memory(process.id)
@@ -78,13 +75,13 @@ def test_signal_ends_with_zero_and_leaves_nothing(
     assert not [name for name in files if Path(name).exists()]
 
 
-def test_node_ends_its_process_with_its_code(start_script: Callable[[str], Process]) -> None:
+def test_node_ends_its_process_with_its_code(start_script: Start) -> None:
     process = start_script(program(opening="self.exit_code = 7"))
     assert process.wait() == 7
 
 
 @pytest.mark.parametrize("place", ["opening", "ticking"])
-def test_users_mistake_is_one_line(start_script: Callable[[str], Process], place: str) -> None:
+def test_users_mistake_is_one_line(start_script: Start, place: str) -> None:
     wrong = "raise TwinmatchError('the rig is unplugged; plug it in')"
     opening = wrong if place == "opening" else "self.create_timer(0.01, self.tick)"
     process = start_script(program(opening=opening, ticking=wrong))
@@ -94,20 +91,20 @@ def test_users_mistake_is_one_line(start_script: Callable[[str], Process], place
     assert "Traceback" not in process.text
 
 
-def test_our_mistake_keeps_its_traceback(start_script: Callable[[str], Process]) -> None:
+def test_our_mistake_keeps_its_traceback(start_script: Start) -> None:
     process = start_script(program(opening="self.create_timer(0.01, self.tick)", ticking="1 / 0"))
     assert process.wait() == 1
     assert "Traceback" in process.text
     assert "ZeroDivisionError" in process.text
 
 
-def test_end_that_hangs_is_cut_short(start_script: Callable[[str], Process]) -> None:
+def test_end_that_hangs_is_cut_short(start_script: Start) -> None:
     process = start_script(program(closing="time.sleep(600)", before="runner.TEARDOWN = 1"))
     process.said("^up$")
     assert process.end() == -signal.SIGALRM
 
 
-def test_end_may_take_as_long_as_a_node_says(start_script: Callable[[str], Process]) -> None:
+def test_end_may_take_as_long_as_a_node_says(start_script: Start) -> None:
     process = start_script(
         program(closing="time.sleep(1.5)", before="runner.TEARDOWN = 1; First.CLOSING = 20")
     )
@@ -115,7 +112,7 @@ def test_end_may_take_as_long_as_a_node_says(start_script: Callable[[str], Proce
     assert process.end() == 0
 
 
-def test_thread_that_continues_does_not_hold_the_end_up(start_script: Callable[[str], Process]) -> None:
+def test_thread_that_continues_does_not_hold_the_end_up(start_script: Start) -> None:
     process = start_script(program(closing="return False"))
     process.said("^up$")
     assert process.end() == 0
@@ -132,14 +129,14 @@ def test_thread_that_continues_does_not_hold_the_end_up(start_script: Callable[[
         ),
     ],
 )
-def test_wrong_command_line(start_script: Callable[[str], Process], arguments: str, line: str) -> None:
+def test_wrong_command_line(start_script: Start, arguments: str, line: str) -> None:
     process = start_script(program(arguments=arguments))
     assert process.wait() == 2
     assert process.text.splitlines()[-1].startswith(line)
     assert "Traceback" not in process.text
 
 
-def test_help_shows_the_parameters(start_script: Callable[[str], Process]) -> None:
+def test_help_shows_the_parameters(start_script: Start) -> None:
     process = start_script(
         "import sys; from twinmatch.nodes.player import Player; from twinmatch.nodes.runner import run\n"
         "sys.exit(run([Player], ['player', '--help']))"
@@ -148,7 +145,7 @@ def test_help_shows_the_parameters(start_script: Callable[[str], Process]) -> No
     assert "rate: 1.0" in process.text
 
 
-def test_sockets_are_on_loopback(start_script: Callable[[str], Process]) -> None:
+def test_sockets_are_on_loopback(start_script: Start) -> None:
     from twinmatch.nodes.network import sockets_elsewhere
 
     process = start_script(program())
@@ -156,7 +153,7 @@ def test_sockets_are_on_loopback(start_script: Callable[[str], Process]) -> None
     assert sockets_elsewhere(process.id) == []
 
 
-def test_discovery_is_joined_on_loopback_alone(start_script: Callable[[str], Process]) -> None:
+def test_discovery_is_joined_on_loopback_alone(start_script: Start) -> None:
     """Counted over the whole machine, where others may come and go: so one undisturbed try is enough."""
     for _ in range(5):
         before = members("0100FFEF")  # 239.255.0.1
@@ -170,7 +167,7 @@ def test_discovery_is_joined_on_loopback_alone(start_script: Callable[[str], Pro
 
 
 def test_open_network_has_to_be_written_and_is_loud(
-    start_script: Callable[[str], Process], monkeypatch: pytest.MonkeyPatch
+    start_script: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the range of one machine, so that this test sends nothing to the network either."""
     from twinmatch.nodes.network import PROFILES, sockets_elsewhere
@@ -185,7 +182,7 @@ def test_open_network_has_to_be_written_and_is_loud(
     assert sockets_elsewhere(process.id)
 
 
-def test_profile_that_is_not_read_stops_the_node(start_script: Callable[[str], Process]) -> None:
+def test_profile_that_is_not_read_stops_the_node(start_script: Start) -> None:
     """Sockets elsewhere in spite of the profile: a process with one of its own stands in for it."""
     holder = "import socket; held = socket.socket(type=socket.SOCK_DGRAM); held.bind(('', 0))"
     process = start_script(program(before=holder))
@@ -215,7 +212,7 @@ def members(group: str) -> Counter[str]:
     return found
 
 
-def test_end_is_prompt_in_a_row_of_starts(start_script: Callable[[str], Process]) -> None:
+def test_end_is_prompt_in_a_row_of_starts(start_script: Start) -> None:
     """A lost SIGTERM or a hanging end shows here as another code."""
     codes = []
     for _ in range(5):

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from tests.support.kits import BenchKit
 from tests.support.places import PROJECT
-from tests.support.processes import Process
+from tests.support.processes import Process, Start
 from tests.support.ros import Listener
 from tests.support.waiting import wait_for
 from twinmatch.control import Profile
@@ -115,13 +115,11 @@ def kit(tmp_path: Path) -> Iterator[BenchKit]:
     made.close()
 
 
-def bridge(start: Callable[..., Process], kit: BenchKit, *more: str) -> Process:
+def bridge(start: Start, kit: BenchKit, *more: str) -> Process:
     return start("tclab_bridge", "-p", f"port:={kit.port}", *(more or PATIENT))
 
 
-def test_commands_reach_heater_one_and_readings_come_back(
-    start: Callable[..., Process], rig: Rig, kit: BenchKit
-) -> None:
+def test_commands_reach_heater_one_and_readings_come_back(start: Start, rig: Rig, kit: BenchKit) -> None:
     process = bridge(start, kit, *PATIENT, "-p", "second:=15.0")
     rig.drive(42.0, kit)
     kit.shown[1] = 33.5
@@ -133,7 +131,7 @@ def test_commands_reach_heater_one_and_readings_come_back(
     assert kit.heaters == [0.0, 0.0]
 
 
-def test_faults_latch_until_they_are_cleared(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+def test_faults_latch_until_they_are_cleared(start: Start, rig: Rig, kit: BenchKit) -> None:
     bridge(start, kit)
     rig.drive(50.0, kit)
     kit.shown[1] = 91.0
@@ -148,7 +146,7 @@ def test_faults_latch_until_they_are_cleared(start: Callable[..., Process], rig:
     rig.faulted("stopped", kit)
 
 
-def test_a_command_that_is_not_a_number(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+def test_a_command_that_is_not_a_number(start: Start, rig: Rig, kit: BenchKit) -> None:
     bridge(start, kit)
     rig.drive(50.0, kit)
     rig.power = math.nan
@@ -156,14 +154,14 @@ def test_a_command_that_is_not_a_number(start: Callable[..., Process], rig: Rig,
     assert kit.highest == 50.0
 
 
-def test_a_controller_that_falls_silent(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+def test_a_controller_that_falls_silent(start: Start, rig: Rig, kit: BenchKit) -> None:
     bridge(start, kit)
     rig.drive(50.0, kit)
     rig.power = None
     rig.faulted("command_silent", kit)
 
 
-def test_a_wire_off_its_sensor(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+def test_a_wire_off_its_sensor(start: Start, rig: Rig, kit: BenchKit) -> None:
     bridge(start, kit)
     rig.drive(50.0, kit)
     kit.shown[1] = -50.0
@@ -171,9 +169,7 @@ def test_a_wire_off_its_sensor(start: Callable[..., Process], rig: Rig, kit: Ben
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_the_node_is_killed_or_stands_still(
-    start: Callable[..., Process], rig: Rig, kit: BenchKit, stopped: bool
-) -> None:
+def test_the_node_is_killed_or_stands_still(start: Start, rig: Rig, kit: BenchKit, stopped: bool) -> None:
     """The process that holds the port sees the end of its pipe, or receives nothing for its deadline."""
     process = bridge(start, kit)
     rig.drive(50.0, kit)
@@ -184,7 +180,7 @@ def test_the_node_is_killed_or_stands_still(
     wait_for(lambda: kit.heaters == [0.0, 0.0], "zero")
 
 
-def test_the_cable_is_pulled_and_put_back(start: Callable[..., Process], rig: Rig, kit: BenchKit) -> None:
+def test_the_cable_is_pulled_and_put_back(start: Start, rig: Rig, kit: BenchKit) -> None:
     bridge(start, kit)
     rig.drive(50.0, kit)
     kit.unplug()
@@ -196,7 +192,7 @@ def test_the_cable_is_pulled_and_put_back(start: Callable[..., Process], rig: Ri
 
 
 @pytest.mark.parametrize(("port", "words"), [("/nowhere", "No such file"), ("/dev/null", "cannot be opened")])
-def test_no_kit_is_one_line_and_exit_code_two(start: Callable[..., Process], port: str, words: str) -> None:
+def test_no_kit_is_one_line_and_exit_code_two(start: Start, port: str, words: str) -> None:
     process = start("tclab_bridge", "-p", f"port:={port}")
     assert process.wait() == 2
     assert len([line for line in process.lines if line.startswith("kit at")]) == 1

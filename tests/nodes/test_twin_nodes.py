@@ -13,7 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
 
-from tests.support.processes import Process
+from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.nodes.messages import (
     match_from,
@@ -50,7 +50,7 @@ def offline(steps: list[Sample]) -> list[Outcome]:
 
 
 def test_live_verdicts_are_the_offline_ones(
-    start: Callable[..., Process],
+    start: Start,
     listener: Listener,
     session: Path,
     steps: list[Sample],
@@ -114,9 +114,7 @@ def test_a_matcher_that_dies_costs_time_and_nothing_else(
     assert [repr(verdict_from(m)) for m in heard] == [repr(v) for v in verdicts]
 
 
-def test_late_simulator_is_given_the_leader(
-    start: Callable[..., Process], listener: Listener, steps: list[Sample]
-) -> None:
+def test_late_simulator_is_given_the_leader(start: Start, listener: Listener, steps: list[Sample]) -> None:
     """And its state is that of a mirror with those parameters."""
     parameters = Peltier.model().parameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
     leader = ForecastScore(name="60 °C", parameters=parameters_message(parameters))
@@ -163,9 +161,7 @@ def test_sample_of_another_plant_is_an_error_on_diagnostics(
     listener.spin_until(lambda: [state.index for state in states] == [0], "the next state")
 
 
-def test_gap_is_an_error_on_diagnostics(
-    start: Callable[..., Process], listener: Listener, steps: list[Sample]
-) -> None:
+def test_gap_is_an_error_on_diagnostics(start: Start, listener: Listener, steps: list[Sample]) -> None:
     samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     start("discriminator")
@@ -190,7 +186,7 @@ def test_gap_is_an_error_on_diagnostics(
     ],
 )
 def test_wrong_parameters_are_one_line_and_exit_code_2(
-    start: Callable[..., Process], name: str, arguments: list[str], line: str
+    start: Start, name: str, arguments: list[str], line: str
 ) -> None:
     process = start(name, *arguments)
     assert process.wait() == 2
@@ -198,7 +194,7 @@ def test_wrong_parameters_are_one_line_and_exit_code_2(
     assert len(process.text.splitlines()) == 1
 
 
-def test_three_in_one_process_have_nothing_to_say(start: Callable[..., Process], listener: Listener) -> None:
+def test_three_in_one_process_have_nothing_to_say(start: Start, listener: Listener) -> None:
     process = start("twin")
     names = {"matcher", "discriminator", "twin_simulator"}
     listener.spin_until(lambda: names <= set(listener.node.get_node_names()), "the nodes")

@@ -149,6 +149,10 @@ class Process:
         self._process.wait()
 
 
+Start = Callable[..., Process]
+"""Starts a node's program with ROS arguments, or a script."""
+
+
 class Processes:
     """The processes of a fixture, which end with it."""
 
