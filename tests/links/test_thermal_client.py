@@ -128,12 +128,11 @@ def test_frames_arrive_with_honest_stamps() -> None:
     def script(connection: socket.socket) -> None:
         connection.sendall(frame(0))
 
-    before, realtime = time.monotonic_ns(), time.time_ns()
+    before = time.monotonic_ns()
     with served(script) as client:
         received = client.wait(timeout=PATIENCE)
         assert received is not None
         assert before <= received.taken <= received.received <= time.monotonic_ns()
-        assert realtime <= received.received_realtime <= time.time_ns()
         assert received.frame.stamp <= received.received
         assert received.news
         assert received.number == 1

@@ -154,6 +154,10 @@ def _is_busy(error: Exception) -> bool:
     return getattr(error, "errno", None) in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error)
 
 
+_SHORT = 0.005
+"""Wait for a reply of a board in step, s."""
+
+
 class Patience:
     """The time left for a reply: by the wall clock, and by that of a virtual plant in step, which may wait.
 
@@ -172,91 +176,6 @@ class Patience:
         return _SHORT if now is not None and now < self._plant_end else self._end - time.monotonic()
 
 
-class Exchange:
-    """An open port and the conversation on it.
-
-    Raises:
-        PwmPortMissingError, PwmPortBusyError: the port cannot be opened.
-    """
-
-    def __init__(
-        self, port: str, settings: LinkSettings, plant_time: Callable[[], float | None] | None = None
-    ) -> None:
-        self.port = port
-        self._plant_time = plant_time
-        self.settings = settings
-        self._wire: serial.Serial | None = open_port(port, settings.timeout)
-        # A random number, so that late replies to an earlier session are not taken for ours.
-        self._talk = Conversation(secrets.randbelow(SEQUENCES))
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the port is still held."""
-        return self._wire is not None
-
-    def ask(self, verb: Verb, pwm: int = 0) -> Reply:
-        """Send a request and return its reply, with retries under the same sequence number.
-
-        Raises:
-            PwmPortLostError: the port was lost; it is closed now.
-            PwmTimeoutError, PwmCorruptReplyError, PwmStaleReplyError, PwmRejectedError: there was no valid
-                reply.
-        """
-        line = self._talk.ask(verb, pwm)
-        for attempt in range(self.settings.retries + 1):
-            if attempt:
-                line = self._talk.repeat()
-            reply = self._attempt(line)
-            if reply is not None:
-                return reply
-        raise self._unanswered(verb)
-
-    def close(self) -> None:
-        """Release the port, whatever its state."""
-        if self._wire is not None:
-            with contextlib.suppress(*WIRE_ERRORS):
-                self._wire.close()
-        self._wire = None
-
-    def _attempt(self, line: bytes) -> Reply | None:
-        """Send a line and wait for its reply; None if none arrived in time or it was damaged."""
-        if self._wire is None:
-            msg = f"PWM link: {self.port} was lost; reopen() it"
-            raise PwmPortLostError(msg)
-        try:
-            self._wire.write(line)
-            patience = Patience(self.settings.timeout, self._plant_time)
-            while (left := patience.left()) > 0 and not self._talk.spoiled:
-                self._wire.timeout = left
-                reply = self._talk.hear(self._wire.read(max(1, self._wire.in_waiting)))
-                if reply is not None:
-                    return reply
-        except serial.SerialTimeoutException:
-            return None  # the board accepts no bytes: equivalent to no answer
-        except WIRE_ERRORS as error:
-            self.close()
-            msg = f"PWM link: {self.port} was lost ({error}); check the cable, then reopen()"
-            raise PwmPortLostError(msg) from error
-        return None
-
-    def _unanswered(self, verb: Verb) -> PwmLinkError:
-        talk, tries = self._talk, self.settings.retries + 1
-        what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
-        if talk.refused_line is not None:
-            code = talk.refused_line.code
-            return PwmRejectedError(f"{what}: requests arrive damaged ({code.value}); check the cable", code)
-        if talk.damaged:
-            return PwmCorruptReplyError(f"{what}: {talk.damaged} arrived damaged; check the cable")
-        if talk.stale:
-            return PwmStaleReplyError(
-                f"{what}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
-            )
-        wait = f"{self.settings.timeout:g} s"
-        return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")
-
-
-_SHORT = 0.005
-"""Wait for a reply of a board in step, s."""
 AMPERES_PER_COUNT = 5.0 / 1024 / 0.525
 """The converter has 1024 counts in 5 V; the driver gives 0.525 V for each ampere."""
 
@@ -289,7 +208,8 @@ class PwmLink:
         self.restarts = 0
         """Number of detected restarts of the board."""
         self._lock = threading.RLock()
-        self._exchange: Exchange | None = None
+        self._wire: serial.Serial | None = None
+        self._talk = Conversation()
         self.banner: Banner | None = None
         """The board's banner at the last opening."""
         self._known_restarts: int | None = None
@@ -309,7 +229,7 @@ class PwmLink:
     @property
     def is_open(self) -> bool:
         """Whether the port is held."""
-        return self._exchange is not None and self._exchange.is_open
+        return self._wire is not None
 
     def open(self) -> Banner:
         """Open the port exclusively and start a session with the board; its output goes to zero.
@@ -321,7 +241,9 @@ class PwmLink:
         """
         with self._lock:
             self._drop()
-            self._exchange = Exchange(self.port, self.settings, self.plant_time)
+            self._wire = open_port(self.port, self.settings.timeout)
+            # A random number, so that late replies to an earlier session are not taken for ours.
+            self._talk = Conversation(secrets.randbelow(SEQUENCES))
             self._cleared = False
             try:
                 banner = self._greet()
@@ -430,10 +352,57 @@ class PwmLink:
         return reply
 
     def _ask(self, verb: Verb, pwm: int = 0) -> Reply:
-        if self._exchange is None:
+        """Send a request and return its reply, with retries under the same sequence number.
+
+        Raises:
+            PwmPortLostError: the port is not open, or was lost and is closed now.
+            PwmTimeoutError, PwmCorruptReplyError, PwmStaleReplyError, PwmRejectedError: there was no valid
+                reply.
+        """
+        if self._wire is None:
             msg = f"PWM link: {self.port} is not open; open() or reopen() it"
             raise PwmPortLostError(msg)
-        return self._exchange.ask(verb, pwm)
+        line = self._talk.ask(verb, pwm)
+        for attempt in range(self.settings.retries + 1):
+            if attempt:
+                line = self._talk.repeat()
+            reply = self._attempt(self._wire, line)
+            if reply is not None:
+                return reply
+        raise self._unanswered(verb)
+
+    def _attempt(self, wire: serial.Serial, line: bytes) -> Reply | None:
+        """Send a line and wait for its reply; None if none arrived in time or it was damaged."""
+        try:
+            wire.write(line)
+            patience = Patience(self.settings.timeout, self.plant_time)
+            while (left := patience.left()) > 0 and not self._talk.spoiled:
+                wire.timeout = left
+                reply = self._talk.hear(wire.read(max(1, wire.in_waiting)))
+                if reply is not None:
+                    return reply
+        except serial.SerialTimeoutException:
+            return None  # the board accepts no bytes: equivalent to no answer
+        except WIRE_ERRORS as error:
+            self._drop()
+            msg = f"PWM link: {self.port} was lost ({error}); check the cable, then reopen()"
+            raise PwmPortLostError(msg) from error
+        return None
+
+    def _unanswered(self, verb: Verb) -> PwmLinkError:
+        talk, tries = self._talk, self.settings.retries + 1
+        what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
+        if talk.refused_line is not None:
+            code = talk.refused_line.code
+            return PwmRejectedError(f"{what}: requests arrive damaged ({code.value}); check the cable", code)
+        if talk.damaged:
+            return PwmCorruptReplyError(f"{what}: {talk.damaged} arrived damaged; check the cable")
+        if talk.stale:
+            return PwmStaleReplyError(
+                f"{what}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
+            )
+        wait = f"{self.settings.timeout:g} s"
+        return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")
 
     def _refused(self, reply: Reply) -> PwmRejectedError:
         code = reply.code if isinstance(reply, Refusal) else Code.UNKNOWN
@@ -460,9 +429,11 @@ class PwmLink:
             raise PwmResetError(msg)
 
     def _drop(self) -> None:
-        if self._exchange is not None:
-            self._exchange.close()
-        self._exchange = None
+        """Release the port, whatever its state."""
+        if self._wire is not None:
+            with contextlib.suppress(*WIRE_ERRORS):
+                self._wire.close()
+        self._wire = None
 
 
 def _applied(status: Status) -> Applied:

@@ -118,8 +118,6 @@ class Received:
     """Count of frames this client has received, from 1, over all connections."""
     received: int
     """Our monotonic clock when the frame's last byte was read, ns."""
-    received_realtime: int
-    """Our wall clock at the same moment, ns since 1970."""
     taken: int
     """Our monotonic clock when the image was taken, ns: exact except for the shortest transit time."""
     news: bool
@@ -373,7 +371,7 @@ class ThermalClient:
         self._socket = None
 
     def _accept(self, frame: ThermalFrame, previous: ThermalFrame | None) -> None:
-        now, realtime = time.monotonic_ns(), time.time_ns()
+        now = time.monotonic_ns()
         if previous is not None:
             if frame.boot_id != previous.boot_id:
                 raise ThermalOrderError("thermal stream: the boot id changed within one connection")
@@ -387,7 +385,7 @@ class ThermalClient:
         fresh = last is None or restarted or frame.frame_counter != last.frame_counter
         news = fresh and not frame.frozen
         status = self._status
-        received = Received(frame, status.frames + 1, now, realtime, self._mapper.map(frame.stamp, now), news)
+        received = Received(frame, status.frames + 1, now, self._mapper.map(frame.stamp, now), news)
         self._status = replace(
             status,
             frames=status.frames + 1,

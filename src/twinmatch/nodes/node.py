@@ -6,7 +6,6 @@ second. A `Worker` does a node's heavy work, so that its callbacks never wait.
 
 from __future__ import annotations
 
-import itertools
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -101,25 +100,19 @@ class Health:
         return Report(standing[0][0], "; ".join(message for _, message in standing), values)
 
 
-def status_message(name: str, hardware: str, report: Report) -> DiagnosticStatus:
+def status_message(name: str, report: Report) -> DiagnosticStatus:
     """One report as a message."""
-    return DiagnosticStatus(
-        level=bytes([report.level]),
-        name=name,
-        message=report.message,
-        hardware_id=hardware,
-        values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
-    )
+    values = [KeyValue(key=key, value=value) for key, value in report.values.items()]
+    return DiagnosticStatus(level=bytes([report.level]), name=name, message=report.message, values=values)
 
 
 class Reporter:
     """Publishes the health of a node's parts on /diagnostics."""
 
-    def __init__(self, node: Node, tasks: Mapping[str, Callable[[], Report]], hardware: str = "") -> None:
+    def __init__(self, node: Node, tasks: Mapping[str, Callable[[], Report]]) -> None:
         """Report the tasks, named `<node>: <key>`, every second from now on."""
         self._node = node
         self._tasks = tasks
-        self._hardware = hardware
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self.publish, clock=steady)
@@ -129,9 +122,7 @@ class Reporter:
         name = self._node.get_fully_qualified_name().lstrip("/")
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        message.status = [
-            status_message(f"{name}: {key}", self._hardware, task()) for key, task in self._tasks.items()
-        ]
+        message.status = [status_message(f"{name}: {key}", task()) for key, task in self._tasks.items()]
         self._publisher.publish(message)
 
 
@@ -156,9 +147,6 @@ class Worker(Generic[Item]):
         self._backlog = backlog
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._ending = threading.Event()
-        self._taken_on = itertools.count(1)
-        self._last_put = 0
-        self._done = 0
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
         self._thread.start()
 
@@ -167,19 +155,8 @@ class Worker(Generic[Item]):
         """Number of queued items."""
         return self._items.qsize()
 
-    @property
-    def alive(self) -> bool:
-        """Whether the thread is still running."""
-        return self._thread.is_alive()
-
-    @property
-    def idle(self) -> bool:
-        """Whether every queued item has been handled."""
-        return self._done >= self._last_put
-
     def put(self, item: Item) -> None:
         """Queue an item."""
-        self._last_put = next(self._taken_on)
         self._items.put(item)
 
     def watch(self) -> None:
@@ -193,7 +170,7 @@ class Worker(Generic[Item]):
         """End the worker after its current item; returns whether it ended within the timeout (s)."""
         self._ending.set()
         self._thread.join(timeout)
-        return not self.alive
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         while not self._ending.is_set():
@@ -212,7 +189,6 @@ class Worker(Generic[Item]):
                 return
             else:
                 self._health.withdraw("error")
-            self._done += 1
 
 
 KEEPER = "keeper"
