@@ -67,7 +67,7 @@ def test_the_port_disappears_with_the_board(tmp_path: Path) -> None:
 
 
 def test_a_stand_in_admits_to_being_one(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING), StandInArduino():
+    with caplog.at_level(logging.INFO), StandInArduino():
         assert "stand-in for the Arduino" in caplog.text
 
 

@@ -42,7 +42,7 @@ class StandInArduino:
         self._thread: threading.Thread | None = None
         self._master: int | None = None
         self.plug()
-        _log.warning("%s is a stand-in for the Arduino (%s); no firmware runs behind it", self.port, FIRMWARE)
+        _log.info("%s is a stand-in for the Arduino (%s); no firmware runs behind it", self.port, FIRMWARE)
 
     def __enter__(self) -> StandInArduino:
         """Nothing to do: the board exists since construction."""
