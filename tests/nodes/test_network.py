@@ -12,10 +12,12 @@ import pytest
 
 from twinmatch.nodes.middleware import problem
 from twinmatch.nodes.network import (
+    LEASE,
     PROFILES,
     Network,
     NetworkError,
     check_sockets,
+    lease,
     prepare,
     sockets_elsewhere,
 )
@@ -66,6 +68,22 @@ def test_both_profiles_say_the_same() -> None:
     assert "For Fast DDS 2" in told[0]
     assert "For Fast DDS 3" in told[1]
     assert heartbeat[0].replace("heartbeatPeriod", "heartbeat_period") == heartbeat[1]
+
+
+def test_a_graph_in_step_has_another_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The profile is otherwise the same; after the run the lease is that of the profile again."""
+    monkeypatch.setenv("TWINMATCH_CACHE", str(tmp_path))
+    with lease(45.0):
+        environment = {"AMENT_PREFIX_PATH": "/nowhere", LEASE: os.environ[LEASE]}
+        prepare(environment)
+    assert LEASE not in os.environ
+    for name, profile in PROFILES.items():
+        made = Path(environment[name])
+        assert made.is_relative_to(tmp_path)
+        found, text = made.read_text(), profile.read_text()
+        assert found == text.replace("<leaseDuration><sec>5<", "<leaseDuration><sec>45<") != text
+    with pytest.raises(NetworkError, match="is 'long'; give whole seconds"):
+        prepare({"AMENT_PREFIX_PATH": "/nowhere", LEASE: "long"})
 
 
 def test_closed_with_another_middleware() -> None:

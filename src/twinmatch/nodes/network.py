@@ -27,6 +27,7 @@ from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 __all__ = [
+    "LEASE",
     "PROFILES",
     "VARIABLE",
     "Network",
