@@ -18,7 +18,6 @@ from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
     LoopForecast,
     Parameters,
-    Pid,
     PidGains,
     PidState,
     PlantError,
@@ -26,11 +25,11 @@ from twinmatch.dynamics import (
     begin,
     forecast_loop,
     gains_of,
-    read,
     rest_at,
     simulate_closed_loop,
     simulate_driven,
 )
+from twinmatch.dynamics.loop import pid_step
 from twinmatch.plants import Peltier
 
 Array = Any
@@ -41,24 +40,30 @@ RUNS = 1500
 
 
 def drawn_at_random(case: Case, inputs: Array | None) -> tuple[Array, Array]:
-    """Readings and commands of many runs of the nonlinear loop, shape (runs, N) each."""
+    """Readings and commands of many runs of the nonlinear loop, shape (runs, N) each.
+
+    The kernels are called directly: `advance` and `read` would check their arguments a million times.
+    """
     base, unsure, joint, drift, first, gains, reference = case
-    rng = np.random.default_rng(11)
+    rng, kernels, none = np.random.default_rng(11), base.model.kernels, base.model.disturbances
     n, size = len(base.model.states), reference.size
-    spread = np.asarray(drift) * math.sqrt(gains.period)
+    spread, constants = np.asarray(drift) * math.sqrt(gains.period), gains.constants
     readings, commands = np.empty((RUNS, size)), np.empty((RUNS, size))
     for run, moved in enumerate(rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)):
         plant = base.replace(**{name: base[name] + moved[n + j] for j, name in enumerate(unsure)})
-        states = advance(plant, first["states"] + moved[:n], first["input"], gains.period)
-        pid = Pid(gains, first["controller"])
+        ahead = none, gains.period, plant.steps(gains.period)
+        states = kernels.advance(plant.vector, first["states"] + moved[:n], float(first["input"]), *ahead)
+        memory = first["controller"].integral, first["controller"].previous
         strays = spread * rng.standard_normal((size, n))
         noise = base.model.plant.output.noise * rng.standard_normal(size)
         for k in range(size):
             states = states + strays[k]
-            readings[run, k] = read(plant, states) + noise[k]
-            u = pid.step(reference[k], readings[run, k]) if inputs is None else inputs[k]
-            commands[run, k] = u
-            states = advance(plant, states, u, gains.period)
+            y = kernels.outputs_at(plant.vector, states, 0.0, none)[0] + noise[k]
+            u = float(inputs[k]) if inputs is not None else 0.0
+            if inputs is None:
+                u, *memory = pid_step(constants, *memory, float(reference[k]), y)
+            readings[run, k], commands[run, k] = y, u
+            states = kernels.advance(plant.vector, states, u, *ahead)
     return readings, commands
 
 

@@ -22,8 +22,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: there is no such plant, or the file is not an FMU.
     """
+    from twinmatch.fmu.mapping import draft, overview  # noqa: PLC0415
     from twinmatch.fmu.process import FmuProcess  # noqa: PLC0415
-    from twinmatch.fmu.proposal import draft, overview  # noqa: PLC0415
     from twinmatch.fmu.runner import described_by  # noqa: PLC0415 — keeps --help fast
     from twinmatch.plants import find_plant  # noqa: PLC0415
 
