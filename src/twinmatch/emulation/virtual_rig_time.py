@@ -188,7 +188,7 @@ class VirtualPlantTime(ABC):
                 self.rest(wait)
             self.step()
             now = time.monotonic()
-            if now - self._clock_sent >= _CLOCK_EVERY * (10 if limit < math.inf else 1) or self.slice >= (
+            if now - self._clock_sent >= _CLOCK_EVERY * (10 if self._clock.driven else 1) or self.slice >= (
                 5 * self.settings.speed
             ):
                 self._send_clock(now)
