@@ -345,7 +345,7 @@ def test_a_plant_in_step_goes_exactly_as_far_as_it_is_let_and_waits_there() -> N
         waited: list[int] = []
 
         def watch() -> None:
-            """Let it go on once it has waited at a stop for a while."""
+            """Let it continue once it has waited at a stop for a while."""
             waited.append(plant.stamp)
             if not stops or plant.stamp >= stops[0]:
                 del stops[:1]

@@ -143,7 +143,7 @@ def bomb(name: bytes, rows: int = 100) -> bytes:
     [(100, "does not end where its dimensions say"), (2**25, r"values; split it into parts of at most")],
 )
 def test_a_small_file_that_unpacks_to_much_is_refused(tmp_path, read, rows, message):
-    """Whoever reads it: the importer of any table, and that of the rig's recordings."""
+    """By both readers: the importer of any table, and that of the rig's recordings."""
     path = mat_file(tmp_path / "run.mat", bomb(b"simout", rows))
     with within(10, 20), pytest.raises(RecordingError, match=message):
         read(path)

@@ -50,8 +50,8 @@ RULES = {
 
 
 def findings(text: str) -> list[str]:
-    """What is ruled out in a text, less its code in backticks, its links and its paths."""
-    shown = re.sub(r"`[^`\n]+`|\]\([^)\n]*\)|\S*/\S*\.(?:md|py)\b", "•", text)
+    """What is ruled out in a text, less its code in backticks, links, paths and dotted names."""
+    shown = re.sub(r"`[^`\n]+`|\]\([^)\n]*\)|\S*/\S*\.(?:md|py)\b|\w+(?:\.\w+){2,}", "•", text)
     flat = " ".join(word for word in shown.split() if word != "#")
     return [
         f'"{found[0].strip()}": {instead}'

@@ -3,7 +3,7 @@
 The rig sends plant time; a slow reader misses updates. A reader keeps only the newest. One that keeps step
 answers with lines, and a plant faster than real time waits for it:
 
-    drive NS     the process that commands the plant lets it go on up to this time
+    drive NS     the process that commands the plant lets it continue up to this time
     follow NS    another process does
     image NS     the newest image that was taken from the camera
 """
@@ -25,7 +25,7 @@ __all__ = ["ClockClient", "ClockError", "ClockServer", "Stillness", "parse_addre
 
 _LONGEST = 32
 _PATIENCE = 30.0
-"""Wall time for which a plant waits for one reader, s; then it goes on without it until it speaks again."""
+"""Wall time for which a plant waits for one reader, s; then it continues without it until it speaks again."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
 
 
@@ -245,7 +245,7 @@ class ClockClient:
 
 
 class Stillness:
-    """Detects that nothing is heard of a clock. A rig that waits for its readers repeats the time."""
+    """Detects that a clock is silent. A rig that waits for its readers repeats the time."""
 
     def __init__(self, patience: float = 1.0) -> None:
         self._patience = patience
@@ -261,6 +261,6 @@ class Stillness:
         self._last, self._heard = stamp, time.monotonic()
 
     def seconds(self) -> float:
-        """Wall time for which nothing was heard, s; 0 up to the patience."""
+        """Wall time for which it was silent, s; 0 up to the patience."""
         still = time.monotonic() - self._heard
         return still if still > self._patience else 0.0

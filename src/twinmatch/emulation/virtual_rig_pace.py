@@ -39,7 +39,7 @@ class RigPace:
         return max(0.0, due - now)
 
     def limit(self, speed: float, plant: float) -> None:
-        """Go on at another speed from plant time `plant`, s."""
+        """Continue at another speed from plant time `plant`, s."""
         if speed != self.speed:
             self.speed, self._wall, self._plant = speed, time.monotonic(), plant
 

@@ -1,7 +1,7 @@
 """Base of every virtual plant: a process that owns plant time, serves it, and accepts commands.
 
 Time advances in small slices, at a multiple of the wall clock's speed. A plant that may run faster than real
-time goes in step with the readers of its clock that answer: it stands still until all of them let it go on.
+time goes in step with the readers of its clock that answer: it stands still until all let it continue.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ class VirtualPlantTime(ABC):
         return self._clock.limit(self.stamp)
 
     def _stand(self) -> None:
-        """Wait a moment for the readers, the time of which is told to them once they have every image."""
+        """Wait a moment for the readers, to which the time is sent once they have every image."""
         now = time.monotonic()
         if self.lacks_image(self._clock):
             if now - self._shown_at >= _REPEAT:

@@ -109,7 +109,7 @@ class ForecastPublisher:
 PATIENCE = 2.0
 """Time after which an unanswered match request is repeated, wall s."""
 BEHIND = 20
-"""Samples for which a plant in step goes on while a match is awaited."""
+"""Samples for which a plant in step continues while a match is awaited."""
 CHECK = 0.5
 """Interval at which the pending request is checked, wall s."""
 SETTLED = "settled"

@@ -1,9 +1,9 @@
 """Keeps a virtual plant in step with this process, when the plant runs faster than real time.
 
-The process tells the virtual rig up to which plant time it may go on. The one that commands the plant lets it
-go on to the next tick or repetition of a command, once the command before has been applied; others let it go
-on for `LEAD`, once their queues are short. So load, or a process that was suspended, costs time and nothing
-else, while one that has ended is not waited for: its connection is gone.
+The process tells the virtual rig up to which plant time it may continue. The one that commands the plant lets
+it continue to the next tick or repetition of a command, once the command before has been applied; others let
+it continue for `LEAD`, once their queues are short. So load, or a process that was suspended, costs time and
+nothing else, while one that has ended is not waited for: its connection is gone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ VARIABLE: Final = "TWINMATCH_IN_STEP"
 PATIENCE: Final = 45.0
 """Deadlines by the wall clock in a graph in step, s: more than the virtual rig waits for a process."""
 LEAD: Final = 2_000_000_000
-"""Plant time for which a process that commands nothing lets the plant go on, ns."""
+"""Plant time for which a process that commands nothing lets the plant continue, ns."""
 BREATH: Final = 5_000_000
 """Plant time that passes while the board is waited for, per wait, ns."""
 LOOK: Final = 0.002
@@ -53,7 +53,7 @@ class _Task:
 
 
 class InStep:
-    """What this process has done, and the plant time up to which it lets the plant go on; thread-safe.
+    """What this process has done, and the plant time up to which it lets the plant continue; thread-safe.
 
     All times are plant time in ns. `node` receives /clock.
     """
@@ -147,9 +147,9 @@ class InStep:
                     self._news.wait(IDLE if settled else LOOK)
 
     def _look(self) -> bool:
-        """Let the plant go on if all work is done; returns whether it is."""
+        """Let the plant continue if all work is done; returns whether it is."""
         if not self._now:
-            return True  # not even the clock has been heard of
+            return True  # not even the clock has been received
         with self._news:
             if self._busy or (self._driving and self._applied < self._sent):
                 return False
