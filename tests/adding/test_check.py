@@ -12,8 +12,7 @@ from tests.support.plant_files import plant_file
 from tests.support.plants import Lag
 from tests.support.processes import run_twinmatch
 from twinmatch.adding import CheckedPlant, check_plant
-from twinmatch.adding.identifiable import inseparable
-from twinmatch.adding.trial import time_constants
+from twinmatch.adding.trial import inseparable, time_constants
 from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
 from twinmatch.plants import find_plant
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.plants import Exchanger, Lag
-from twinmatch.adding.comparison import compare_structures
+from twinmatch.adding.data import compare_structures
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.plants import Motor
-from twinmatch.adding.declared_loop import loop_findings
+from twinmatch.adding.data import loop_findings
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.sources import session_of

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from tests.support.processes import run_twinmatch
 from tests.support.servo import Servo, turns
 from twinmatch.adding import AddingError, Proposal, check_plant, example, files_of, propose
-from twinmatch.adding.noise import noise_of
+from twinmatch.adding.proposal import noise_of
 from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError
 from twinmatch.sessions.column_map import ColumnMap, Source, parse_map

@@ -5,10 +5,9 @@ test and its configuration; `check_plant` reports what is wrong with a plant fil
 """
 
 from twinmatch.adding.check import check_plant
-from twinmatch.adding.errors import AddingError
 from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.proposal import Proposal, Signal, example, propose
-from twinmatch.adding.written_files import files_of
+from twinmatch.adding.written_files import AddingError, files_of
 
 __all__ = [
     "AddingError",

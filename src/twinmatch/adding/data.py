@@ -1,21 +1,23 @@
-"""Checks of a plant against a recording of it."""
+"""Checks of a plant against a recording of it.
+
+Noise, the declared loop, matches, and which of its equations the data support.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.adding.comparison import compare_structures
-from twinmatch.adding.declared_loop import loop_findings
 from twinmatch.adding.findings import CheckedPlant, Finding
-from twinmatch.adding.noise import noise_of
+from twinmatch.adding.proposal import noise_of
 from twinmatch.adding.trial import time_constants
-from twinmatch.dynamics import Output, Plant
+from twinmatch.dynamics import Output, Pid, PidGains, Plant, PlantError, controller_state
+from twinmatch.fitting import FittingError
 from twinmatch.fitting.gate import Status
 from twinmatch.offline.judgement import judge
 from twinmatch.offline.terms import terms_from_files
@@ -24,9 +26,11 @@ from twinmatch.sessions.column_map import ColumnMap, read_map
 from twinmatch.sessions.mapped import map_samples, with_plant_names
 from twinmatch.sessions.sources import session_of
 from twinmatch.sessions.tables import read_table
-from twinmatch.twin import MatchReport
+from twinmatch.showing.series import root_mean_square
+from twinmatch.signals import FloatArray, Sample, Window, unbroken
+from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
 
-__all__ = ["check_data", "data_for"]
+__all__ = ["check_data", "compare_structures", "data_for", "loop_findings"]
 
 _SMALL: Final = 3.0
 """Noise declared smaller than measured by more than this factor is a finding: no fit would explain it."""
@@ -161,3 +165,122 @@ def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
         f"{len(good)} of {len(matches)} matches were accepted; the last: {values}; fit {last.fit.y:.1%}",
         last.determined,
     ]
+
+
+_STRETCH: Final = 200
+"""Samples over which the controller runs on its own: its integral shows wrong gains and wrong windup."""
+_LEAST: Final = 20
+"""Shorter stretches are left out."""
+_SHARE: Final = 0.1
+"""RMS error of the input, in standard deviations of the input, from which the loop is another one."""
+
+
+def loop_findings(session: Session, plant: type[Plant], gains: PidGains | None) -> list[Finding]:
+    """A finding if the declared controller does not give the recorded input from set-points and outputs."""
+    if gains is None or not session.has_reference:
+        return []
+    errors = [error for run in _runs(session.samples, gains.period) for error in _errors(run, gains)]
+    if not errors:
+        return []
+    found = np.concatenate(errors)
+    rms = float(np.sqrt(np.mean(np.square(found))))
+    usual = float(np.std([sample.input for sample in session.samples]))
+    if rms <= max(_SHARE * usual, plant.drive.noise):
+        return []
+    unit = plant.drive.unit
+    what = (
+        f"the loop in the file does not give the recorded input: run on the recorded set-points and outputs, "
+        f"it is {rms:.2g} {unit} off (RMS; the input's own standard deviation is {usual:.2g} {unit})"
+    )
+    todo = (
+        "correct gains, limits, anti-windup (`back_calculation`) or derivative of `loop`; if the controller "
+        "is of another form, remove `loop`: the recorded input then drives the twin"
+    )
+    return [Finding(what, todo)]
+
+
+def _runs(samples: Sequence[Sample], period: float) -> Iterator[Window]:
+    """Stretches of consecutive samples."""
+    for run in unbroken(samples):
+        for first in range(0, len(run), _STRETCH):
+            part = run[first : first + _STRETCH]
+            if len(part) >= _LEAST:
+                yield Window.from_samples(part, period)
+
+
+def _errors(run: Window, gains: PidGains) -> Iterator[FloatArray]:
+    """Input of the declared controller minus the recorded one, from its first two samples within limits on:
+    the controller's state follows from those."""
+    within = [not gains.saturates(float(u)) for u in run.input]
+    begin = next((k for k in range(len(run) - _LEAST) if within[k] and within[k + 1]), None)
+    if begin is None:
+        return
+    part = run.part(run.first + begin, run.last)
+    pid = Pid(gains, controller_state(part, gains))
+    pairs = zip(part.reference[2:], part.output[2:], strict=True)
+    yield np.array([pid.step(float(r), float(y)) for r, y in pairs]) - part.input[2:]
+
+
+_SHORTEST: Final = 60
+"""Samples of the shortest stretch that is used."""
+_MOST: Final = 7200
+"""Samples that are used at most: two hours at 1 s determine a structure, and longer fits take long."""
+
+
+class Compared(NamedTuple):
+    """Result of a comparison."""
+
+    findings: list[Finding]
+    """That another structure than the first one is preferred: the first is matched to windows."""
+    notes: list[str]
+    least: float
+    """RMS of the smallest residuals, in the output's unit; NaN if nothing could be fitted."""
+
+
+def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: TwinSettings) -> Compared:
+    """Fit every structure of the plant file to a recording as a whole."""
+    names = [name for name, structure in plant.structures.items() if structure.external is None]
+    windows = _windows(samples, settings)
+    if not windows:
+        return Compared([], [], math.nan)
+    try:
+        choice = choose_structure(
+            windows, [plant.model(name) for name in names], noise=settings.noise, gains=settings.gains
+        )
+    except (FittingError, PlantError) as error:
+        return Compared([], [f"the structures cannot be compared on this recording: {error}"], math.nan)
+    used = sum(len(window) for window in windows)
+    notes = [f"each structure fitted to {'all' if used == len(samples) else 'the first'} {used} samples:"]
+    notes += [f"  {_line(score, plant)}" for score in choice.scores]
+    if len(names) > 1:
+        notes.append(choice.sentence)
+    least = min(map(_rms, choice.scores))
+    first = settings.start.model.structure_name
+    if choice.chosen == first:
+        return Compared([], notes, least)
+    what = f"the recording supports the structure {choice.chosen!r} rather than {first!r}"
+    todo = "put it first in `structures`: single windows are matched with the first one"
+    return Compared([Finding(what, todo)], notes, least)
+
+
+def _windows(samples: Sequence[Sample], settings: TwinSettings) -> list[Window]:
+    windows, left = [], _MOST
+    for stretch in unbroken(samples):
+        part = stretch[:left]
+        if len(part) >= _SHORTEST:
+            windows.append(Window.from_samples(part, settings.period))
+            left -= len(part)
+    return windows
+
+
+def _line(score: StructureScore, plant: type[Plant]) -> str:
+    y = plant.output
+    rms = _rms(score)
+    values = ", ".join(f"{name} = {score.parameters[name]:.4g}" for name in score.fitted.model.structure.free)
+    fit = "" if math.isnan(score.fit[0]) else f", fit {score.fit[0]:.1%}"
+    return f"{score.name}: leaves {rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise){fit}; {values}"
+
+
+def _rms(score: StructureScore) -> float:
+    off = [m[0] - s[0] for m, s in zip(score.fitted.measured, score.fitted.simulated, strict=True)]
+    return root_mean_square(off)

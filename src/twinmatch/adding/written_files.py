@@ -12,13 +12,13 @@ from typing import Any, Final
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from twinmatch.adding.errors import AddingError
 from twinmatch.adding.proposal import Proposal
+from twinmatch.errors import TwinmatchError
 from twinmatch.plants import PLANTS
 from twinmatch.plants.files import installed_names
 from twinmatch.sessions.column_map import Source
 
-__all__ = ["files_of"]
+__all__ = ["AddingError", "files_of"]
 
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
@@ -142,3 +142,7 @@ def _per(above: str, below: str) -> str:
 
 def _short(value: float, digits: int = 2) -> float:
     return float(f"{value:.{digits}g}")
+
+
+class AddingError(TwinmatchError):
+    """The name is not valid for a plant, or a file exists already."""
