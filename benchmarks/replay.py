@@ -15,7 +15,7 @@ from benchmarks.common import Row, Timing, measure_side_by_side, print_rows, row
 from benchmarks.rig import recorded
 from twinmatch.comparing import Candidate, Verdict
 from twinmatch.dynamics import Parameters
-from twinmatch.offline.judgement import Judgement, judge_samples
+from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.plants import Peltier
 from twinmatch.sessions import open_any
 from twinmatch.signals import Sample

@@ -32,7 +32,7 @@ def run(quick: bool) -> list[Row]:
         hour = write_session(Path(folder) / "hour", recorded(700 if quick else 3600))
         cases: dict[str, Callable[[], None]] = {
             "python -c pass": _python("-c", "pass"),
-            "import twinmatch.offline.judgement": _python("-c", "import twinmatch.offline.judgement"),
+            "import twinmatch.offline.judging": _python("-c", "import twinmatch.offline.judging"),
             "replay, no match": _python("-m", "twinmatch.cli", "replay", quiet),
             "replay, two matches": _python("-m", "twinmatch.cli", "replay", short),
             f"replay, {12 if quick else 60} min": _python("-m", "twinmatch.cli", "replay", hour),
@@ -59,7 +59,7 @@ def _environment() -> dict[str, str]:
 def _loading(session: Path, repeats: int) -> Row:
     """CPU time of a new process before it judges: that of a first replay minus that of a second one."""
     code = (
-        "import sys, time; from pathlib import Path; from twinmatch.offline.judgement import judge_session\n"
+        "import sys, time; from pathlib import Path; from twinmatch.offline.judging import judge_session\n"
         "judge_session(Path(sys.argv[1])); first = time.process_time()\n"
         "judge_session(Path(sys.argv[1])); print(2 * first - time.process_time())"
     )

@@ -28,7 +28,7 @@ from scipy.stats import spearmanr
 from twinmatch.comparing import CandidateScore
 from twinmatch.dynamics import Parameters, Response, simulate_window
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.judgement import judge_session
+from twinmatch.offline.judging import judge_session
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Window
 

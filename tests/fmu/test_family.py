@@ -14,8 +14,8 @@ from tests.support.fmus import build_python_fmu, write_map
 from twinmatch.cli import main
 from twinmatch.dynamics import Model, PlantError, Structure, StructureLostError, begin, simulate_closed_loop
 from twinmatch.fmu import is_fmu
-from twinmatch.offline.foreign import ForeignError, check_fmus
-from twinmatch.offline.judgement import Judgement, judge_samples
+from twinmatch.offline.judging import Judgement, judge_samples
+from twinmatch.offline.verification import ForeignError, check_fmus
 from twinmatch.parameters.twin import ParameterError, read_settings, recorded_values
 from twinmatch.plants import Peltier
 from twinmatch.record.trees import parameters_of, parameters_tree

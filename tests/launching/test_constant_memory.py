@@ -18,10 +18,10 @@ from twinmatch.comparing import Verdict
 from twinmatch.health import Monitor
 from twinmatch.launching.live import Live
 from twinmatch.launching.plan import LivePlan
-from twinmatch.offline.judgement import judge_session
+from twinmatch.offline.judging import judge_session
+from twinmatch.offline.summary import Tally, conclude, summarise
 from twinmatch.sessions import Recording, read_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
-from twinmatch.showing.summary import Tally, conclude, summarise
 from twinmatch.showing.terminal import MOST_EVENTS, Screen
 from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample

@@ -14,7 +14,7 @@ from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.nodes.messages import match_from, verdict_from
 from twinmatch.nodes.topics import EVERYTHING
-from twinmatch.offline.terms import TermsError
+from twinmatch.offline.judging import TermsError
 from twinmatch.offline.verification import Verification, VerifyError, verify_session
 from twinmatch.sessions import SessionError, read_session
 from twinmatch.signals import Sample

@@ -12,8 +12,8 @@ from tests.support.plants import Motor
 from tests.support.steps import drive_lost
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Forecast, ForecastError
+from twinmatch.offline.judging import Terms
 from twinmatch.offline.outlooks import Prospect, prospects, samples_at
-from twinmatch.offline.terms import Terms
 from twinmatch.sessions import Session, read_session, samples_of, write_session
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings

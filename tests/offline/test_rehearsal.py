@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from twinmatch.offline import rehearsal
-from twinmatch.offline.judgement import Judgement, judge_samples
+from twinmatch.offline import judging
+from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.plants import Incubator, Peltier
 from twinmatch.twin import TwinSettings
 
@@ -22,10 +22,10 @@ def test_a_rehearsal_matches_judges_and_forecasts_once(
         judged.append(judge_samples(*args, **settings))
         return judged[-1]
 
-    monkeypatch.setattr(rehearsal, "cache_folder", lambda: tmp_path / "cache")
-    monkeypatch.setattr(rehearsal, "judge_samples", judge)
+    monkeypatch.setattr(judging, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(judging, "judge_samples", judge)
     for _ in range(2):
-        rehearsal.rehearse(Peltier, TwinSettings(), lambda _done, _total: None)
+        judging.rehearse(Peltier, TwinSettings(), lambda _done, _total: None)
     (only,) = judged
     last = only.verdicts[-1]
     assert any(report.match.accepted for report in only.matches)
@@ -35,6 +35,6 @@ def test_a_rehearsal_matches_judges_and_forecasts_once(
 
 
 def test_a_plant_without_a_loop_is_not_rehearsed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsal, "cache_folder", lambda: tmp_path)
-    rehearsal.rehearse(Incubator, TwinSettings(), lambda _done, _total: None)
+    monkeypatch.setattr(judging, "cache_folder", lambda: tmp_path)
+    judging.rehearse(Incubator, TwinSettings(), lambda _done, _total: None)
     assert not list(tmp_path.iterdir())

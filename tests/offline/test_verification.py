@@ -18,8 +18,8 @@ from rclpy.serialization import serialize_message
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
 from twinmatch.nodes.messages import match_message, score_message
-from twinmatch.offline.judgement import Judgement
-from twinmatch.offline.terms import TermsError
+from twinmatch.offline.judging import Judgement, TermsError
+from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
 from twinmatch.parameters.twin import twin_values
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic
@@ -27,7 +27,6 @@ from twinmatch.sessions.candidates import parse_candidates
 from twinmatch.sessions.definitions import schema_of
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of, parameters_record
-from twinmatch.showing.summary import summarise
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
 

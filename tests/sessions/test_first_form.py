@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from twinmatch.cli import main
 from twinmatch.dynamics import Pid
-from twinmatch.offline.terms import recorded_terms
+from twinmatch.offline.judging import recorded_terms
 from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import read_session

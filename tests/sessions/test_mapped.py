@@ -17,7 +17,7 @@ from tests.support.plant_files import plant_file
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
-from twinmatch.offline.terms import terms_from_files
+from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError, read_session, write_session
 from twinmatch.sessions.column_map import ColumnMap, Source, columns_of, parse_map, proposed, read_map

@@ -9,12 +9,13 @@ import pytest
 
 from tests.support.rig import rig, run
 from twinmatch.comparing import Candidate, Verdict, score
+from twinmatch.offline.summary import summarise
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.showing.family import Member, family
 from twinmatch.showing.figures.drawing import png, svg
 from twinmatch.showing.figures.family import draw_criteria, draw_matrix, draw_responses, draw_uncertainty
-from twinmatch.showing.summary import document, sentence, summarise
+from twinmatch.showing.summary import document, sentence
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport, Twin, TwinSettings
 

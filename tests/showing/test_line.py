@@ -12,8 +12,9 @@ from rich.console import Console
 
 from tests.support.rig import rig
 from twinmatch.comparing import CandidateScore, Criteria, ForecastScore, OrderScore, TrustLevel, Verdict
+from twinmatch.offline.summary import SessionSummary
 from twinmatch.showing.lines import Lines, header_text, line_text, redraws
-from twinmatch.showing.summary import SessionSummary, closing_lines, sentence
+from twinmatch.showing.summary import closing_lines, sentence
 
 SCORE = Criteria(1000, 400, 600, 0.6, 1.5, 900.0, 40.0)
 CANDIDATE = CandidateScore(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict
-from twinmatch.showing.summary import Tally
+from twinmatch.offline.summary import Tally
 from twinmatch.showing.verdicts import news
 
 STANDS = Verdict(

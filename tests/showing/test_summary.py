@@ -9,8 +9,9 @@ import pytest
 
 from tests.support.rig import rig
 from twinmatch.comparing import TrustLevel
+from twinmatch.offline.summary import SessionSummary, TrustRange
 from twinmatch.plants import Peltier
-from twinmatch.showing.summary import SessionSummary, TrustRange, sentence
+from twinmatch.showing.summary import sentence
 
 SINK = Peltier.model("sink with mass").parameters()
 SUMMARY = SessionSummary(

@@ -10,12 +10,12 @@ import pytest
 from rich.console import Console
 
 from tests.support.steps import drive_lost
-from twinmatch.offline.judgement import Judgement, judge_samples
+from twinmatch.offline.judging import Judgement, judge_samples
+from twinmatch.offline.summary import nominal_score
 from twinmatch.plants import Peltier
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.quantities import number, parameter_format
 from twinmatch.showing.terminal import Screen, view_on
-from twinmatch.showing.verdicts import nominal_score
 from twinmatch.twin import TwinSettings
 
 LOST = 640

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from tests.showing.test_line import VERDICT
 from tests.support.plants import Tank
+from twinmatch.offline.summary import TrustRange, trust_range
 from twinmatch.plants import Peltier
-from twinmatch.showing.summary import TrustRange, trust_range
 
 
 def test_degrees_are_rounded_to_the_inside() -> None:

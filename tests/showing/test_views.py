@@ -13,9 +13,10 @@ from rich.console import Console
 from tests.support.rig import rig
 from twinmatch.comparing import CandidateScore, Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.errors import TwinmatchError
+from twinmatch.offline.summary import summarise
 from twinmatch.showing.figures.session import draw_verdict
 from twinmatch.showing.lines import Lines
-from twinmatch.showing.summary import document, sentence, summarise
+from twinmatch.showing.summary import document, sentence
 from twinmatch.showing.verdicts import COLUMNS, News, news, row
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings

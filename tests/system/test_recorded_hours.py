@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from twinmatch.comparing import TrustLevel
-from twinmatch.offline.judgement import Judgement, judge_samples, judge_session
+from twinmatch.offline.judging import Judgement, judge_samples, judge_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window

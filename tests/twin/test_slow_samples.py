@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag
 from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import HORIZONS, horizons_for, leads_of, time_scale
-from twinmatch.offline.judgement import judge_samples
+from twinmatch.offline.judging import judge_samples
 from twinmatch.signals import Sample
 from twinmatch.twin import ForecastSettings, TwinSettings
 

@@ -19,8 +19,7 @@ from bokeh.document import Document
 from tests.showing.page.test_page import Nothing
 from tests.words.conftest import Shown
 from twinmatch.cli import main
-from twinmatch.offline.judgement import judge
-from twinmatch.offline.terms import terms_from_files
+from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session
 from twinmatch.showing.foxglove.layout import layout

@@ -19,8 +19,7 @@ from twinmatch.adding.trial import time_constants
 from twinmatch.dynamics import Output, Pid, PidGains, Plant, PlantError, controller_state
 from twinmatch.fitting import FittingError
 from twinmatch.fitting.gate import Status
-from twinmatch.offline.judgement import judge
-from twinmatch.offline.terms import terms_from_files
+from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.column_map import ColumnMap, read_map
 from twinmatch.sessions.mapped import map_samples, with_plant_names

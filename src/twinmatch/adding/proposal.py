@@ -273,7 +273,9 @@ def noise_of(values: FloatArray) -> float:
     """Standard deviation of white noise on a signal of a plant that moved, two digits.
 
     Second differences are hardly affected by a slow plant: for white noise of standard deviation σ they have
-    the variance 6 σ²; the median is robust to a few jumps. A sensor that rounds to steps q has at least q/√12.
+    the variance 6 σ²; the median is robust to a few jumps. A sensor that rounds to steps q has at least
+    q/√12.
+
     If a quarter of the recording is far quieter than the rest, the rest is the plant's own movement, and the
     noise is that of the quiet part.
     """

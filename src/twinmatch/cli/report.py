@@ -8,10 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twinmatch.offline.interrupt import held_interrupts
-from twinmatch.offline.options import add_terms
-from twinmatch.offline.outputs import check_writable
-from twinmatch.offline.progress import Progress
+from twinmatch.offline.command_line import Progress, add_terms, check_writable, held_interrupts
 
 if TYPE_CHECKING:
     from twinmatch.showing.report.report import SessionReport

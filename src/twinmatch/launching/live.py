@@ -23,10 +23,11 @@ from twinmatch.nodes.runner import run
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.offline.summary import SessionSummary, Tally, conclude
 from twinmatch.parameters.twin import read_settings
 from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing.lines import Lines
-from twinmatch.showing.summary import SessionSummary, Tally, closing_lines, conclude
+from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample, Window
 from twinmatch_msgs.msg import LoopSample, Match, ModelScore

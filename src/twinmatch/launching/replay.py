@@ -18,12 +18,13 @@ from twinmatch.nodes.messages import match_from, verdict_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.loop import UNKNOWN
 from twinmatch.parameters.twin import at_period, read_settings
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
 from twinmatch.showing.lines import Lines
-from twinmatch.showing.summary import SessionSummary, closing_lines, summarise
+from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.twin import MatchReport, TwinSettings
 from twinmatch_msgs.msg import Match, ModelScore

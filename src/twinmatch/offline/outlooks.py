@@ -1,21 +1,44 @@
-"""The twin's outlook at chosen samples of a session, from which it can forecast."""
+"""Forecasts from chosen samples of a session: the twin's outlook at each, and the set-points ahead."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from pathlib import Path
+from typing import Final, NamedTuple
 
-from twinmatch.forecasting import ForecastError, Outlook
-from twinmatch.offline.interrupt import held_interrupts
-from twinmatch.offline.judgement import EVERY, Watch
-from twinmatch.offline.terms import Terms
+import numpy as np
+
+from twinmatch.dynamics import Drive, Output
+from twinmatch.errors import TwinmatchError
+from twinmatch.forecasting import Forecast, ForecastError, Outlook, SetPoints, horizons_for, time_scale
+from twinmatch.offline.command_line import held_interrupts
+from twinmatch.offline.judging import EVERY, Terms, Watch
 from twinmatch.sessions import Session
-from twinmatch.signals import Sample
-from twinmatch.twin import Twin
+from twinmatch.sessions.files import read_bounded
+from twinmatch.signals import FloatArray, Sample, unbroken
+from twinmatch.twin import Twin, TwinSettings
 from twinmatch.twin.forecaster import Forecaster
 
-__all__ = ["Prospect", "prospects", "samples_at"]
+__all__ = [
+    "RECORDED",
+    "Prospect",
+    "ahead_of",
+    "forecast_of",
+    "planned_rows",
+    "prospects",
+    "samples_ahead",
+    "samples_at",
+]
+
+
+LONGEST: Final = 86_400.0
+"""Longest horizon, s; for samples more than 5 s or less than 0.5 s apart in proportion to the sample time. A
+longer one is a typing error: bands are learned up to a 288th of that."""
+RECORDED: Final = "recorded"
+MOST_BYTES = 1 << 20
+"""Largest file of set-points, bytes: a day of them, one per second."""
 
 
 class Prospect(NamedTuple):
@@ -126,3 +149,133 @@ def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastE
     return ForecastError(
         f"{absent} or later, since no match was accepted; {needed} or give candidates with --candidates"
     )
+
+
+class Ahead(NamedTuple):
+    """Set-points, or inputs where the loop is not known, ahead of one sample."""
+
+    values: FloatArray
+    """From the next sample on, shape (N,)."""
+    words: str
+    """Their description."""
+    notes: tuple[str, ...] = ()
+    disturbances: FloatArray | None = None
+    """As recorded from this sample on, shape (N + 1, d); None: held at their last values."""
+
+
+def planned_rows(path: Path) -> list[str]:
+    """The lines of a file of set-points.
+
+    Raises:
+        TwinmatchError: it cannot be read, or is not text.
+    """
+    try:
+        return read_bounded(path, MOST_BYTES).decode("utf-8-sig").splitlines()
+    except FileNotFoundError:
+        msg = f"{path}: does not exist; give a .csv with seconds ahead and set-point, or {RECORDED!r}"
+        raise TwinmatchError(msg) from None
+    except OSError as error:
+        raise TwinmatchError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError:
+        raise TwinmatchError(
+            f"{path}: not a text file; give a .csv with seconds ahead and set-point"
+        ) from None
+
+
+def ahead_of(
+    session: Session,
+    sample: Sample,
+    size: int,
+    *,
+    settings: TwinSettings,
+    reference: str | None,
+    hold: float | None,
+    rows: list[str] | None,
+) -> Ahead:
+    """The set-points, or inputs, of the `size` samples after this one, or of as many as were recorded.
+
+    Args:
+        session: the session.
+        sample: the sample to forecast from.
+        size: the number of samples ahead.
+        settings: the settings of the twin.
+        reference: name of a file of set-points, or `RECORDED`; None: neither.
+        hold: a value to hold; without it, and without `reference`, that of the sample.
+        rows: the lines of the file, if one is named.
+
+    Raises:
+        TwinmatchError: the plant does not take a set-point or input, a profile cannot be read, or nothing
+            was recorded after the sample.
+    """
+    if reference == RECORDED:
+        return _recorded(session, sample, size, settings)
+    closed = settings.gains is not None
+    signal: Output | Drive = settings.plant.output if closed else settings.plant.drive
+    kind, standing = ("set-point", sample.reference) if closed else ("input", sample.input)
+    unit = f" {signal.unit}".rstrip()
+    if rows is not None and reference is not None:
+        try:
+            profile = SetPoints.planned(rows, standing, signal=signal)
+        except ForecastError as error:
+            raise ForecastError(f"{reference}: {error}") from error
+        words = f"{kind}s of {Path(reference or '').name}"
+    elif hold is not None:
+        try:
+            profile = SetPoints.constant(hold, signal)
+        except ForecastError as error:
+            raise ForecastError(f"--hold: {error}") from error
+        words = f"{hold:g}{unit} held"
+    else:
+        profile = SetPoints.constant(standing)
+        words = f"its {kind} of {standing:g}{unit} held"
+    return Ahead(profile.ahead(settings.period, size), words, profile.notes)
+
+
+def _recorded(session: Session, sample: Sample, size: int, settings: TwinSettings) -> Ahead:
+    period, closed = settings.period, settings.gains is not None
+    kind = "set-point" if closed else "input"
+    stretch = next(
+        part for part in unbroken(session.samples) if part[0].index <= sample.index <= part[-1].index
+    )
+    came = [s for s in stretch if sample.index <= s.index <= sample.index + size]
+    levels = [s.reference if closed else s.input for s in came]
+    count = len(came) - 1
+    if not count:
+        msg = (
+            f"session {session.name}: nothing was recorded right after sample {sample.index}, so no "
+            f"{kind} ahead is known; choose an earlier sample, or give --hold"
+        )
+        raise TwinmatchError(msg)
+    notes: tuple[str, ...] = ()
+    if count < size:
+        why = "a sample is missing" if stretch[-1].index < session.samples[-1].index else "the session ends"
+        notes = (f"shortened to {count * period:g} s: {why} there",)
+    rows = np.array([s.disturbances for s in came]) if sample.disturbances else None
+    ahead = SetPoints.recorded(levels, period).ahead(period, count)
+    return Ahead(ahead, f"the recorded {kind}s", notes, rows)
+
+
+def samples_ahead(horizon: float | None, period: float) -> int:
+    """Samples within the horizon; without one, within the longest at which forecasts are scored."""
+    horizon = horizons_for(period)[-1] if horizon is None else horizon
+    longest = LONGEST * time_scale(period)
+    if not (math.isfinite(horizon) and 0 < horizon <= longest):
+        msg = (
+            f"forecast: the horizon is {horizon:g} s; give a positive number of seconds, at most {longest:g}"
+        )
+        raise TwinmatchError(msg)
+    size = int(horizon / period * (1 + 1e-9))
+    if size < 1:
+        msg = f"forecast: the horizon of {horizon:g} s is shorter than one sample, {period:g} s; give more"
+        raise TwinmatchError(msg)
+    return size
+
+
+def forecast_of(prospect: Prospect, ahead: Ahead, period: float) -> Forecast:
+    """The forecast of a candidate, with notes on what is known ahead; `period` is the sample time, s."""
+    forecast = prospect.outlook.forecast(ahead.values, ahead.disturbances)
+    learned = prospect.outlook.leads[-1] * period
+    beyond: tuple[str, ...] = ()
+    if forecast.time[-1] > learned:
+        beyond = (f"the width of the band is learned up to {learned:g} s ahead, and not beyond",)
+    return replace(forecast, notes=forecast.notes + beyond + ahead.notes)

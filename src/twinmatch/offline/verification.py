@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from twinmatch.comparing import Verdict
+from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.foreign import check_fmus
-from twinmatch.offline.judgement import Judgement, Watch, judge
-from twinmatch.offline.terms import prefix_of, recorded_terms
+from twinmatch.fmu import is_fmu, unmarked
+from twinmatch.offline.judging import Judgement, Watch, judge, prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
 from twinmatch.sessions import Session, Topic, open_any
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
 
-__all__ = ["Difference", "Verification", "VerifyError", "compare", "holds_verdicts", "verify_session"]
+__all__ = [
+    "ForeignError",
+    "Verification",
+    "VerifyError",
+    "check_fmus",
+    "compare",
+    "holds_verdicts",
+    "verify_session",
+]
 
 SCORES = "twin/model_score"
 MATCHES = "twin/match"
@@ -247,3 +255,29 @@ def _owner(tree: Mapping[str, Any], field: str) -> str:
         return ""
     row = int(field.removeprefix("candidates[").split("]", 1)[0])
     return str(tree["candidates"][row]["name"])
+
+
+class ForeignError(TwinmatchError):
+    """The FMUs that a session was judged with are missing, or there are others."""
+
+
+def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
+    """Compare the FMUs among the recorded structures with those of the plant now.
+
+    Raises:
+        ForeignError: they differ.
+    """
+    able = [name for name, held in plant.structures.items() if held.external and not held.external.lost]
+    then, now = ([s for s in those if is_fmu(s)] for those in (recorded, able))
+    missing, more = [s for s in then if s not in now], [s for s in now if s not in then]
+    if missing:
+        other = [s for s in more if unmarked(s) == unmarked(missing[0])]
+        what = f"; the one given, {other[0]!r}, is another FMU or has another map" if other else ""
+        msg = (
+            f"session {name}: was judged with the structure {missing[0]!r}, an FMU{what}; give that FMU's "
+            "map file with --allow-fmu FILE"
+        )
+        raise ForeignError(msg)
+    if more:
+        msg = f"session {name}: was judged without the FMU {more[0]!r}; leave out --allow-fmu"
+        raise ForeignError(msg)

@@ -19,18 +19,11 @@ from rich.text import Text
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Plant
+from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import CRITERIA
 from twinmatch.showing.lines import STYLES, Lines, redraws
 from twinmatch.showing.quantities import number, parameter_format
-from twinmatch.showing.verdicts import (
-    LEVEL_WORDS,
-    Event,
-    EventKind,
-    events_since,
-    leader_words,
-    missed,
-    nominal_score,
-)
+from twinmatch.showing.verdicts import LEVEL_WORDS, Event, EventKind, events_since, leader_words, missed
 from twinmatch.twin import MatchReport
 
 __all__ = ["Screen", "family_table", "view_on"]

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable, MutableSequence, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
 
-from twinmatch.comparing import ADMITTED, REFUSED, CandidateScore, TrustLevel, Verdict
-from twinmatch.dynamics import Parameters
+from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict
 from twinmatch.fitting import Status
+from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.quantities import number, signal_names
 from twinmatch.twin import MatchReport
 
@@ -23,7 +23,6 @@ __all__ = [
     "LevelStretch",
     "Mark",
     "News",
-    "ShownTwin",
     "admitted",
     "events",
     "events_since",
@@ -34,10 +33,8 @@ __all__ = [
     "match_word",
     "missed",
     "news",
-    "nominal_score",
     "refusal",
     "row",
-    "shown_twin",
 ]
 
 LEVEL_WORDS: Final = {
@@ -64,37 +61,9 @@ COLUMNS: Final = (
 """Names of the cells of `row`."""
 
 
-class ShownTwin(NamedTuple):
-    """The twin that displays show."""
-
-    name: str
-    parameters: Parameters
-
-    @property
-    def is_structure(self) -> bool:
-        """Whether it is a structure under its own name, and not a match named after an operating point."""
-        return self.name == self.parameters.model.structure_name
-
-
 def last_verdict(verdicts: Sequence[Verdict]) -> Verdict | None:
     """The last verdict; None without one, or if it has no candidate."""
     return verdicts[-1] if verdicts and verdicts[-1].candidates else None
-
-
-def nominal_score(verdict: Verdict | None) -> CandidateScore | None:
-    """The nominal candidate of a verdict; None without one."""
-    candidates = verdict.candidates if verdict is not None else ()
-    return next((c for c in candidates if verdict and c.name == verdict.nominal), None)
-
-
-def shown_twin(verdict: Verdict | None) -> ShownTwin | None:
-    """The leader, or the nominal candidate in old recordings without leaders; None without both."""
-    if verdict is None:
-        return None
-    known = {c.name: c.parameters for c in verdict.candidates}
-    known |= {f.name: f.parameters for f in verdict.forecasts}
-    name = verdict.leader or verdict.nominal
-    return ShownTwin(name, known[name]) if name in known else None
 
 
 def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:

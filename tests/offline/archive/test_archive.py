@@ -10,22 +10,23 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from twinmatch.offline.archive import judge_archive
-from twinmatch.offline.archive.fingerprint import content_of
-from twinmatch.offline.archive.job import Job, Terms, judge
-from twinmatch.offline.archive.processes import judge_in_processes
-from twinmatch.offline.judgement import judge_session
+from twinmatch.offline import archive as archives
+from twinmatch.offline.archive.files import content_of
+from twinmatch.offline.archive.job import ArchiveTerms, Job, judge_in_processes, judge_job
+from twinmatch.offline.judging import judge_session
 from twinmatch.showing.summary import document
 from twinmatch.twin import TwinSettings
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Make = Callable[..., Path]
 
-TERMS = Terms(TwinSettings(), (), None)
+TERMS = ArchiveTerms(TwinSettings(), (), None, document)
+judge_archive = partial(archives.judge_archive, document=document)
 
 
 def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_continues(
@@ -132,7 +133,7 @@ def test_a_process_that_dies_takes_only_its_session_along(tmp_path: Path) -> Non
         path = tmp_path / f"{number}.csv"
         path.write_text("time,reference\n")  # no recording; what is wrong with it says that it was looked at
         jobs.append(Job(number, path, content_of(path), TERMS))
-    jobs[1] = replace(jobs[1], terms=Terms(_Fatal(), (), None))
+    jobs[1] = replace(jobs[1], terms=ArchiveTerms(_Fatal(), (), None, document))
     errors = {outcome.number: outcome.error for outcome in judge_in_processes(jobs, 2)}
     assert set(errors) == {0, 1, 2}
     assert "died" in errors[1]
@@ -142,13 +143,13 @@ def test_a_process_that_dies_takes_only_its_session_along(tmp_path: Path) -> Non
 def test_a_session_elsewhere_has_to_be_the_same(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     job = Job(4, path, "0" * 64, TERMS)
-    absent = judge(job, " on worker tcp://10.0.0.7:41")
+    absent = judge_job(job, " on worker tcp://10.0.0.7:41")
     assert (absent.number, absent.record) == (4, None)
     assert "on worker tcp://10.0.0.7:41" in absent.error
     assert "same path" in absent.error
     path.touch()
-    assert "differs on worker" in judge(job, " on worker tcp://10.0.0.7:41").error
-    assert "changed" in judge(job).error
+    assert "differs on worker" in judge_job(job, " on worker tcp://10.0.0.7:41").error
+    assert "changed" in judge_job(job).error
 
 
 def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, make_session: Make) -> None:

@@ -8,17 +8,22 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
-from twinmatch.offline.archive import Archive, ClusterError, judge_archive
+from twinmatch.offline import archive as archives
+from twinmatch.offline.archive import Archive, ClusterError
+from twinmatch.showing.summary import document
 
 pytest.importorskip("distributed", reason="distributed is not installed; it is in the extra 'cluster'")
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+
+judge_archive = partial(archives.judge_archive, document=document)
 
 
 def dask(stack: ExitStack, folder: Path, *arguments: str) -> None:
@@ -123,7 +128,7 @@ def test_without_distributed_the_extra_is_named(archive_folder: Path) -> None:
 
 def test_nothing_of_dask_is_loaded_unasked() -> None:
     code = (
-        "import sys, twinmatch.cli, twinmatch.offline.archive, twinmatch.offline.judgement\n"
+        "import sys, twinmatch.cli, twinmatch.offline.archive, twinmatch.offline.judging\n"
         "print('distributed' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from twinmatch.offline.archive import ArchiveError
-from twinmatch.offline.archive.fingerprint import content_of, key_of
-from twinmatch.offline.archive.store import Store
+from twinmatch.offline.archive.files import Store, content_of, key_of
 
 RECORD = {"session": "run", "fit": 0.25, "note": "°C"}
 

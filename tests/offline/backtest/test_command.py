@@ -10,10 +10,9 @@ import pytest
 
 from tests.support.places import SHIPPED
 from tests.support.processes import run_twinmatch
-from twinmatch.cli.backtesting import PEERS as OFFERED
-from twinmatch.offline.backtest.document import document
+from twinmatch.cli.backtest import PEERS as OFFERED
 from twinmatch.offline.backtest.peers import PEERS
-from twinmatch.offline.backtest.result import Backtest
+from twinmatch.offline.backtest.result import Backtest, document
 from twinmatch.sessions import samples_of, write_session
 from twinmatch.signals import Window
 

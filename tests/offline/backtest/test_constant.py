@@ -7,7 +7,7 @@ import pytest
 
 from tests.offline.backtest.forecasts import forecast_of, set_points
 from twinmatch.dynamics import begin, simulate_closed_loop
-from twinmatch.offline.backtest.constant import with_constant_band
+from twinmatch.offline.backtest.run import with_constant_band
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 

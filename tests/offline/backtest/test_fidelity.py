@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.fidelity import fidelity
 from tests.support.incubator import FIRST, SECOND, published_twin, read_run
 from twinmatch.dynamics import Experiment
 from twinmatch.fitting import fit_structure
-from twinmatch.offline.backtest import BacktestError, fidelity
 from twinmatch.plants import Incubator
 
 
@@ -77,7 +77,7 @@ def test_a_trace_is_wholly_like_itself() -> None:
     ],
 )
 def test_what_has_no_meaning_is_refused(twin: list[float], options: dict[str, float], words: str) -> None:
-    with pytest.raises(BacktestError, match=words):
+    with pytest.raises(ValueError, match=words):
         fidelity(twin, [1.0], **options)
 
 

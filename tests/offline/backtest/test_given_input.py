@@ -7,10 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.support.plants import Box, Lag
-from twinmatch.offline.backtest.given_input import InputArx, OutputPersistence
+from twinmatch.offline.backtest.arx import InputArx, OutputPersistence
 from twinmatch.offline.backtest.peers import peers
-from twinmatch.offline.backtest.scoring import marks
-from twinmatch.offline.backtest.summary import Marked, cards
+from twinmatch.offline.backtest.scoring import Marked, cards, marks
 from twinmatch.signals import FloatArray, Window
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from tests.offline.backtest.forecasts import forecast_of, linear_loop, set_points
 from twinmatch.forecasting import HORIZONS
-from twinmatch.offline.backtest.errors import BacktestError
 from twinmatch.offline.backtest.origins import Origin, ask, mark, origins, regular, stretches
-from twinmatch.offline.backtest.persistence import Persistence
+from twinmatch.offline.backtest.peer import BacktestError
+from twinmatch.offline.backtest.peers import Persistence
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample, Window
 

@@ -12,14 +12,10 @@ from hypothesis import strategies as st
 
 from tests.offline.backtest.forecasts import linear_loop, set_points
 from twinmatch.forecasting import Forecast, ForecastError
-from twinmatch.offline.backtest.arx import Arx
-from twinmatch.offline.backtest.arx_fit import equations
-from twinmatch.offline.backtest.errors import BacktestError
-from twinmatch.offline.backtest.peer import Peer
-from twinmatch.offline.backtest.peers import PEERS, peers
-from twinmatch.offline.backtest.persistence import Persistence
+from twinmatch.offline.backtest.arx import Arx, equations
+from twinmatch.offline.backtest.peer import BacktestError, Peer
+from twinmatch.offline.backtest.peers import PEERS, Persistence, VectorAutoregression, peers
 from twinmatch.offline.backtest.scoring import marks
-from twinmatch.offline.backtest.vector_autoregression import VectorAutoregression
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Window
 

@@ -12,15 +12,14 @@ from tests.support.places import SHIPPED
 from tests.support.plants import Motor
 from tests.support.steps import drive_lost
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
-from twinmatch.offline.backtest import Choices, draw_backtest
-from twinmatch.offline.backtest.errors import BacktestError
+from twinmatch.offline.backtest import Choices
+from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, TWINS, Backtest
 from twinmatch.offline.backtest.run import Listener, backtest, backtest_session, graded
-from twinmatch.offline.backtest.summary import HINDSIGHT, Card, Marked
-from twinmatch.offline.backtest.table import columns
-from twinmatch.offline.judgement import judge_samples
-from twinmatch.offline.terms import terms_from_files
+from twinmatch.offline.backtest.scoring import HINDSIGHT, Card, Marked
+from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.sessions import open_any, samples_of, write_session
+from twinmatch.showing.backtests import columns, draw_backtest
 from twinmatch.showing.figures.drawing import save
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings

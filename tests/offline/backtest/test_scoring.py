@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.offline.backtest.forecasts import forecast_of
-from twinmatch.offline.backtest.errors import BacktestError
+from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.offline.backtest.scoring import interval_score, marks, samples_within
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window

@@ -11,15 +11,12 @@ import pytest
 from rich.console import Console
 
 from tests.offline.backtest.forecasts import linear_loop, set_points
-from twinmatch.offline.backtest.document import document
-from twinmatch.offline.backtest.figure import draw_backtest
 from twinmatch.offline.backtest.origins import ask, mark, origins, regular
 from twinmatch.offline.backtest.peers import Absent, peers
-from twinmatch.offline.backtest.result import LEADER, Backtest, over_all
-from twinmatch.offline.backtest.scoring import Marks, SignalMarks
-from twinmatch.offline.backtest.summary import HINDSIGHT, Marked
-from twinmatch.offline.backtest.table import cells, columns, sentences, tables
+from twinmatch.offline.backtest.result import LEADER, Backtest, document, over_all
+from twinmatch.offline.backtest.scoring import HINDSIGHT, Marked, Marks, SignalMarks
 from twinmatch.plants import Peltier
+from twinmatch.showing.backtests import cells, columns, draw_backtest, sentences, tables
 from twinmatch.showing.figures.drawing import save
 
 HORIZONS = (10.0, 60.0)

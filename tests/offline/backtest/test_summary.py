@@ -9,8 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.offline.backtest.scoring import Marks, SignalMarks
-from twinmatch.offline.backtest.summary import HINDSIGHT, Marked, best_in_hindsight, cards, common
+from twinmatch.offline.backtest.scoring import (
+    HINDSIGHT,
+    Marked,
+    Marks,
+    SignalMarks,
+    best_in_hindsight,
+    cards,
+    common,
+)
 
 
 def marked(who: str, sample: int, error: float, horizon: float = 60.0, session: str = "a") -> Marked:

@@ -13,7 +13,7 @@ import pytest
 from tests.support.processes import Process, Processes
 from tests.support.steps import quarter_of_an_hour
 from tests.support.waiting import wait_for
-from twinmatch.offline.judgement import Judgement, judge_samples
+from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 

@@ -16,7 +16,7 @@ from bokeh.events import ButtonClick
 from bokeh.models import ColumnDataSource
 
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.judging import Judgement
 from twinmatch.showing.page.charts import POINTS, ChartFeed, stride_for
 from twinmatch.showing.page.state import DashboardState, RollingTable, TwinRow, WhatIfAnswer
 from twinmatch.showing.page.tab import Tab

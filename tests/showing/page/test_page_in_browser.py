@@ -28,7 +28,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.nodes.messages import description_message, score_message, state_message
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
-from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.judging import Judgement
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
 from twinmatch.sessions import write_session

@@ -12,7 +12,7 @@ pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 
 
 from tests.support.places import PROJECT
 from twinmatch.comparing import TrustLevel
-from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.judging import Judgement
 from twinmatch.showing.family import computed, criterion_rows
 from twinmatch.showing.page import panels
 from twinmatch.showing.page.panels import first_screen, what_to_do

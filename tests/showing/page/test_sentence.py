@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.judging import Judgement
 from twinmatch.showing.page.state import DashboardState, update_sentence
 from twinmatch.showing.summary import sentence
 from twinmatch.twin import TwinSettings

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twinmatch.comparing import ADMITTED, TrustLevel
-from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.judging import Judgement
 from twinmatch.showing.page.state import CAPACITY, EVENTS, STRETCHES, DashboardState, DriveReport, TwinRow
 from twinmatch.showing.verdicts import EventKind, Mark, events, level_stretches
 from twinmatch.signals import Sample

@@ -15,12 +15,11 @@ import pytest
 from tests.support.rig import rig, run
 from twinmatch.comparing import ADMITTED
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.backtest import sentences
 from twinmatch.offline.backtest.result import LEADER, TWINS
-from twinmatch.offline.backtest.table import cells
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionWriter, samples_of, write_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.showing.backtests import cells, sentences
 from twinmatch.showing.quantities import number
 from twinmatch.showing.report.pictures import write_pictures
 from twinmatch.showing.report.provenance import settings_of

@@ -17,7 +17,7 @@ import pytest
 
 from tests.support.waiting import wait_for
 from twinmatch.nodes import network
-from twinmatch.offline.judgement import judge_session
+from twinmatch.offline.judging import judge_session
 from twinmatch.sessions import read_session
 
 pytestmark = pytest.mark.ros

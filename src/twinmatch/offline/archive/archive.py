@@ -10,11 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from twinmatch.dynamics.store import source_hash
-from twinmatch.offline.archive.fingerprint import content_of, key_of
-from twinmatch.offline.archive.job import Failure, Job, Outcome, Terms
-from twinmatch.offline.archive.processes import cores, judge_in_processes
-from twinmatch.offline.archive.sources import find_sessions
-from twinmatch.offline.archive.store import Store
+from twinmatch.offline.archive.files import Store, content_of, find_sessions, key_of
+from twinmatch.offline.archive.job import ArchiveTerms, Failure, Job, JobResult, cores, judge_in_processes
 
 __all__ = ["Archive", "judge_archive"]
 
@@ -41,6 +38,7 @@ class Archive:
 def judge_archive(
     named: Sequence[Path | str],
     *,
+    document: Callable[..., dict[str, Any]],
     config: Path | None = None,
     candidates: Path | None = None,
     plant: str | None = None,
@@ -54,11 +52,12 @@ def judge_archive(
 
     Args:
         named: sessions, recordings, folders of them, patterns; see `find_sessions`.
+        document: makes a session's document; see `ArchiveTerms`.
         config: parameter file.
         candidates: file of initial candidates for every session.
         plant: name or file of the plant of every session that does not name it.
-        out: folder for one JSON file per session with the document of `twinmatch.showing.summary.document`. A
-            session is not judged again if its file there has the same content, parameters and version.
+        out: folder for one JSON file per session with its document. A session is not judged again if its
+            file there has the same content, parameters and version.
         jobs: number of processes on this machine; one per core if not given.
         scheduler: address of a Dask scheduler; its workers judge instead.
         watch: called with (sessions done, total) after each session.
@@ -69,7 +68,7 @@ def judge_archive(
             cannot be used. A session that cannot be used raises nothing.
     """
     paths = find_sessions(named)
-    run = _Run(_terms(config, candidates, plant), Store(out) if out else None, on_skip)
+    run = _Run(_terms(config, candidates, plant, document), Store(out) if out else None, on_skip)
     todo = run.start(paths)
     reused = len(run.records)
     report = watch or (lambda _done, _total: None)
@@ -81,7 +80,9 @@ def judge_archive(
     return run.archive(paths, reused)
 
 
-def _terms(config: Path | None, candidates: Path | None, plant: str | None) -> Terms:
+def _terms(
+    config: Path | None, candidates: Path | None, plant: str | None, document: Callable[..., dict[str, Any]]
+) -> ArchiveTerms:
     from twinmatch.parameters.twin import read_settings  # noqa: PLC0415 — imports the whole twin
     from twinmatch.plants import find_plant  # noqa: PLC0415
     from twinmatch.sessions.candidates import read_candidates  # noqa: PLC0415
@@ -90,10 +91,10 @@ def _terms(config: Path | None, candidates: Path | None, plant: str | None) -> T
         plant = find_plant(plant).name
     settings = read_settings(config, plant or "")
     given = tuple(read_candidates(candidates)) if candidates else ()
-    return Terms(settings, given, config, fixed=plant is not None or config is not None)
+    return ArchiveTerms(settings, given, config, document, fixed=plant is not None or config is not None)
 
 
-def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[Outcome]:
+def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[JobResult]:
     if not todo:
         return
     if scheduler is None:
@@ -107,7 +108,9 @@ def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Gener
 class _Run:
     """Results of a run so far."""
 
-    def __init__(self, terms: Terms, store: Store | None, on_skip: Callable[[Failure], None] | None) -> None:
+    def __init__(
+        self, terms: ArchiveTerms, store: Store | None, on_skip: Callable[[Failure], None] | None
+    ) -> None:
         self.records: dict[int, dict[str, Any]] = {}
         self._failed: dict[int, Failure] = {}
         self._keys: dict[int, str] = {}
@@ -135,7 +138,7 @@ class _Run:
                 todo.append(Job(number, path.resolve(), content, terms))
         return todo
 
-    def take(self, path: Path, outcome: Outcome) -> None:
+    def take(self, path: Path, outcome: JobResult) -> None:
         """Keep the outcome of a session."""
         if outcome.record is None:
             self._fail(outcome.number, path, outcome.error)

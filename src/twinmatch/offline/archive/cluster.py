@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
-from twinmatch.offline.archive.errors import ClusterError
-from twinmatch.offline.archive.fingerprint import software
-from twinmatch.offline.archive.job import Job, Outcome, judge
+from twinmatch.offline.archive.files import ClusterError, software
+from twinmatch.offline.archive.job import Job, JobResult, judge_job
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -26,7 +25,7 @@ PATIENCE = 10.0
 _one_at_a_time = threading.Lock()
 
 
-def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
+def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[JobResult]:
     """Judge sessions on the workers of a cluster; yields outcomes as they complete.
 
     Workers need the same version of this package and the sessions under the same paths; everything else, and
@@ -108,20 +107,20 @@ def judge_packed(packed: bytes) -> tuple[Any, ...]:
 
     with _one_at_a_time:
         job: Job = pickle.loads(packed)  # noqa: S301 — from the client whose code this worker runs anyway
-        return tuple(judge(job, f" on worker {get_worker().address}"))
+        return tuple(judge_job(job, f" on worker {get_worker().address}"))
 
 
-def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Iterator[Outcome]:
+def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Iterator[JobResult]:
     from distributed import as_completed  # noqa: PLC0415
 
     for done, future in enumerate(as_completed(futures, loop=client.loop)):
         job = futures[future]
         if future.status == "finished":
-            yield Outcome(*future.result())
+            yield JobResult(*future.result())
         elif future.status == "error":
             error = future.exception()
             reason = f"{job.path}: the cluster could not judge it ({_line(error)})"
-            yield Outcome(job.number, None, reason)
+            yield JobResult(job.number, None, reason)
         else:
             msg = f"scheduler {address}: connection lost after {done} of {len(futures)} sessions"
             raise ClusterError(msg)

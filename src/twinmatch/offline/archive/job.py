@@ -6,26 +6,34 @@ same path.
 
 from __future__ import annotations
 
+import contextlib
 import math
+import multiprocessing
 import os
+import signal
+import threading
 import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.archive.fingerprint import content_of
+from twinmatch.offline.archive.files import content_of
 
 if TYPE_CHECKING:
     from twinmatch.comparing import Candidate
-    from twinmatch.offline.judgement import Judgement
+    from twinmatch.offline.judging import Judgement
     from twinmatch.twin import TwinSettings
 
-__all__ = ["Failure", "Job", "Outcome", "Terms", "judge", "prepare"]
+__all__ = ["ArchiveTerms", "Failure", "Job", "JobResult", "cores", "judge_in_processes", "judge_job"]
 
 
 @dataclass(frozen=True)
-class Terms:
+class ArchiveTerms:
     """Parameters and candidates with which every session of an archive is judged."""
 
     settings: TwinSettings
@@ -33,6 +41,9 @@ class Terms:
     """Initial candidates."""
     config: Path | None
     """File of the settings, for messages; it is not read again."""
+    document: Callable[..., dict[str, Any]]
+    """Makes the JSON of a session from its name, verdicts, summary and matches, such as
+    `twinmatch.showing.summary.document`; sent to other processes by its name."""
     fixed: bool = False
     """Whether the user gave the plant of all sessions; otherwise each session names its own."""
 
@@ -46,10 +57,10 @@ class Job:
     """Absolute."""
     content: str
     """Hash of the session's content."""
-    terms: Terms
+    terms: ArchiveTerms
 
 
-class Outcome(NamedTuple):
+class JobResult(NamedTuple):
     """Outcome of a job: a record, or the reason why there is none."""
 
     number: int
@@ -70,7 +81,7 @@ def prepare() -> None:
         os.environ[variable] = "1"
 
 
-def judge(job: Job, place: str = "") -> Outcome:
+def judge_job(job: Job, place: str = "") -> JobResult:
     """Judge one session; any error becomes the outcome's error.
 
     Args:
@@ -81,28 +92,27 @@ def judge(job: Job, place: str = "") -> Outcome:
         content = content_of(job.path)
     except OSError as error:
         hint = "; workers read sessions under the same path as here" if place else ""
-        return Outcome(job.number, None, f"{job.path}: cannot be read{place} ({error.strerror}){hint}")
+        return JobResult(job.number, None, f"{job.path}: cannot be read{place} ({error.strerror}){hint}")
     if content != job.content:
         change = f"differs{place} from the session here" if place else "has changed since the run started"
-        return Outcome(job.number, None, f"{job.path}: {change}")
+        return JobResult(job.number, None, f"{job.path}: {change}")
     try:
-        return Outcome(job.number, _record(job))
+        return JobResult(job.number, _record(job))
     except TwinmatchError as error:
-        return Outcome(job.number, None, str(error))
+        return JobResult(job.number, None, str(error))
     except Exception as error:  # a defect, which must not stop the other sessions
         where = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {error}".splitlines()[0]
         msg = f"{job.path}: {what} (a defect in twinmatch, {where.filename} line {where.lineno})"
-        return Outcome(job.number, None, msg)
+        return JobResult(job.number, None, msg)
 
 
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as a dictionary for JSON, with one row per candidate."""
-    from twinmatch.offline.judgement import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
+    from twinmatch.offline.judging import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
     from twinmatch.parameters.twin import at_period, read_settings  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError, open_any  # noqa: PLC0415
-    from twinmatch.showing.summary import document  # noqa: PLC0415
 
     terms, session = job.terms, open_any(job.path)
     settings = terms.settings
@@ -114,7 +124,7 @@ def _record(job: Job) -> dict[str, Any]:
         settings = read_settings(None, plant, driven=not session.has_reference)
     settings = at_period(settings, session.period, terms.config)
     judgement = judge_samples(session.name, session.samples, settings, given=terms.given, notes=session.notes)
-    entry = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
+    entry = terms.document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
     return entry | {"candidates": _rows(judgement, entry)}
 
 
@@ -144,3 +154,69 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
+    """Judge sessions in this many processes; yields outcomes as they complete.
+
+    Processes are spawned, not forked, since a fork would copy locked locks. If one dies (out of memory, for
+    example), the sessions without an outcome are judged again one by one, which finds the one that caused it.
+    Closing the iterator terminates the processes at once.
+    """
+    left = {job.number: job for job in jobs}
+    try:
+        for outcome in _pooled(jobs, min(processes, len(jobs))):
+            del left[outcome.number]
+            yield outcome
+    except BrokenProcessPool:
+        for job in left.values():
+            try:
+                yield from _pooled([job], 1)
+            except BrokenProcessPool:
+                yield JobResult(job.number, None, f"{job.path}: the process that judged it died")
+
+
+def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
+    before = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
+    finished = False
+    try:
+        with _interrupts_held():  # inherited by the new processes: Ctrl-C is handled by this process only
+            futures: list[Future[JobResult]] = [pool.submit(judge_job, job) for job in jobs]
+        for future in as_completed(futures):
+            yield future.result()
+        finished = True
+    finally:
+        if not finished:
+            for process in set(multiprocessing.active_children()) - before:
+                process.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Block SIGINT within this context; processes started in it never receive it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """Set up a process; it exits when its parent does."""
+    prepare()
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)

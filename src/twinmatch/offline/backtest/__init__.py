@@ -2,22 +2,24 @@
 
 `backtest_session` runs a session through the twin and makes forecasts with all forecasters at every verdict
 and every minute; a `Backtest` holds the results. `marks` scores one forecast, `cards` summarise many. A
-`Peer` forecasts from the same samples and set-points as the twin and nothing else. `fidelity` aligns a twin's
-trace with the plant's, as in the literature.
+`Peer` forecasts from the same samples and set-points as the twin and nothing else.
 """
 
-from twinmatch.offline.backtest.choices import Choices
-from twinmatch.offline.backtest.document import document
-from twinmatch.offline.backtest.errors import BacktestError
-from twinmatch.offline.backtest.fidelity import Fidelity, fidelity
-from twinmatch.offline.backtest.figure import draw_backtest
-from twinmatch.offline.backtest.peer import Peer
+from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import PEERS, Absent, peers
-from twinmatch.offline.backtest.result import Backtest, over_all
-from twinmatch.offline.backtest.run import Listener, backtest, backtest_session, graded
-from twinmatch.offline.backtest.scoring import Marks, SignalMarks, interval_score, marks
-from twinmatch.offline.backtest.summary import Card, Marked, best_in_hindsight, cards, common
-from twinmatch.offline.backtest.table import sentences, tables
+from twinmatch.offline.backtest.result import Backtest, document, over_all
+from twinmatch.offline.backtest.run import Choices, Listener, backtest, backtest_session, graded
+from twinmatch.offline.backtest.scoring import (
+    Card,
+    Marked,
+    Marks,
+    SignalMarks,
+    best_in_hindsight,
+    cards,
+    common,
+    interval_score,
+    marks,
+)
 
 __all__ = [
     "PEERS",
@@ -26,7 +28,6 @@ __all__ = [
     "BacktestError",
     "Card",
     "Choices",
-    "Fidelity",
     "Listener",
     "Marked",
     "Marks",
@@ -38,13 +39,9 @@ __all__ = [
     "cards",
     "common",
     "document",
-    "draw_backtest",
-    "fidelity",
     "graded",
     "interval_score",
     "marks",
     "over_all",
     "peers",
-    "sentences",
-    "tables",
 ]

@@ -1,7 +1,20 @@
-"""Forecasts of an ARX model, a simple least-squares alternative to a twin."""
+"""Forecasts of an ARX model, a simple least-squares alternative to a twin.
+
+The two equations of a sampled loop, plant and controller, each on its past:
+
+    y[k] = a₀ + Σ (a y[k−i] + b u[k−i] + c r[k−i] + h d[k−i]) + e           i = 1 … p
+    u[k] = d₀ + f r[k] + g y[k] + Σ (the same of the past) + v
+
+with the measured disturbances d, if there are any.
+
+A drive at its limit violates the controller's equation. Those samples are kept nevertheless: without them the
+fit has the least data on steps, and forecasts these worse. All orders up to the highest are fitted at once:
+the columns are ordered by lag, so that every lower order is a leading block of one triangular factor.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +22,88 @@ from scipy.special import ndtr, ndtri
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast
-from twinmatch.offline.backtest.arx_fit import Equation, equations
-from twinmatch.offline.backtest.peer import banded, enough, with_disturbances
+from twinmatch.offline.backtest.peer import banded, enough, under_inputs, with_disturbances
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["HIGHEST", "LEAST", "PER_ORDER", "Arx"]
+__all__ = ["Arx", "InputArx", "equations"]
+
+_RIDGE = 1e-4
+"""Ridge weight of a coefficient, for residuals in units of the noise: it affects only what the data leave
+open, such as the coefficient of a set-point that never moved."""
+
+
+class Equation(NamedTuple):
+    """One of the two equations, at one order p."""
+
+    constant: float
+    direct: FloatArray
+    """Coefficients of r[k] and y[k]; empty in the plant's equation."""
+    past: FloatArray
+    """Coefficients of past y, u, in closed loop r, and the disturbances, one row per lag, shape
+    (p, signals)."""
+    variance: float
+    """Variance of the residuals."""
+    bic: float
+    """Schwarz (1978), up to a constant: N ln V + m ln N with m coefficients."""
+
+
+def equations(
+    reference: FloatArray, output: FloatArray, entry: FloatArray, highest: int, *others: FloatArray
+) -> list[tuple[Equation, Equation]]:
+    """The plant's and the controller's equation at every order from 1 to `highest`.
+
+    Args:
+        reference: set-points r, shape (N,), like y in units of the output's noise and relative to a level.
+        output: outputs y, shape (N,).
+        entry: inputs u, shape (N,), in units of the drive's noise.
+        highest: highest order, at least 1 and less than N.
+        others: measured disturbances, shape (N,) each, in any unit and relative to a level.
+    """
+    past = (output, entry, reference, *others)
+    y, u, r = (signal[highest:] for signal in (output, entry, reference))
+    lags, one = _lags(past, highest), np.ones(y.size)
+    plant, controller = np.column_stack([one, lags]), np.column_stack([one, r, y, lags])
+    found = (
+        _nested(plant, y, highest, direct=0, signals=len(past)),
+        _nested(controller, u, highest, direct=2, signals=len(past)),
+    )
+    return list(zip(*found, strict=True))
+
+
+def input_equations(
+    output: FloatArray, entry: FloatArray, highest: int, *others: FloatArray
+) -> list[Equation]:
+    """The equation of a plant whose loop is not known: y on the past of y, u and the disturbances; see
+    `equations`."""
+    past = (output, entry, *others)
+    columns = np.column_stack([np.ones(output.size - highest), _lags(past, highest)])
+    return _nested(columns, output[highest:], highest, direct=0, signals=len(past))
+
+
+def _lags(signals: tuple[FloatArray, ...], highest: int) -> FloatArray:
+    """The signals' past, lag by lag, shape (N − highest, highest · signals)."""
+    count = signals[0].size - highest
+    return np.column_stack([s[highest - lag :][:count] for lag in range(1, highest + 1) for s in signals])
+
+
+def _nested(
+    columns: FloatArray, target: FloatArray, highest: int, direct: int, signals: int
+) -> list[Equation]:
+    count = columns.shape[1]
+    held = np.vstack([np.column_stack([columns, target]), _RIDGE * np.eye(count, count + 1)])
+    factor = np.asarray(np.linalg.qr(held, mode="r"), dtype=np.float64)
+    samples = max(target.size, 1)
+    found = []
+    for order in range(1, highest + 1):
+        m = 1 + direct + signals * order
+        solved = np.asarray(np.linalg.solve(factor[:m, :m], factor[:m, -1]), dtype=np.float64)
+        left = float(np.sum(factor[m:, -1] ** 2))
+        variance = max(left / samples, _RIDGE**2)
+        bic = samples * math.log(variance) + m * math.log(samples)
+        constant, now, past = np.split(solved, [1, 1 + direct])
+        found.append(Equation(float(constant[0]), now, past.reshape(order, signals), variance, bic))
+    return found
+
 
 LEAST = 60
 HIGHEST = 10
@@ -144,3 +234,69 @@ def _simulated(
             np.concatenate([[new], old[:-1]]) for new, old in ((y, output), (u, entry), (wanted, reference))
         )
     return means, spreads
+
+
+class InputArx:
+    """The output regressed on its past, the input's and the measured disturbances', refitted to all samples
+    so far.
+
+    The order is the one of least BIC among those that are stable. The band is Gaussian: the propagated
+    variance of the residuals.
+    """
+
+    name = "ARX"
+
+    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
+        self._plant, self._confidence = plant, confidence
+
+    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
+        """Forecast one sample for each input ahead; see `Peer`.
+
+        Raises:
+            ForecastError: the past has too few samples.
+        """
+        enough(self.name, past, LEAST)
+        noise = self._plant.output.noise
+        levels = float(past.output.mean()), float(past.input.mean())
+        y, u = (past.output - levels[0]) / noise, (past.input - levels[1]) / self._plant.drive.noise
+        later = (ahead - levels[1]) / self._plant.drive.noise
+        others, n = with_disturbances(past, ahead.size, disturbances), len(past)
+        highest = min(HIGHEST, n // PER_ORDER)
+        chosen = _chosen_equation(input_equations(y, u, highest, *(d[:n] for d in others.T)))
+        given = np.column_stack([np.concatenate([u, later]), others])
+        mean = levels[0] + noise * _mean(chosen, y, given, ahead.size)
+        reach = ndtri((1.0 + self._confidence) / 2.0) * noise * _spread(chosen, ahead.size)
+        low, high = self._plant.output.span
+        band = Band(np.clip(mean, low, high), mean - reach, mean + reach)
+        return under_inputs(self.name, past, ahead, band, self._confidence)
+
+
+def _chosen_equation(found: list[Equation]) -> Equation:
+    """The stable equation of least BIC; if none is stable, the one that diverges most slowly."""
+    radii = [float(np.abs(np.roots(np.append(1.0, -e.past[:, 0]))).max(initial=0.0)) for e in found]
+    stable = [e for e, radius in zip(found, radii, strict=True) if radius < 1.0]
+    return min(stable, key=lambda e: e.bic) if stable else found[int(np.argmin(radii))]
+
+
+def _mean(equation: Equation, output: FloatArray, given: FloatArray, count: int) -> FloatArray:
+    """The future output, shape (count,); `given` holds past and future inputs and disturbances, shape
+    (N + count, 1 + d)."""
+    order = len(equation.past)
+    held = output[-order:].tolist()
+    known = output.size
+    for k in range(count):
+        others = given[known + k - order : known + k][::-1]
+        own = np.array(held[-order:][::-1])
+        held.append(
+            float(equation.constant + own @ equation.past[:, 0] + np.sum(others * equation.past[:, 1:]))
+        )
+    return np.array(held[order:], dtype=np.float64)
+
+
+def _spread(equation: Equation, count: int) -> FloatArray:
+    """Standard deviation of the future output, shape (count,)."""
+    weights = np.zeros(count)
+    for k in range(count):
+        newest = weights[max(k - len(equation.past), 0) : k][::-1]
+        weights[k] = 1.0 if k == 0 else newest @ equation.past[: newest.size, 0]
+    return np.asarray(np.sqrt(equation.variance * np.cumsum(np.square(weights))), dtype=np.float64)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Forecast, ForecastError
 from twinmatch.offline.backtest.peer import Peer
-from twinmatch.offline.backtest.scoring import marks, samples_within
-from twinmatch.offline.backtest.summary import Marked
+from twinmatch.offline.backtest.scoring import Marked, marks, samples_within
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin.matcher import one_thread
 

@@ -7,10 +7,16 @@ from typing import Protocol
 import numpy as np
 
 from twinmatch.dynamics import Plant
+from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Peer", "banded", "enough", "with_disturbances"]
+__all__ = ["BacktestError", "Peer", "banded", "enough", "under_inputs", "with_disturbances"]
+
+
+class BacktestError(TwinmatchError):
+    """A backtest that cannot be made: samples that do not fit a forecast, or an unknown peer."""
+
 
 _EQUAL = 1e-9
 """Relative spread up to which values count as equal."""
@@ -82,4 +88,19 @@ def banded(
         reference=np.asarray(ahead, dtype=np.float64),
         output=output,
         input=Band(*(np.clip(a, *plant.drive.limits) for a in (entry.mean, entry.low, entry.high))),
+    )
+
+
+def under_inputs(name: str, past: Window, ahead: FloatArray, output: Band, confidence: float) -> Forecast:
+    """A peer's forecast of the output under given inputs."""
+    given = np.array(ahead, dtype=np.float64)
+    return Forecast(
+        sample=past.last,
+        candidate=name,
+        structure="",
+        confidence=confidence,
+        time=np.asarray(past.period * np.arange(1, given.size + 1), dtype=np.float64),
+        reference=np.full(given.size, np.nan),
+        output=output,
+        input=Band(given, given, given),
     )

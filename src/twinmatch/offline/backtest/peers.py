@@ -1,20 +1,181 @@
-"""The peers by name."""
+"""The peers by name: no change, ARX, and a vector autoregression of `statsmodels`."""
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.offline.backtest.arx import Arx
-from twinmatch.offline.backtest.errors import BacktestError
-from twinmatch.offline.backtest.given_input import InputArx, OutputPersistence
-from twinmatch.offline.backtest.peer import Peer
-from twinmatch.offline.backtest.persistence import Persistence
-from twinmatch.offline.backtest.vector_autoregression import VectorAutoregression
+from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError
+from twinmatch.offline.backtest.arx import Arx, InputArx
+from twinmatch.offline.backtest.peer import BacktestError, Peer, banded, enough, under_inputs
+from twinmatch.signals import FloatArray, Window
 
-__all__ = ["PEERS", "Absent", "peers"]
+__all__ = ["PEERS", "Absent", "Persistence", "VectorAutoregression", "peers"]
+
+_LEAST = 20
+"""Least number of differences for quantiles; longer lags, with fewer differences, are extrapolated."""
+_LAGS = 25
+"""Number of lags at which quantiles are computed; in between they are interpolated."""
+
+
+class Persistence:
+    """Output and input keep their newest values.
+
+    The band at h samples ahead is given by the quantiles of y[j+h] − y[j] over all past j. A lag for which
+    the past is too short gets the widest known one, times the root of the ratio of the lags, as for a random
+    walk.
+    """
+
+    name = "persistence"
+
+    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
+        self._plant, self._confidence = plant, confidence
+
+    def forecast(
+        self,
+        past: Window,
+        ahead: FloatArray,
+        disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
+    ) -> Forecast:
+        """Forecast one sample for each set-point ahead; see `Peer`.
+
+        Raises:
+            ForecastError: the past has too few samples.
+        """
+        enough(self.name, past, _LEAST + 1)
+        return banded(
+            self.name,
+            past,
+            ahead,
+            output=self._band(past.output, ahead.size),
+            entry=self._band(past.input, ahead.size),
+            plant=self._plant,
+            confidence=self._confidence,
+        )
+
+    def _band(self, signal: FloatArray, count: int) -> Band:
+        longest = min(count, signal.size - _LEAST)
+        lags = np.unique(np.geomspace(1, longest, _LAGS).round().astype(np.int64))
+        tails = ((1.0 - self._confidence) / 2.0, (1.0 + self._confidence) / 2.0)
+        ends = np.array([np.quantile(signal[lag:] - signal[:-lag], tails) for lag in lags])
+        ahead = np.arange(1, count + 1)
+        growth = np.sqrt(np.maximum(ahead / longest, 1.0))
+        low, high = (growth * np.interp(ahead, lags, end) for end in ends.T)
+        newest = float(signal[-1])
+        return Band(np.full(count, newest), newest + low, newest + high)
+
+
+class OutputPersistence:
+    """The output keeps its newest value; the band is that of `Persistence`."""
+
+    name = Persistence.name
+
+    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
+        self._whole = Persistence(plant, confidence)
+
+    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
+        """Forecast one sample for each input ahead; see `Peer`.
+
+        Raises:
+            ForecastError: the past has too few samples.
+        """
+        found = self._whole.forecast(past, ahead, disturbances)
+        return under_inputs(self.name, past, ahead, found.output, found.confidence)
+
+
+_VAR_LEAST = 120
+_HIGHEST = 8
+_SET_POINTS = 8
+"""Number of delayed set-points besides the newest."""
+
+
+class VectorAutoregression:
+    """Output and input regressed on their past and on the set-point and its past, by `statsmodels`.
+
+    Of the models in `statsmodels`, `VAR` with the set-point as exogenous series fits best. The two signals of
+    a loop act on each other, which `VAR` models and `AutoReg` and `SARIMAX`, with one signal each, do not.
+    `SARIMAX` also needs the response to the set-point as delayed set-points, and a loop rings for longer than
+    a practical number of these. `VARMAX` has both signals, but estimates its coefficients by maximum
+    likelihood with a Kalman filter, which takes minutes for an hour of samples. `VAR` uses least squares and
+    is refitted for every forecast.
+
+    The order is the one of least BIC. The band is Gaussian, from the covariance propagated by `statsmodels`;
+    the input is clipped to the drive's limits, which `VAR` does not model.
+    """
+
+    name = "statsmodels VAR"
+
+    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
+        self._plant, self._confidence = plant, confidence
+
+    @staticmethod
+    def missing() -> str:
+        """Why it is not available, and what to do; empty if it is."""
+        if importlib.util.find_spec("statsmodels") is not None:
+            return ""
+        return "statsmodels is not installed; run pip install 'twinmatch[backtest]'"
+
+    def forecast(
+        self,
+        past: Window,
+        ahead: FloatArray,
+        disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
+    ) -> Forecast:
+        """Forecast one sample for each set-point ahead; see `Peer`.
+
+        Raises:
+            ForecastError: the past has too few samples, or `statsmodels` cannot be used on it.
+        """
+        enough(self.name, past, _VAR_LEAST)
+        if self.missing():
+            raise ForecastError(self.missing())
+        from statsmodels.tsa.api import VAR  # noqa: PLC0415 — optional, and slow to import
+
+        level = np.array([past.output.mean(), past.input.mean()])
+        noise = np.array([self._plant.output.noise, self._plant.drive.noise])
+        endogenous = (np.column_stack([past.output, past.input]) - level) / noise
+        reference = (np.concatenate([past.reference, ahead]) - level[0]) / noise[0]
+        exogenous = _delayed(reference)
+        try:
+            with np.errstate(all="ignore"):  # overflows are detected below
+                fitted: Any = VAR(endogenous, exog=exogenous[: len(past)]).fit(_HIGHEST, ic="bic")
+                found = fitted.forecast_interval(
+                    endogenous[-max(fitted.k_ar, 1) :],
+                    steps=ahead.size,
+                    alpha=1.0 - self._confidence,
+                    exog_future=exogenous[len(past) :],
+                )
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise ForecastError(
+                f"{self.name}: statsmodels cannot fit {len(past)} samples: {error}"
+            ) from error
+        if not np.all(np.isfinite(found)):
+            raise ForecastError(f"{self.name}: the fit to {len(past)} samples diverges; give more samples")
+        bands = [Band(*(level[j] + noise[j] * x[:, j] for x in found)) for j in range(2)]
+        return banded(
+            self.name,
+            past,
+            ahead,
+            output=bands[0],
+            entry=bands[1],
+            plant=self._plant,
+            confidence=self._confidence,
+        )
+
+
+def _delayed(reference: FloatArray) -> FloatArray:
+    """The set-point now and at the samples before; before the first it is constant."""
+    shifted = [
+        np.concatenate([np.full(lag, reference[0]), reference])[: reference.size]
+        for lag in range(_SET_POINTS + 1)
+    ]
+    return np.column_stack(shifted)
+
 
 PEERS: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(
     {"persistence": Persistence, "arx": Arx, "statsmodels": VectorAutoregression}

@@ -1,18 +1,19 @@
-"""The result of a backtest."""
+"""The result of a backtest, and as a dictionary for JSON."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest.peers import Absent
-from twinmatch.offline.backtest.summary import HINDSIGHT, Card, Marked, cards
+from twinmatch.offline.backtest.scoring import HINDSIGHT, Card, Marked, cards
 from twinmatch.signals import Window
 
-__all__ = ["CONSTANT", "LEADER", "NEWEST", "NOMINAL", "TWINS", "Backtest", "over_all"]
+__all__ = ["CONSTANT", "LEADER", "NEWEST", "NOMINAL", "TWINS", "Backtest", "document", "over_all"]
 
 LEADER: Final = "leader"
 NOMINAL: Final = "nominal"
@@ -84,3 +85,40 @@ def over_all(found: Sequence[Backtest]) -> Backtest:
         absent=tuple(dict.fromkeys(a for each in found for a in each.absent)),
         notes=tuple(f"{each.name}: {note}" for each in found for note in each.notes),
     )
+
+
+def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
+    """Report cards and, optionally, the marks of every forecast; NaN becomes None.
+
+    Errors, ends, widths and scores are in units of the noise in the same document.
+    """
+    plant = backtest.plant
+    found: dict[str, Any] = {
+        "name": backtest.name,
+        "plant": plant.name,
+        "confidence": backtest.confidence,
+        "horizons": list(backtest.horizons),
+        "noise": {"output": plant.output.noise, "input": plant.drive.noise},
+        "origins": backtest.origins,
+        "cards": [_finite(asdict(card)) for card in backtest.cards],
+        "absent": [absent._asdict() for absent in backtest.absent],
+        "notes": list(backtest.notes),
+    }
+    if forecasts:
+        found["forecasts"] = [
+            {
+                "session": one.session,
+                "sample": one.sample,
+                "horizon": one.horizon,
+                "who": one.who,
+                "candidate": one.candidate,
+                "error": one.marks.error,
+                **_finite(asdict(one.marks)),
+            }
+            for one in backtest.marked
+        ]
+    return found
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}

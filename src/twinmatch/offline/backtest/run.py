@@ -3,30 +3,103 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from twinmatch.dynamics import SKIPPED
-from twinmatch.forecasting import CONFIDENCE, Forecast, Outlook
-from twinmatch.offline.backtest.choices import Choices
-from twinmatch.offline.backtest.constant import with_constant_band
+import numpy as np
+
+from twinmatch.dynamics import SKIPPED, Parameters, PidGains
+from twinmatch.forecasting import CONFIDENCE, Band, Forecast, Outlook, horizons_for
 from twinmatch.offline.backtest.origins import Origin, ask, mark, origins, regular, stretches
-from twinmatch.offline.backtest.peer import Peer
-from twinmatch.offline.backtest.peers import peers
+from twinmatch.offline.backtest.peer import BacktestError, Peer
+from twinmatch.offline.backtest.peers import PEERS, peers
 from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
-from twinmatch.offline.backtest.scoring import samples_within
-from twinmatch.offline.backtest.summary import Marked, best_in_hindsight, common
-from twinmatch.offline.interrupt import held_interrupts
-from twinmatch.offline.judgement import Judgement, Watch, judge
-from twinmatch.offline.terms import Terms, terms_from_files
+from twinmatch.offline.backtest.scoring import Marked, best_in_hindsight, common, samples_within
+from twinmatch.offline.command_line import held_interrupts
+from twinmatch.offline.judging import Judgement, Terms, Watch, judge, terms_from_files
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
-from twinmatch.signals import Sample, Window
-from twinmatch.twin import Outcome, Twin
+from twinmatch.signals import FloatArray, Sample, Window
+from twinmatch.twin import Outcome, Twin, response_on
 from twinmatch.twin.matcher import one_thread
 
-__all__ = ["Listener", "backtest", "backtest_session", "graded"]
+__all__ = ["Choices", "Listener", "backtest", "backtest_session", "graded", "with_constant_band"]
+
+_EVERY: Final = 60.0
+"""Default time between two forecasts, s."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Horizons, interval and peers of a backtest.
+
+    Raises:
+        BacktestError: there is no horizon, or no such peer.
+    """
+
+    every: float | None = None
+    """Time between two forecasts, s, besides those at every verdict; None: a minute, at least a sample."""
+    horizons: tuple[float, ...] | None = None
+    """Horizons, s; None: those at which the twin's forecasts are scored."""
+    peers: tuple[str, ...] = tuple(PEERS)
+    """Names of the peers."""
+
+    def __post_init__(self) -> None:
+        if self.horizons == ():
+            raise BacktestError("backtest: there is no horizon; give at least one, in seconds")
+        unknown = [name for name in self.peers if name not in PEERS]
+        if unknown:
+            raise BacktestError(f"backtest: no peer {unknown[0]!r}; choose from {', '.join(PEERS)}")
+
+    def pace(self, period: float) -> float:
+        """Time between two forecasts, s, for this sample time, s."""
+        return max(_EVERY, period) if self.every is None else self.every
+
+    def ahead(self, period: float) -> tuple[float, ...]:
+        """The horizons from near to far, for this sample time, s.
+
+        Raises:
+            BacktestError: a requested horizon is shorter than a sample.
+        """
+        if self.horizons is None:
+            return horizons_for(period)
+        for horizon in self.horizons:
+            samples_within(horizon, period)
+        return tuple(sorted(set(self.horizons)))
+
+
+def with_constant_band(
+    forecast: Forecast, parameters: Parameters, past: Window, gains: PidGains | None
+) -> Forecast:
+    """The same means with a band of one width at all horizons.
+
+    The band contains its share of the residuals of the closed-loop twin over the whole past (measured minus
+    twin, for output and input), or of the driven twin (output only). The twin was matched on part of that
+    past, so the band tends to be narrow; such bands are usually made so.
+
+    Args:
+        forecast: the twin's forecast.
+        parameters: parameters of that twin.
+        past: all samples up to the forecast, at least four.
+        gains: gains of its controller; None if the loop is not known.
+    """
+    twin = response_on(parameters, past, gains)
+    output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)
+    if gains is None:
+        return replace(forecast, output=output)
+    low, high = parameters.model.plant.drive.limits
+    entry = _around(forecast.input.mean, past.input[SKIPPED:] - twin.input, forecast.confidence)
+    return replace(
+        forecast,
+        output=output,
+        input=Band(entry.mean, np.clip(entry.low, low, high), np.clip(entry.high, low, high)),
+    )
+
+
+def _around(mean: FloatArray, residuals: FloatArray, confidence: float) -> Band:
+    low, high = np.quantile(residuals, ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0))
+    return Band(mean, mean + low, mean + high)
 
 
 class _Outlooks(NamedTuple):

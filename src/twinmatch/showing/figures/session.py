@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.figures.drawing import (
     draw_inputs,
     draw_outputs,
@@ -24,14 +25,7 @@ from twinmatch.showing.figures.family import draw_gains, fill_matrix
 from twinmatch.showing.quantities import signal_names, with_unit
 from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
-from twinmatch.showing.verdicts import (
-    ShownTwin,
-    admitted,
-    last_verdict,
-    level_stretches,
-    nominal_score,
-    shown_twin,
-)
+from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
 

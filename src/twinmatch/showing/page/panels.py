@@ -9,13 +9,13 @@ from itertools import islice
 
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.description import Quantity
+from twinmatch.offline.summary import TrustRange
 from twinmatch.showing.family import computed, criterion_rows
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
 from twinmatch.showing.quantities import number, parameter_format, with_unit
 from twinmatch.showing.style import LEVELS
-from twinmatch.showing.summary import TrustRange
 from twinmatch.showing.verdicts import COLUMNS, LEVEL_WORDS, Event, row
 
 RECENT = 80

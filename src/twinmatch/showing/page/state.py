@@ -17,8 +17,9 @@ from twinmatch.comparing import Verdict
 from twinmatch.description import UNDESCRIBED, Description
 from twinmatch.dynamics import PidGains
 from twinmatch.forecasting import Forecast
+from twinmatch.offline.summary import summarise
 from twinmatch.showing.page.health import NodeReports
-from twinmatch.showing.summary import sentence, summarise
+from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import (
     Event,
     EventKind,

@@ -13,8 +13,10 @@ import numpy as np
 from twinmatch.comparing import REFUSED
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
-from twinmatch.offline.backtest import Backtest, draw_backtest, sentences
-from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.backtest import Backtest
+from twinmatch.offline.judging import Judgement
+from twinmatch.offline.summary import shown_twin
+from twinmatch.showing.backtests import draw_backtest, sentences
 from twinmatch.showing.family import Member
 from twinmatch.showing.figures.drawing import save, svg
 from twinmatch.showing.figures.family import (
@@ -29,7 +31,7 @@ from twinmatch.showing.figures.session import draw_health, draw_session
 from twinmatch.showing.forecasts import asked
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Fan, fan
-from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches, shown_twin
+from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,13 +9,13 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.backtest import Backtest, Choices, Listener, graded, sentences
-from twinmatch.offline.judgement import Judgement, Watch
-from twinmatch.offline.judgement import judge as judge_on
-from twinmatch.offline.terms import Terms, recorded_terms, terms_from_files
+from twinmatch.offline.backtest import Backtest, Choices, Listener, graded
+from twinmatch.offline.judging import Judgement, Terms, Watch, recorded_terms, terms_from_files
+from twinmatch.offline.judging import judge as judge_on
 from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
+from twinmatch.showing.backtests import sentences
 from twinmatch.showing.family import Member, family
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.report import tables

@@ -12,7 +12,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.fitting import BoxJenkins, Match
 from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.backtest.result import LEADER, TWINS
-from twinmatch.offline.backtest.table import at_horizon, cells, columns
+from twinmatch.showing.backtests import at_horizon, cells, columns
 from twinmatch.showing.family import Member, computed, criterion_rows, interval, outputs_of, value_of
 from twinmatch.showing.forecasts import levels_words
 from twinmatch.showing.quantities import (

@@ -5,19 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
-from twinmatch.offline.judgement import Judgement
+from twinmatch.offline.judging import Judgement
+from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.quantities import SignalNames, number, percent, signal_names
 from twinmatch.showing.series import compare, root_mean_square
 from twinmatch.showing.summary import UNEXPLAINED
-from twinmatch.showing.verdicts import (
-    LevelStretch,
-    ShownTwin,
-    admitted,
-    last_verdict,
-    level_stretches,
-    nominal_score,
-    shown_twin,
-)
+from twinmatch.showing.verdicts import LevelStretch, admitted, last_verdict, level_stretches
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 

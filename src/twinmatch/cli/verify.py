@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twinmatch.offline.options import add_fmus, add_plant
-from twinmatch.offline.progress import Progress
+from twinmatch.offline.command_line import Progress, add_fmus, add_plant
 
 __all__ = ["add_arguments", "run"]
 

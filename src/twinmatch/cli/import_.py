@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     mapped = (options.map, options.map_file, options.plant, options.period, options.bridge)
     if any(mapped) or options.gaps != "refuse" or is_bag(options.recording):
         return _import_mapped(options)
-    from twinmatch.offline.progress import Progress  # noqa: PLC0415
+    from twinmatch.offline.command_line import Progress  # noqa: PLC0415
     from twinmatch.sessions import read_recording, samples_of, write_session  # noqa: PLC0415 — keeps --help fast
 
     with Progress("reading") as progress:
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _import_mapped(options: argparse.Namespace) -> int:
-    from twinmatch.offline.progress import Progress  # noqa: PLC0415 — as above
+    from twinmatch.offline.command_line import Progress  # noqa: PLC0415 — as above
     from twinmatch.plants import find_plant  # noqa: PLC0415
     from twinmatch.sessions import plant_topics, write_session  # noqa: PLC0415
     from twinmatch.sessions.bags import is_bag, map_bag  # noqa: PLC0415

@@ -7,7 +7,7 @@ highest score is computed (Needleman and Wunsch 1970, with Gotoh's affine gaps o
 share of readings that match and their mean distance.
 
 The measure tolerates time shifts and ignores the size of larger errors: if neither is within the tolerance, a
-twin that is wrong by 0.3 °C and one that is wrong by 30 °C get the same score. `marks` scores forecasts.
+twin that is wrong by 0.3 °C and one that is wrong by 30 °C get the same score.
 
 Source: IEEE Transactions on Software Engineering 2024, doi 10.1109/TSE.2024.3462978.
 """
@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.compiled import compiled
-from twinmatch.offline.backtest.errors import BacktestError
 from twinmatch.signals import FloatArray
 
 __all__ = ["Fidelity", "fidelity"]
@@ -67,18 +66,16 @@ def fidelity(
         extending: additional cost of each reading in it.
 
     Raises:
-        BacktestError: no readings, some that are not finite, or an invalid tolerance or cost.
+        ValueError: no readings, some that are not finite, or an invalid tolerance or cost.
     """
     a, b = np.asarray(twin, dtype=np.float64), np.asarray(plant, dtype=np.float64)
     for name, values in (("twin", a), ("plant", b)):
         if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-            raise BacktestError(
-                f"fidelity: the trace of the {name} is invalid; give a row of finite readings"
-            )
+            raise ValueError(f"fidelity: the trace of the {name} is invalid; give a row of finite readings")
     if not (math.isfinite(tolerance) and tolerance > 0):
-        raise BacktestError(f"fidelity: the tolerance is {tolerance}; it must be positive")
+        raise ValueError(f"fidelity: the tolerance is {tolerance}; it must be positive")
     if not (opening >= 0 and extending >= 0):
-        raise BacktestError(f"fidelity: a gap costs {opening} and {extending}; neither may be negative")
+        raise ValueError(f"fidelity: a gap costs {opening} and {extending}; neither may be negative")
     score, pairs, gaps = _aligned(a, b, tolerance, opening, extending)
     distance = np.abs(a[pairs[:, 0]] - b[pairs[:, 1]])
     matching = distance < tolerance

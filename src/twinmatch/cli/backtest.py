@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.offline.archive.sources import find_sessions
-from twinmatch.offline.options import add_terms
-from twinmatch.offline.outputs import check_writable
-from twinmatch.offline.progress import Progress
+from twinmatch.offline.archive.files import find_sessions
+from twinmatch.offline.command_line import Progress, add_terms, check_writable
 
 if TYPE_CHECKING:
     from twinmatch.offline.backtest.result import Backtest
@@ -115,7 +113,7 @@ def _one(path: Path, options: argparse.Namespace) -> Backtest:
 def _print(tested: Backtest) -> None:
     from rich.console import Console  # noqa: PLC0415 — only needed for printing
 
-    from twinmatch.offline.backtest.table import sentences, tables  # noqa: PLC0415
+    from twinmatch.showing.backtests import sentences, tables  # noqa: PLC0415
 
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -129,7 +127,7 @@ def _print(tested: Backtest) -> None:
 
 def _write(found: Sequence[Backtest], total: Backtest, options: argparse.Namespace) -> None:
     if options.json is not None:
-        from twinmatch.offline.backtest.document import document  # noqa: PLC0415
+        from twinmatch.offline.backtest.result import document  # noqa: PLC0415
 
         entry = {
             "sessions": [document(each) for each in found],
@@ -138,7 +136,7 @@ def _write(found: Sequence[Backtest], total: Backtest, options: argparse.Namespa
         text = json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False)
         options.json.write_text(text + "\n", encoding="utf-8")
     if options.figure is not None:
-        from twinmatch.offline.backtest.figure import draw_backtest  # noqa: PLC0415
+        from twinmatch.showing.backtests import draw_backtest  # noqa: PLC0415
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
         save(draw_backtest(total), options.figure)

@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
         TwinmatchError: an option, the session or a file cannot be used.
     """
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
-    from twinmatch.offline.progress import Progress  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.offline.command_line import Progress  # noqa: PLC0415 — keeps --help fast
     from twinmatch.sessions import open_any  # noqa: PLC0415 — as above
 
     if not 0.0 <= options.rate <= 1000.0:

@@ -1,0 +1,174 @@
+"""`twinmatch forecast`: forecasts from chosen samples of a session."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.offline.command_line import Progress, add_terms, check_writable, held_interrupts
+
+if TYPE_CHECKING:
+    from twinmatch.offline.outlooks import Prospect
+    from twinmatch.showing.series import Fan
+    from twinmatch.twin import TwinSettings
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.description = (
+        "Runs the session through the twin once. At each chosen sample the leader (the candidate whose "
+        "forecasts have cost least so far) forecasts what comes next, from the samples up to that one and "
+        "the set-points ahead. Without --reference and --hold, the set-point of that sample is held."
+    )
+    parser.add_argument(
+        "session", type=Path, metavar="SESSION", help="session folder, .mcap file, or recording (.mat, .csv)"
+    )
+    parser.add_argument(
+        "--at",
+        type=_sample,
+        nargs="+",
+        action="extend",
+        required=True,
+        metavar="SAMPLE",
+        help="indices of the samples to forecast from",
+    )
+    parser.add_argument(
+        "--reference",
+        metavar="FILE|recorded",
+        help="set-points ahead: a .csv of seconds ahead and set-point, or those recorded in the session",
+    )
+    parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point to hold ahead")
+    parser.add_argument("--candidate", metavar="NAME", help="candidate that forecasts (default: the leader)")
+    parser.add_argument(
+        "--horizon",
+        type=float,
+        metavar="S",
+        help="forecast horizon, s (default: 300, at least 60 and at most 600 samples)",
+    )
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the forecasts to this file")
+    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw them (.png, .svg or .pdf)")
+    add_terms(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Forecast and print; returns the exit code.
+
+    Raises:
+        TwinmatchError: an option, the session or a file cannot be used.
+    """
+    _check(options)
+    check_writable(options.json, options.figure)
+    with held_interrupts():
+        settings, found = _forecasts(options)
+    for one in found:
+        _print(one, settings)
+    print(
+        "The leader is the candidate to forecast with: its forecasts have saved the most characters so far."
+    )
+    if options.json is not None:
+        from twinmatch.showing.forecasts import forecast_document  # noqa: PLC0415 — keeps --help fast
+
+        entries = [forecast_document(one.fan.forecast) for one in found]
+        text = json.dumps(entries, indent=1, allow_nan=False, ensure_ascii=False)
+        try:
+            options.json.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise TwinmatchError(f"{options.json}: cannot be written ({error.strerror})") from error
+    if options.figure is not None:
+        from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
+
+        save(draw_forecasts(tuple(one.fan for one in found), settings.plant), options.figure)
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.reference is not None and options.hold is not None:
+        msg = "forecast: --reference and --hold exclude each other; give only one of them"
+        raise TwinmatchError(msg)
+    if options.candidate is not None and not options.candidate.strip():
+        raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
+
+
+def _sample(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        msg = f"{text!r} is not a sample index; give whole numbers, and the session before --at"
+        raise argparse.ArgumentTypeError(msg) from None
+
+
+class _Requested(NamedTuple):
+    """One of the requested forecasts."""
+
+    fan: Fan
+    prospect: Prospect
+    """The candidate that made it."""
+    words: str
+    """Description of the set-points, or inputs, ahead."""
+
+
+def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Requested]]:
+    """The settings, and the requested forecasts in the order of `--at`."""
+    from twinmatch.offline.judging import terms_from_files  # noqa: PLC0415 — as above
+    from twinmatch.offline.outlooks import (  # noqa: PLC0415
+        RECORDED,
+        ahead_of,
+        forecast_of,
+        planned_rows,
+        prospects,
+        samples_ahead,
+        samples_at,
+    )
+    from twinmatch.sessions import open_any  # noqa: PLC0415
+    from twinmatch.showing.series import fan  # noqa: PLC0415
+
+    named = options.reference not in {None, RECORDED}
+    rows = planned_rows(Path(options.reference)) if named else None
+    with Progress("reading") as progress:
+        session = open_any(options.session, progress=progress.advance, plant=options.plant)
+    terms = terms_from_files(session, options.config, options.candidates)
+    settings, period = terms.settings, terms.settings.period
+    size = samples_ahead(options.horizon, period)
+    samples = samples_at(session, options.at)
+    ahead = {
+        k: ahead_of(
+            session,
+            sample,
+            size,
+            settings=settings,
+            reference=options.reference,
+            hold=options.hold,
+            rows=rows,
+        )
+        for k, sample in samples.items()
+    }
+    with Progress() as progress:
+        known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
+    found = {
+        k: _Requested(
+            fan(forecast_of(known[k], ahead[k], period), session.samples, period), known[k], ahead[k].words
+        )
+        for k in samples
+    }
+    return settings, [found[k] for k in options.at]
+
+
+def _print(one: _Requested, settings: TwinSettings) -> None:
+    from twinmatch.showing.forecasts import comparison_words, forecast_words  # noqa: PLC0415 — as above
+
+    forecast, prospect = one.fan.forecast, one.prospect
+    seconds = f"{forecast.sample * settings.period:g} s"
+    print(f"At {seconds} (sample {forecast.sample}), {one.words}:")
+    confidence = f"confidence {prospect.leader_confidence:.2f}"
+    who = f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
+    print(f"  {forecast.candidate} forecasts {forecast.time[-1]:g} s; {who}")
+    for line in forecast_words(forecast, settings.plant) + comparison_words(one.fan, settings.plant):
+        print(f"  {line}")
+    for note in forecast.notes:
+        print(f"  Note: {note.rstrip('.')}.")

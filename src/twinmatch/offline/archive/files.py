@@ -1,0 +1,219 @@
+"""Files of an archive: the sessions that the user named, their hashes, and a folder of results."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Sequence
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import twinmatch
+from twinmatch.errors import TwinmatchError
+from twinmatch.sessions.documents import DocumentError, parse_json
+from twinmatch.sessions.files import read_bounded
+
+__all__ = [
+    "ArchiveError",
+    "ClusterError",
+    "Store",
+    "content_of",
+    "find_sessions",
+    "is_single",
+    "key_of",
+    "software",
+]
+
+
+class ArchiveError(TwinmatchError):
+    """No sessions were found, or the folder for results cannot be used."""
+
+
+class ClusterError(ArchiveError):
+    """A Dask cluster cannot be reached, was lost, or cannot judge sessions."""
+
+
+METADATA = "metadata.yaml"
+RECORDINGS = (".mat", ".csv")
+
+
+def find_sessions(named: Iterable[Path | str]) -> list[Path]:
+    """The sessions and recordings of the arguments, in their order, each once.
+
+    A folder with an MCAP file or a `metadata.yaml` is a session. Any other folder stands for all sessions and
+    recordings (`.mat`, `.csv`) in it and below, sorted by name. A pattern (`*`, `?`, `[…]`, `**`) that the
+    shell has not resolved is resolved here. Whether they can be read is found out when they are judged.
+
+    Raises:
+        ArchiveError: nothing matches a pattern, or a folder has no sessions.
+    """
+    found: dict[Path, Path] = {}
+    for name in named:
+        for path in _resolved(Path(name)):
+            found.setdefault(Path(os.path.realpath(path)), path)  # `resolve` fails for circular links
+    return list(found.values())
+
+
+def is_single(named: Sequence[Path | str]) -> bool:
+    """Whether a single session or recording was given, rather than several or a folder of them."""
+    return len(named) == 1 and not _is_pattern(Path(named[0])) and not _is_collection(Path(named[0]))
+
+
+def _resolved(path: Path) -> Sequence[Path]:
+    if _is_pattern(path):
+        matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207 — Path.glob takes no absolute ones
+        if not matches:
+            msg = f"{path}: no file or folder matches this pattern"
+            raise ArchiveError(msg)
+        return [found for match in matches for found in _resolved(Path(match))]
+    if not _is_collection(path):
+        return [path]
+    found = _within(path)
+    if not found:
+        msg = f"{path}: has neither sessions (folders with .mcap files) nor recordings (.mat, .csv)"
+        raise ArchiveError(msg)
+    return found
+
+
+def _is_pattern(path: Path) -> bool:
+    return glob.has_magic(str(path)) and not path.exists()
+
+
+def _is_collection(path: Path) -> bool:
+    return path.is_dir() and not _is_session(inner.name for inner in path.iterdir())
+
+
+def _is_session(names: Iterable[str]) -> bool:
+    return any(name == METADATA or name.endswith(".mcap") for name in names)
+
+
+def _within(folder: Path) -> list[Path]:
+    found = []
+    for place, folders, files in os.walk(folder):
+        if _is_session(files):
+            found.append(Path(place))
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        found += [
+            Path(place, name)
+            for name in files
+            if not name.startswith(".") and Path(name).suffix.lower() in RECORDINGS
+        ]
+    return sorted(found)
+
+
+LIBRARIES = ("numpy", "scipy", "numba")
+BLOCK = 1 << 20
+
+
+def content_of(path: Path) -> str:
+    """A hash of a recording, or of the MCAP files and metadata of a session folder.
+
+    Raises:
+        OSError: it does not exist or cannot be read.
+    """
+    if not path.is_dir():
+        return _hash([path], path.parent)
+    files = [*path.glob("*.mcap"), *path.glob("metadata.yaml")]
+    return _hash(sorted(files), path)
+
+
+def key_of(content: str, terms: str) -> str:
+    """One hash of everything a result depends on.
+
+    Args:
+        content: from `content_of`.
+        terms: settings and candidates, as text.
+    """
+    return hashlib.sha256("\0".join((content, terms, software())).encode()).hexdigest()
+
+
+@cache
+def software() -> str:
+    """Version and code hash of this package, and versions of the numerical libraries.
+
+    The last bits of a result may depend on any of them.
+    """
+    root = Path(twinmatch.__file__).parent
+    code = _hash(sorted(root.rglob("*.py")), root)[:12]
+    found = [f"twinmatch {twinmatch.__version__} (code {code})"]
+    for library in LIBRARIES:
+        try:
+            found.append(f"{library} {version(library)}")
+        except PackageNotFoundError:
+            found.append(f"{library} unknown")
+    return ", ".join(found)
+
+
+def _hash(files: Iterable[Path], root: Path) -> str:
+    digest = hashlib.sha256()
+    for file in files:
+        size = file.stat().st_size
+        digest.update(f"{file.relative_to(root)}\0{size}\0".encode())
+        with file.open("rb") as stream:
+            while block := stream.read(BLOCK):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+MOST_BYTES = 1 << 28
+"""Longest result: it has every verdict of a session, some kilobytes each."""
+
+
+class Store:
+    """A folder of results."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open the folder; it is created if it does not exist.
+
+        Raises:
+            ArchiveError: the folder cannot be created.
+        """
+        self.folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            msg = f"{folder}: the folder for results cannot be created ({error.strerror})"
+            raise ArchiveError(msg) from error
+
+    def file_of(self, session: Path) -> Path:
+        """File of this session's result; sessions of the same name in two folders have separate files."""
+        place = hashlib.sha256(str(session.resolve()).encode()).hexdigest()[:8]
+        return self.folder / f"{session.resolve().stem or 'session'}-{place}.json"
+
+    def find(self, session: Path, key: str) -> dict[str, Any] | None:
+        """The stored result of this session if it has this key, i.e. if nothing it depends on has changed."""
+        try:
+            text = read_bounded(self.file_of(session), MOST_BYTES).decode("utf-8")
+            kept = parse_json(text, "a stored result")
+        except (OSError, UnicodeDecodeError, DocumentError):
+            return None  # none yet, or another program's file
+        if not isinstance(kept, dict) or kept.get("key") != key:
+            return None
+        record = kept.get("result")
+        return record if isinstance(record, dict) else None
+
+    def keep(self, session: Path, key: str, record: dict[str, Any]) -> None:
+        """Write a result, complete or not at all.
+
+        Raises:
+            ArchiveError: writing fails.
+        """
+        file = self.file_of(session)
+        kept = {"key": key, "path": str(session.resolve()), "software": software(), "result": record}
+        draft = file.with_name(f".{file.name}.{os.getpid()}")
+        try:
+            draft.write_text(json.dumps(kept, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+            draft.replace(file)
+        except OSError as error:
+            msg = f"{file}: the result cannot be written ({error.strerror})"
+            raise ArchiveError(msg) from error
+        finally:
+            with contextlib.suppress(OSError):
+                draft.unlink()

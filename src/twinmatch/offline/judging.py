@@ -1,0 +1,258 @@
+"""Judging a session: its samples run through the twin, with the parameters and candidates given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch import __version__
+from twinmatch.comparing import Candidate, Verdict
+from twinmatch.dynamics import Plant, Sensor, begin, simulate_closed_loop
+from twinmatch.dynamics.store import cache_folder
+from twinmatch.errors import TwinmatchError
+from twinmatch.offline.command_line import held_interrupts
+from twinmatch.offline.summary import SessionSummary, summarise
+from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
+from twinmatch.sessions import Session, open_any, samples_of
+from twinmatch.sessions.candidates import parse_candidates, read_candidates
+from twinmatch.sessions.metadata import CANDIDATES, parameters_of
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
+
+__all__ = [
+    "Judgement",
+    "Terms",
+    "TermsError",
+    "Watch",
+    "judge",
+    "judge_samples",
+    "judge_session",
+    "prefix_of",
+    "recorded_terms",
+    "rehearse",
+    "terms_from_files",
+]
+
+SAMPLE = "plant/sample"
+
+
+class TermsError(TwinmatchError):
+    """The terms that a session was judged with are not recorded, or cannot be used."""
+
+
+class Terms(NamedTuple):
+    """Parameters and candidates with which a session is judged."""
+
+    settings: TwinSettings
+    given: tuple[Candidate, ...] = ()
+    """Initial candidates."""
+    matching: TwinSettings | None = None
+    """Separate settings for matches, if any."""
+    source: str = ""
+    """Origin of the parameters, in words."""
+
+
+def prefix_of(session: Session) -> str:
+    """Common prefix of the rig's nodes and topics."""
+    return session.topic.removesuffix(SAMPLE)
+
+
+def terms_from_files(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
+    """Parameters and candidates of files; without files the defaults and no candidates.
+
+    Raises:
+        TwinmatchError: a file cannot be used, or has another sampling period than the session.
+    """
+    source = f"the file {config.name}" if config else "the defaults of this version"
+    held = read_settings(config, session.plant, driven=not session.has_reference)
+    settings = at_period(held, session.period, config)
+    return Terms(settings, tuple(read_candidates(candidates)) if candidates else (), source=source)
+
+
+def recorded_terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
+    """Parameters and candidates recorded with the session; files override them.
+
+    Raises:
+        TermsError: they were not recorded, or are of an incompatible version.
+        TwinmatchError: a file cannot be used.
+    """
+    if config is not None:
+        return terms_from_files(session, config, candidates)
+    prefix = prefix_of(session)
+    matching, _ = _settings(session, f"{prefix}matcher")
+    settings, file = _settings(session, f"{prefix}discriminator")
+    given = tuple(read_candidates(candidates)) if candidates else _given(session, file)
+    return Terms(settings, given, matching, "those recorded with the session")
+
+
+def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
+    """Recorded settings of a node, and its file of candidates."""
+    place = f"session {session.name}"
+    recorded = parameters_of(session.records, node)
+    if recorded is None:
+        msg = (
+            f"{place}: the parameters of {node} were not recorded; give them with --config, "
+            "or run the recorder together with the twin"
+        )
+        raise TermsError(msg)
+    try:
+        values = recorded_values(f"{place}: {node}", recorded)
+        return settings_from(values), str(values["candidates"])
+    except TwinmatchError as error:
+        msg = f"{place}: the recorded parameters of {node} cannot be used: {error}"
+        raise TermsError(msg) from error
+
+
+def _given(session: Session, path: str) -> tuple[Candidate, ...]:
+    if not path:
+        return ()
+    text = session.records.get(CANDIDATES, {}).get("text", "")
+    if not text:
+        msg = (
+            f"session {session.name}: its initial candidates, from {path}, were not recorded; "
+            "give them with --candidates"
+        )
+        raise TermsError(msg)
+    return tuple(parse_candidates(text, f"session {session.name}: candidates"))
+
+
+Watch = Callable[[int, int], None]
+"""Called with (samples done, total) every `EVERY` samples."""
+
+EVERY = 50
+"""Samples between two calls of `Watch`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """All results of a session."""
+
+    name: str
+    samples: Sequence[Sample]
+    settings: TwinSettings
+    matches: tuple[MatchReport, ...]
+    verdicts: tuple[Verdict, ...]
+    summary: SessionSummary
+
+
+def judge_session(
+    path: Path,
+    *,
+    candidates: Path | None = None,
+    config: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
+) -> Judgement:
+    """Judge a session, an .mcap file or a recording.
+
+    Args:
+        path: the session or recording.
+        candidates: file of initial candidates.
+        config: parameter file; without it the defaults.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch: called with the progress.
+
+    Raises:
+        TwinmatchError: one of the files cannot be used.
+    """
+    session = open_any(path, plant=plant)
+    return judge(session, terms_from_files(session, config, candidates), watch=watch)
+
+
+def judge(
+    session: Session,
+    terms: Terms,
+    *,
+    watch: Watch | None = None,
+    on_outcome: Callable[[int, Outcome], None] | None = None,
+    beside: Callable[[Twin, Sample, Outcome], None] | None = None,
+) -> Judgement:
+    """Judge a session with these terms; see `judge_samples`."""
+    return judge_samples(
+        session.name,
+        session.samples,
+        terms.settings,
+        given=terms.given,
+        matching=terms.matching,
+        notes=session.notes,
+        watch=watch,
+        on_outcome=on_outcome,
+        beside=beside,
+    )
+
+
+def judge_samples(
+    name: str,
+    samples: Sequence[Sample],
+    settings: TwinSettings,
+    *,
+    given: Sequence[Candidate] = (),
+    matching: TwinSettings | None = None,
+    notes: Sequence[str] = (),
+    watch: Watch | None = None,
+    on_outcome: Callable[[int, Outcome], None] | None = None,
+    beside: Callable[[Twin, Sample, Outcome], None] | None = None,
+) -> Judgement:
+    """Push samples through a twin, one by one, as the live nodes do; Ctrl-C takes effect between two of them.
+
+    `matching` are separate settings for matches, if any. `on_outcome` is called after every sample with its
+    number, from 1, and its outcome; `beside` with the twin in its current state, the sample and the outcome.
+    """
+    twin = Twin(settings, given, matching=matching)
+    matches: list[MatchReport] = []
+    verdicts: list[Verdict] = []
+    with held_interrupts() as check_interrupt:
+        for done, sample in enumerate(samples):
+            outcome = twin.push(sample)
+            if outcome.match is not None:
+                matches.append(outcome.match)
+            verdicts += outcome.verdicts
+            if on_outcome is not None:
+                on_outcome(done + 1, outcome)
+            if beside is not None:
+                beside(twin, sample, outcome)
+            if watch is not None and done % EVERY == 0:
+                watch(done, len(samples))
+            check_interrupt()
+        summary = summarise(samples, verdicts, settings.gains, notes, settings.period)
+    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)
+
+
+LEVELS = (0.2, 0.6, 0.3)
+"""Set-points, as shares of the usual range: enough for a match, a second candidate and gaps."""
+HOLD = 240
+"""Samples of each."""
+
+
+def rehearse(plant: type[Plant], settings: TwinSettings, watch: Callable[[int, int], None]) -> None:
+    """Judge a simulated run, unless this version has done so on this machine; the verdicts are discarded.
+
+    Compiled code is kept, so this takes a minute or two the first time. Without it that time would pass while
+    the rig already runs, and matches would come too late. A plant without a loop is not rehearsed.
+
+    Args:
+        plant: the plant to simulate.
+        settings: the settings of the twin.
+        watch: called with how many samples of how many are judged.
+    """
+    mark = cache_folder() / f"rehearsed-{plant.name}-{__version__}"
+    if plant.loop is None or mark.exists():
+        return
+    low, high = plant.output.set_points or plant.output.span
+    reference = np.repeat([low + (high - low) * share for share in LEVELS], HOLD)
+    parameters = plant.model().parameters()
+    response = simulate_closed_loop(
+        parameters,
+        reference,
+        states=begin(parameters, float(reference[0])),
+        gains=settings.gains,
+        sensor=Sensor(noise=plant.output.noise).realise(reference.size, settings.period, seed=1),
+    )
+    window = Window(reference, response.output, response.input, period=settings.period)
+    judge_samples("rehearsal", samples_of(window), settings, watch=watch)
+    mark.parent.mkdir(parents=True, exist_ok=True)
+    mark.touch()
