@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twinmatch.dynamics.store import source_hash
 from twinmatch.offline.archive.files import Store, content_of, find_sessions, key_of
 from twinmatch.offline.archive.job import ArchiveTerms, Failure, Job, JobResult, cores, judge_in_processes
 
@@ -120,6 +119,8 @@ class _Run:
 
     def start(self, paths: list[Path]) -> list[Job]:
         """Load results of earlier runs; return the sessions left to judge."""
+        from twinmatch.dynamics.store import source_hash  # noqa: PLC0415 — imports numpy
+
         todo = []
         terms = self._terms
         described = repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
