@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.offline.archive.files import find_sessions
 from twinmatch.offline.command_line import Progress, add_terms, check_writable
 
 if TYPE_CHECKING:
@@ -70,7 +69,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: the only session cannot be used, or a file cannot be written.
     """
-    from twinmatch.offline.backtest.result import over_all  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.offline.archive import find_sessions  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.offline.backtest.result import over_all  # noqa: PLC0415
 
     check_writable(options.json, options.figure)
     sessions = find_sessions(options.sessions)

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.offline.archive import Archive, ArchiveError, Failure, is_single, judge_archive
 from twinmatch.offline.command_line import Progress, add_terms, check_writable, held_interrupts
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from twinmatch.offline.archive import Archive, Failure
     from twinmatch.sessions import Session
     from twinmatch.showing.lines import Lines
     from twinmatch.showing.quantities import ParameterFormat
@@ -68,6 +68,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: a session or a file that the options name cannot be used.
     """
+    from twinmatch.offline.archive import is_single  # noqa: PLC0415 — keeps --help fast
+
     check_writable(options.json, options.figure)
     asked = (options.jobs, options.out, options.scheduler)
     if not is_single(options.sessions) or any(option is not None for option in asked):
@@ -146,7 +148,8 @@ def _screen(session: Session) -> Screen:
 
 def _replay_many(options: argparse.Namespace) -> int:
     """Judge many sessions, print the table of all candidates and write the JSON; returns the exit code."""
-    from twinmatch.showing.summary import document  # noqa: PLC0415 — as above
+    from twinmatch.offline.archive import ArchiveError, judge_archive  # noqa: PLC0415 — as above
+    from twinmatch.showing.summary import document  # noqa: PLC0415
 
     if options.allow_fmu is not None:
         msg = "--allow-fmu works with one session; for several, set allow_fmu in the file of --config"

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.support.plants import Box, Lag
-from twinmatch.offline.backtest.arx import InputArx, OutputPersistence
-from twinmatch.offline.backtest.peers import peers
+from twinmatch.offline.backtest.arx import InputArx
+from twinmatch.offline.backtest.peers import OutputPersistence, peers
 from twinmatch.offline.backtest.scoring import Marked, cards, marks
 from twinmatch.signals import FloatArray, Window
 
